@@ -144,11 +144,6 @@ def test_a_law_goes_on_straight_beyond_its_last_knot() -> None:
     )
 
 
-def test_knots_of_twice_as_many_hold_those_of_half() -> None:
-    assert law_knots(0.06, 13).knots[::2] == pytest.approx(BASIS_BASIS.knots)
-    assert (np.diff(BASIS_BASIS.knots, 2) > 0.0).all()
-
-
 def bent_evenly(moment: float, *, height: float) -> LawShapes:
     """A line along which the moment is the same everywhere, by a law of five knots."""
     line = Line.through(PLACES, LENGTH)
@@ -164,13 +159,6 @@ def bent_evenly(moment: float, *, height: float) -> LawShapes:
         centre_offset=height,
     )
     return LawShapes.of(even, BASIS)
-
-
-def test_points_fall_on_markers_and_tip() -> None:
-    line = Line.through(PLACES, LENGTH)
-    assert line.arc_length[line.markers] == pytest.approx(PLACES)
-    assert (line.arc_length[0], line.arc_length[-1]) == (0.0, LENGTH)
-    assert np.diff(line.arc_length).max() <= 0.0015 + 1e-12
 
 
 @pytest.mark.parametrize("height", [0.0, 0.0008])

@@ -29,7 +29,6 @@ from tests.builders.bent_tests import (
     bending_test,
     law_moment,
     lifted,
-    loaded,
     pulled,
 )
 from tests.builders.bilinear_laws import bilinear_law
@@ -165,12 +164,6 @@ def test_errors_of_moments_add_up() -> None:
     assert centre == pytest.approx(1e-4 * lean * force, rel=0.02)
 
 
-def test_a_shape_without_spare_markers_has_no_second_opinion() -> None:
-    cloud = bending_cloud(bending_test(SHAPES[:20], terms=11))
-    assert np.isnan(cloud.curvature_systematic).all()
-    assert cloud.noise.shape == cloud.curvature.shape
-
-
 def law_of(test: BendingTest) -> MeasuredLaw:
     bending = measure_bending(test)
     assert bending.law is not None, bending.reason
@@ -208,13 +201,6 @@ def test_a_wire_with_weight_gives_its_law_from_rest_on(*, weighs: bool, off: flo
     true = law_moment(law, measured.curvature, most=0.05)
     error = np.max(np.abs(measured.moment[above] / true[above] - 1.0))
     assert error < off if weighs else error > off
-
-
-def test_without_a_string_the_load_is_normal() -> None:
-    shapes = loaded(LinearLaw(5e-3), force=2.0, frames=61)
-    law = law_of(bending_test(shapes, has_string=False))
-    assert law.secant[10:] == pytest.approx(5e-3, rel=1e-3)
-    assert law.tangent[10:] == pytest.approx(5e-3, rel=2e-3)
 
 
 WIRE = WireModel().law()

@@ -120,14 +120,6 @@ def test_noise_of_curvature_is_as_stated() -> None:
     assert np.isnan(curvature_gain(layout, shaken[:1], still, places)).all()
 
 
-def test_a_layout_needs_a_curve() -> None:
-    lost = replace(
-        TEST_MOMENTS.shape, coefficients=np.full_like(TEST_MOMENTS.shape.coefficients, np.nan)
-    )
-    with pytest.raises(ValueError, match="expected a frame with a fitted curve, found none"):
-        marker_layout(lost, centre_offset=HEIGHT, free_tip=True)
-
-
 def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> None:
     shape, frames = TEST_MOMENTS.shape, len(TEST_MOMENTS.shape.time)
     flags = shape.flags.copy()

@@ -42,14 +42,6 @@ def test_a_loss_of_just_the_share_is_one(low: float, *, is_lost: bool) -> None:
     assert found == 11 if is_lost else isinstance(found, Failure)
 
 
-def test_the_sample_before_the_loss() -> None:
-    """Missing samples are left out; rows without time lose their force in one step."""
-    holes = F.copy()
-    holes[50], holes[198] = np.nan, np.nan
-    losses = [(TIME, F), (TIME, holes), (np.arange(301.0), F)]
-    assert [final_loss(time, force, RULE) for time, force in losses] == [200] * 3
-
-
 def broken(rate: float, *, takes: float = 0.004, neck: float = 0.0) -> tuple[Floats, Floats]:
     """Up to 100 N in 20 s, a smooth fall to 100 N - neck in 2 s, then lost in a few ms."""
     time = np.arange(0.0, 25.0, 1.0 / rate)
@@ -206,30 +198,12 @@ def test_what_is_found_does_not_depend_on_the_sampling_rate(rate: int) -> None:
             assert slip.drop == pytest.approx(drop, abs=0.2)
 
 
-def test_a_clear_slip_in_slow_noise() -> None:
-    d, factor, seen = np.arange(0.0, 0.05, 2.5e-4), np.exp(-1.0 / 12.0), 0
-    for seed in range(10):
-        kicks = np.random.default_rng(seed).normal(0.0, 0.05, len(d)) * np.sqrt(1.0 - factor**2)
-        force = 900.0 * d - 0.6 * (d > 0.02) + lfilter([1.0], [1.0, -factor], kicks)
-        slips = find_slips(d, force, min_drop=0.2, decision=SlipDecision.MARKED)
-        assert isinstance(slips, tuple)
-        seen += len(slips) == 1 and abs(slips[0].position - 0.02) < 1.1 * d[1]
-    assert seen >= 9
-
-
 def test_a_tear_is_no_slip() -> None:
     force = 2000.0 * D_SLIPS - 0.3 * 50.0 * (D_SLIPS > 0.025) + noise()
     assert found(force) == ()
     told = find_slips(D_SLIPS, force, min_drop=0.2, decision=SlipDecision.MARKED, largest_share=0.4)
     assert isinstance(told, tuple)
     assert [slip.drop for slip in told] == pytest.approx([15.0], abs=0.2)
-
-
-def test_slips_of_a_force_of_millinewtons() -> None:
-    force = SMOOTH - 0.81 * (D_SLIPS > 0.03085) + noise()
-    (large,), (small,) = found(force), found(1e-3 * force, min_drop=0.2e-3)
-    assert (small.start, small.stop) == (large.start, large.stop)
-    assert small.drop == pytest.approx(1e-3 * large.drop)
 
 
 @pytest.mark.parametrize(("travel", "longest"), [(0.02, 0.4e-3), (0.04, 0.8e-3), (0.2, 1e-3)])
@@ -308,12 +282,3 @@ def test_what_is_no_fall() -> None:
     force = 1.2 * np.round(0.1 * NUMBER / 1.2)
     force[150:260] = force[150]
     assert fit_load_drop(PullCurve(STEP * NUMBER, force, most=10, blurred=0), 205) is None
-
-
-def test_added_back() -> None:
-    curve = pull(200.25, 2.5, 2.0, 0.0 * NUMBER)
-    found = fit_load_drop(curve, 201)
-    assert found is not None
-    mended = curve.without([found])
-    assert mended.f == pytest.approx(0.1 * NUMBER, abs=1e-6)
-    assert curve.f[300] == pytest.approx(28.0)

@@ -52,12 +52,6 @@ def test_stiffness_is_not_made_small_by_a_noisy_displacement() -> None:
     assert np.std(pulls) == pytest.approx(1.0, abs=0.12)
 
 
-def test_a_loop_of_few_samples_has_its_area() -> None:
-    """A triangle of 2 m and 3 N below another one, by hand: 1.5 + 3.5 - 2.5 - 0.5 J."""
-    d, f = np.array([0.0, 1.0, 2.0, 1.0, 0.0]), np.array([0.0, 3.0, 4.0, 1.0, 0.0])
-    assert energy_of(d, f) == pytest.approx(2.0)
-
-
 def test_sense_of_loading() -> None:
     nan = float("nan")
     for values in ([0.0, 50.0, 100.0, 0.0], [50.0, 75.0, 100.0, 0.0], [nan, -20.0, 15.0], [nan]):
@@ -159,11 +153,15 @@ def decided(path: Floats, force: Floats, like: Unloaded | None = None) -> Unload
 
 @pytest.mark.parametrize("way", WAYS)
 def test_it_is_where_the_force_is_back_at_zero(way: type[Unloaded]) -> None:
-    """Gaps are passed over."""
+    """Gaps are passed over; rows are as each alone, and a foot that rises is no number."""
     path, force = WAYS[way]
     plain = decided(path, force)
     assert isinstance(plain, way)
     assert plain.of(path, force) == pytest.approx(LEFT, abs=1e-12)
+    rng = np.random.default_rng(1)
+    paths, forces = (point + rng.normal(0, 1e-5, (3, len(TIME))) for point in (path, force))
+    alone = [plain.of(d, f) for d, f in zip(paths, forces, strict=True)]
+    np.testing.assert_allclose(plain.of(paths, forces), alone, rtol=1e-12)
     holes = force.copy()
     holes[::9] = np.nan
     assert decided(path, holes).of(path, holes) == pytest.approx(LEFT, abs=1e-9)
@@ -172,18 +170,10 @@ def test_it_is_where_the_force_is_back_at_zero(way: type[Unloaded]) -> None:
         assert plain.time[-1] == pytest.approx(5.3, abs=0.02)
     if isinstance(plain, FollowedToZero):  # from five limits to one, at 24 mN a second
         assert plain.limit == plain.least == LIMIT
+        rising = plain.of(path, np.array([force, force[::-1]]))
+        assert np.isnan(rising).tolist() == [False, True]
         assert -plain.foot_time[0] == pytest.approx(20.0 / 24.0, abs=0.03)
         assert plain.foot_time[-1] == 0.0
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_rows_are_as_each_alone(way: type[Unloaded]) -> None:
-    path, force = WAYS[way]
-    rng = np.random.default_rng(1)
-    paths, forces = (point + rng.normal(0, 1e-5, (3, len(TIME))) for point in (path, force))
-    found = decided(path, force)
-    alone = [found.of(d, f) for d, f in zip(paths, forces, strict=True)]
-    np.testing.assert_allclose(found.of(paths, forces), alone, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -207,13 +197,6 @@ def test_through_zero_by_hand() -> None:
     found = decided(path, force)
     assert isinstance(found, ThroughZero)
     assert found.of(path, force) == pytest.approx(0.004, abs=1e-12)
-
-
-def test_a_foot_that_no_longer_falls_is_no_number() -> None:
-    path, force = WAYS[FollowedToZero]
-    found = decided(path, force)
-    rows = found.of(path, np.array([force, force[::-1]]))
-    assert np.isnan(rows).tolist() == [False, True]
 
 
 def test_a_foot_of_few_samples_is_not_followed() -> None:

@@ -37,18 +37,41 @@ def onset(force: Floats, initial: float = INITIAL, below: float = 0.1) -> tuple[
     return float(place), float(level)
 
 
-def test_smooth_curve_without_noise() -> None:
-    place, level = onset(SOFT)
-    assert place == pytest.approx(ONSET, abs=1e-4)
-    assert level == pytest.approx(9.0, abs=0.02)
-    tangents = tangents_of(D, SOFT)
-    slope = float(tangents.slope_at_end(SOFT))
-    assert slope / INITIAL == pytest.approx(np.exp(-0.0475 / SCALE), rel=0.02)
-    start, stop = tangents.ends
-    assert start == pytest.approx(0.045, abs=4e-5)
-    assert stop == 0.05
-    assert tangents.level_at(start, SOFT) == pytest.approx(np.interp(start, D, SOFT), abs=0.02)
-    assert len(tangents.last) == np.count_nonzero(start <= D)
+FORTH = np.concatenate([D[:500], np.full(50, D[499]), D[480:]])
+GAP = D[(D <= 0.012) | (D >= 0.019)]
+STEPS = np.interp(D, [0.0, 0.01, 0.02, 0.03, 0.05], [0.0, 4.0, 4.1, 8.0, 8.1])
+CURVES: dict[str, tuple[Floats, Floats, float, float, float]] = {
+    "smooth": (D, SOFT, INITIAL, ONSET, 9.0),
+    "back and forth, and a wait": (FORTH, np.interp(FORTH, D, SOFT), INITIAL, ONSET, 9.0),
+    "a gap of more than a stretch": (GAP, np.interp(GAP, D, SOFT), INITIAL, ONSET, 9.0),
+    # 385 N/m (1/2 - 3 t/4 + t^3/4) + 5 N/m are 40 N/m at t = 0.63 of half a tangent
+    "flat, steep again, and flat": (D, STEPS, 400.0, 0.0316, 8.01),
+    "six samples in half a stretch": (D[::10], SOFT[::10], INITIAL, ONSET, np.nan),
+}
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_where_the_tangent_is_a_tenth(name: str) -> None:
+    path, force, initial, expected_place, expected_force = CURVES[name]
+    tangents = tangents_of(path, force)
+    place, level = tangents.onset(force, np.array(initial), slope_below=0.1)
+    assert float(place) == pytest.approx(expected_place, abs=1e-4)
+    assert float(level) == pytest.approx(expected_force, abs=0.02, nan_ok=True)
+
+
+def test_slope_at_the_end_and_its_line() -> None:
+    tangents, curves = tangents_of(D, SOFT), np.stack([SOFT, SOFT + noise(1, len(D))])
+    assert float(tangents.slope_at_end(SOFT)) / INITIAL == pytest.approx(
+        np.exp(-0.0475 / SCALE), rel=0.02
+    )
+    assert tangents.ends == pytest.approx((0.045, 0.05), abs=4e-5)
+    assert len(tangents.last) == np.count_nonzero(tangents.ends[0] <= D)
+    for curve, found in zip(curves, tangents.slope_at_end(curves), strict=True):
+        slope, level = parabola(D, curve, 0.0475, OVER)
+        assert float(found) == pytest.approx(slope, rel=1e-9)
+        for at in (0.045, 0.0475):
+            line = level + (at - 0.0475) * slope
+            assert tangents.level_at(at, curve) == pytest.approx(line, rel=1e-12)
 
 
 def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
@@ -79,13 +102,6 @@ def test_force_at_a_corner_is_not_cut_off() -> None:
     assert change[1] == pytest.approx(level - whole, rel=0.02)
 
 
-def test_flat_from_the_last_time_on() -> None:
-    """A flat stretch halfway is no plateau, if the curve gets steep again."""
-    force = np.interp(D, [0.0, 0.01, 0.02, 0.03, 0.05], [0.0, 4.0, 4.1, 8.0, 8.1])
-    place, _ = onset(force, 400.0)
-    assert place == pytest.approx(0.03, abs=0.5 * OVER)
-
-
 def noise(seed: int, *shape: int, deviation: float = 0.02) -> Floats:
     return np.random.default_rng(seed).normal(0.0, deviation, shape)
 
@@ -105,20 +121,6 @@ def onset_of(d: Floats, f: Floats, slope: float) -> tuple[float, float]:
     number = next(number for number, each in enumerate(slopes) if each >= slope)
     at = float(np.interp(slope, slopes[number - 1 : number + 1], places[number - 1 : number + 1]))
     return at, parabola(d, f, at, 0.5 * OVER)[1]
-
-
-def test_end_slope_and_its_line() -> None:
-    curves = SOFT + noise(1, 2, 3, len(D))
-    tangents = tangents_of(D, SOFT)
-    found = tangents.slope_at_end(curves)
-    assert found.shape == (2, 3)
-    for place in np.ndindex(2, 3):
-        slope, level = parabola(D, curves[place], 0.0475, OVER)
-        assert float(found[place]) == pytest.approx(slope, rel=1e-9)
-        assert tangents.level_at(0.0475, curves[place]) == pytest.approx(level, rel=1e-12)
-        begin = tangents.level_at(0.045, curves[place])
-        assert begin == pytest.approx(level - 0.0025 * slope, rel=1e-12)
-    assert tangents.slope_at_end(SOFT).shape == ()
 
 
 def test_onset_as_one_curve_at_a_time() -> None:
@@ -168,23 +170,6 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
     assert ends == pytest.approx(plain.slope_at_end(moved[:, known]), abs=0.01)
 
 
-def test_back_and_forth_and_waits() -> None:
-    """Samples count from when a place is first reached, and waits do no harm."""
-    d = np.concatenate([D[:500], np.full(50, D[499]), D[480:]])
-    f = np.interp(d, D, SOFT)
-    place, force = tangents_of(d, f).onset(f, np.array(INITIAL), slope_below=0.1)
-    assert float(place) == pytest.approx(SCALE * np.log(10.0), abs=1e-4)
-    assert float(force) == pytest.approx(9.0, abs=0.01)
-
-
-def test_tangents_end_where_there_is_none() -> None:
-    gap = (D > 0.012) & (D < 0.019)
-    tangents = tangents_of(D[~gap], SOFT[~gap])
-    assert tangents.places[-1] > 0.019
-    place, _ = tangents.onset(SOFT[~gap], np.array(INITIAL), slope_below=0.1)
-    assert float(place) == pytest.approx(SCALE * np.log(10.0), abs=1e-4)
-
-
 def test_says_why_not() -> None:
     short = Tangents.of(D[:200], SOFT[:200], over=OVER)
     assert short == Failure("not_reached", "the branch is 9.95 mm long, twice 5 mm is needed")
@@ -199,15 +184,6 @@ def test_says_why_not() -> None:
     for at in (0.0451, 0.0453, 0.0457, 0.0459, 0.0463):
         two = np.concatenate([np.linspace(0.0, 0.0449, 100), np.repeat([at, 0.05], 10)])
         assert Tangents.of(two, two, over=OVER) == stuck
-
-
-def test_no_force_where_half_the_stretch_is_too_short() -> None:
-    """Eleven samples in a stretch are enough, six in its half are not."""
-    place, force = tangents_of(D[::10], SOFT[::10]).onset(
-        SOFT[::10], np.array(INITIAL), slope_below=0.1
-    )
-    assert float(place) == pytest.approx(SCALE * np.log(10.0), abs=1e-4)
-    assert np.isnan(force)
 
 
 def test_what_a_corner_hides() -> None:

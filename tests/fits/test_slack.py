@@ -19,14 +19,6 @@ D = np.concatenate([np.full(100, 0.002), np.linspace(0.002, 0.012, 500)])
 F: Floats = 500.0 * (D - 0.002)
 
 
-def test_slack_then_taut() -> None:
-    force = F + np.random.default_rng(0).normal(0.0, 0.004, len(D))
-    found = take_up(D, force)
-    assert isinstance(found, TakeUp)
-    assert found.of(D, force) == pytest.approx(0.002, abs=1e-5)
-    assert 99 <= found.sample <= 103
-
-
 def test_where_the_force_takes_up_without_noise() -> None:
     """With missing samples, from just above zero, and from the other side of it."""
     holes = F.copy()

@@ -19,25 +19,6 @@ D = np.linspace(0.002, 0.02, 181)
 F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
 
 
-def fitted(d: Floats, f: Floats) -> Segments:
-    return hinges_of(d, f).fitted(f)
-
-
-def test_exact_between_samples() -> None:
-    found = fitted(D, F)
-    assert float(found.break_point) == pytest.approx(0.0093, rel=1e-9)
-    assert float(found.first) == pytest.approx(5000.0, rel=1e-9)
-    assert float(found.second) == pytest.approx(2700.0, rel=1e-9)
-    assert float(found.level) == pytest.approx(45.0, rel=1e-9)
-
-
-def test_exact_where_a_sample_stands_in_the_corner() -> None:
-    f = 45.0 + np.where(D[47] > D, 5000.0, 2700.0) * (D - D[47])
-    lines = fitted(D, f)
-    assert float(lines.break_point) == pytest.approx(D[47], rel=1e-9)
-    assert float(lines.second) == pytest.approx(2700.0, rel=1e-9)
-
-
 def test_says_why_not() -> None:
     assert Hinges.of(D[:15], F[:15]) == Failure(
         "too_few_samples", "15 samples in the stretch, 16 are needed"

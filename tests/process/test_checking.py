@@ -180,20 +180,6 @@ def test_faults(lab: Path, name: str, approved: Approve) -> None:
     approved(found)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "change"),
-    [
-        (nothing, (WIRE, "channel: Model/Load/Out1", "channel: [Force, Model/Load/Out1]")),
-        (no_body, (WIRE, "clamp: Clamp, along: [M*]", "clamp: null")),
-        (nothing, (WIRE, "markers: {clamp: Clamp, along: [M*]}\n", "")),
-    ],
-    ids=["first of several names", "no clamp", "no markers"],
-)
-def test_no_faults(lab: Path, spoil: Callable[[Path], None], change: Change) -> None:
-    spoil(lab / FOLDER)
-    assert messages(lab, change) == []
-
-
 def test_a_part_without_samples_is_no_fault(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A test of nothing else is."""
     shutil.copy(lab / FOLDER / "force.mat", lab / FOLDER / "empty.mat")
@@ -206,19 +192,6 @@ def test_a_part_without_samples_is_no_fault(lab: Path, monkeypatch: pytest.Monke
     assert messages(lab, (TEST, "force: force.mat", "force: [force.mat, empty.mat]")) == []
     (message,) = messages(lab, (TEST, "[force.mat, empty.mat]", "empty.mat"))
     assert message.startswith(f"{FOLDER.as_posix()}/empty.mat: expected samples, found none")
-
-
-def test_dialect_and_part_go_to_the_reader(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[dict[str, object]] = []
-
-    def read(*_: object, **more: object) -> Recording:
-        asked.append(more)
-        return Recording("load-frame")
-
-    monkeypatch.setattr("labpipe.process.checking.read_export", read)
-    new = "{reader: load-frame, dialect: own, part: Specimen 2, channel: Load}"
-    messages(lab, (WIRE, "{reader: dspace-mat, channel: Model/Load/Out1, unit: N}", new))
-    assert {"dialect": ("own",), "part": "Specimen 2"} in asked
 
 
 HARNESS = """\

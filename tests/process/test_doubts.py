@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from labpipe.process.story import reduce_recordings
-from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
 from tests.approved import Approve
 from tests.builders.plain_records import PlainRecord, up_and_down
-from tests.builders.reduced import PROTOCOL, loop, recording_of, reduced
+from tests.builders.reduced import loop, reduced
 
 ASKED = """\
 results:
@@ -183,30 +180,6 @@ def test_records_that_were_zeroed(name: str, approved: Approve) -> None:
 @pytest.mark.parametrize("left", [-0.06, -0.02, 0.06])
 def test_the_force_once_the_specimen_is_broken(left: float, approved: Approve) -> None:
     approved(doubts(broken(left), ASKED, FAILURE))
-
-
-SHEET = """\
-test: T1
-protocol: p.yaml
-specimen: {type: A2, spool: s1, sample: 1}
-files: {force: force.mat}
-overrides:
-  limits.cycle_change: {value: LIMIT, because: the material hardens}
-"""
-
-
-@pytest.mark.parametrize(("limit", "is_doubtful"), {"3 %": True, "8 %": False}.items())
-def test_a_test_sheet_overrides_the_limit_between_cycles(
-    limit: str, is_doubtful: bool, tmp_path: Path
-) -> None:
-    """The force of the second cycle is 5 % larger."""
-    (tmp_path / "p.yaml").write_text(PROTOCOL + ASKED, "utf-8")
-    sheet = tmp_path / "test.yaml"
-    sheet.write_text(SHEET.replace("LIMIT", limit), "utf-8")
-    record = with_force(lambda time, force: np.where(time > 12.0, 1.05 * force, force))
-    protocol = resolve(load_test_sheet(sheet), sheet)
-    test = reduce_recordings({"force": recording_of(*record.arrays())}, protocol).reduced_test
-    assert ("cycle_scale" in {note.code for note in test.findings.notes}) is is_doubtful
 
 
 def test_slack_finds_the_zero_of_the_displacement() -> None:

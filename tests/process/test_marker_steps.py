@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +18,10 @@ from labpipe.records.causes import CENTRE, GRIP, PULL, SHAPE
 from labpipe.records.declarations import FitShape, RepairMarkers, SpecimenFrame
 from labpipe.records.quality import Findings
 from labpipe.records.recording import MarkerTracks
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Status
 from labpipe.records.signals import Signals
-from labpipe.results.reduced_test import ReducedTest
 from labpipe.virtual_lab import Observation, observe
+from tests.approved import Approve
 from tests.builders.reasons import doubted
 from tests.builders.small_tests import small_scenario
 from tests.builders.three_point import STROKE, BendingRecord, curvature_at, load_at, reduced
@@ -56,10 +55,6 @@ def steps(protocol: Protocol) -> tuple[RepairMarkers, SpecimenFrame, FitShape]:
 def words(protocol: Protocol, **changes: object) -> Markers:
     assert protocol.markers is not None
     return protocol.markers.model_copy(update=changes)
-
-
-def taken(tracks: MarkerTracks | None) -> Prepared:
-    return Prepared(Signals(), Take(tracks))
 
 
 def done(
@@ -109,96 +104,55 @@ def test_offsets_move_the_deflection_and_not_its_zero(
     assert set(exact.signals.raw["deflection"].moved) == {SHAPE}
 
 
-def test_one_term_more_is_half_the_width_of_a_rectangle(
-    tracks: MarkerTracks, protocol: Protocol
-) -> None:
-    mend, turn, fit = steps(protocol)
-    made, _ = repair(taken(tracks), mend, protocol.markers)
-    made, _ = turn_into_specimen(made, turn, protocol.markers)
-    one, more = (
-        fit_shapes(made, replace(fit, terms=terms), protocol.markers)[0].signals.raw["deflection"]
-        for terms in (7, 8)
-    )
-    change = np.sqrt(3.0) * (one.moved[SHAPE] - one.values)
-    np.testing.assert_allclose(change, more.values - one.values, atol=1e-12)
-
-
 def blank(tracks: MarkerTracks) -> MarkerTracks:
     (body,) = tracks.bodies
     lost = replace(body, position=np.full_like(body.position, np.nan))
     return replace(tracks, bodies=(lost,))
 
 
+TAKES: dict[str, tuple[Callable[[MarkerTracks], MarkerTracks], dict[str, object]]] = {
+    "another name of the clamp": (lambda tracks: tracks, {"clamp": "Clmp"}),
+    "no rigid body": (lambda tracks: replace(tracks, bodies=()), {}),
+    "a clamp that is lost": (blank, {}),
+    "two markers along": (lambda tracks: tracks, {"along": ("Wire:Marker[12]",)}),
+    "no markers along": (lambda tracks: tracks, {"along": ("Tube*",)}),
+}
+
+
+def test_takes_without_clamp_or_markers(
+    tracks: MarkerTracks, protocol: Protocol, approved: Approve
+) -> None:
+    messages = []
+    for change, given in TAKES.values():
+        with pytest.raises(ProcessingError) as refused:
+            done(change(tracks), protocol, 0.0, **given)
+        messages.append(str(refused.value))
+    approved(messages)
+
+
 @pytest.mark.parametrize(
-    ("change", "given", "message"),
+    ("frames", "is_stale", "is_bridged"),
     [
-        (
-            None,
-            {"clamp": "Clmp"},
-            "markers, rigid bodies: expected the clamp 'Clmp', found 'Clamp'",
-        ),
-        (lambda tracks: replace(tracks, bodies=()), {}, "found no rigid body in the take"),
-        (blank, {}, "rigid body 'Clamp': expected positions, found blanks in every frame. Solve"),
-        (
-            None,
-            {"along": ("Wire:Marker[12]",)},
-            "expected at least 3 markers along the specimen, f",
-        ),
-        (None, {"along": ("Tube*",)}, "found 0: none"),
+        (slice(400, 440), True, False),
+        (slice(400, 410), False, True),
+        (slice(400, 460), False, False),
     ],
 )
-def test_a_take_without_clamp_or_markers(
-    tracks: MarkerTracks,
-    protocol: Protocol,
-    change: Callable[[MarkerTracks], MarkerTracks] | None,
-    given: dict[str, object],
-    message: str,
+def test_a_clamp_that_is_stale_or_lost_for_some_frames(
+    tracks: MarkerTracks, protocol: Protocol, frames: slice, is_stale: bool, is_bridged: bool
 ) -> None:
-    mend, _, _ = steps(protocol)
-    with pytest.raises(ProcessingError, match=re.escape(message)):
-        repair(taken(change(tracks) if change else tracks), mend, words(protocol, **given))
-
-
-def test_markers_off_their_plane_leave_the_deflection_in_doubt(
-    tracks: MarkerTracks, protocol: Protocol
-) -> None:
-    mend, turn, _ = steps(protocol)
-    made, _ = repair(taken(tracks), mend, protocol.markers)
-    strict = replace(turn, max_out_of_plane=1e-7)
-    _, found = turn_into_specimen(made, strict, protocol.markers)
-    assert doubted(found)["displacement"].startswith("out_of_plane: ")
-
-
-def with_clamp(tracks: MarkerTracks, frames: slice, *, stale: bool) -> MarkerTracks:
-    """The same take with the clamp blank, or held at its last pose, for some frames."""
-    clamp = tracks.bodies[0]
+    """A stale pose is not believed; short gaps are bridged and long ones left."""
+    (clamp,) = tracks.bodies
     position = clamp.position.copy()
-    position[frames] = position[frames.start - 1] if stale else np.nan
-    return replace(tracks, bodies=(replace(clamp, position=position), *tracks.bodies[1:]))
-
-
-def test_a_stale_pose_of_the_clamp_is_not_believed(
-    tracks: MarkerTracks, protocol: Protocol
-) -> None:
-    made, found = done(with_clamp(tracks, slice(400, 440), stale=True), protocol)
-    assert doubted(found.entries)["displacement"].startswith(
-        "clamp_frozen: Clamp keeps its last pose for 40"
+    position[frames] = position[frames.start - 1] if is_stale else np.nan
+    made, findings = done(replace(tracks, bodies=(replace(clamp, position=position),)), protocol)
+    assert made.take.clamp is not None
+    expected = (
+        clamp.position[frames] if is_bridged else np.full_like(clamp.position[frames], np.nan)
     )
-    assert made.take.clamp is not None
-    assert np.isnan(made.take.clamp[400:440]).all()
-
-
-def test_short_gaps_of_the_clamp_are_bridged_and_long_ones_left(
-    tracks: MarkerTracks, protocol: Protocol
-) -> None:
-    clamp = tracks.bodies[0].position
-    made, found = done(with_clamp(tracks, slice(400, 410), stale=False), protocol)
-    assert made.take.clamp is not None
-    np.testing.assert_allclose(made.take.clamp[400:410], clamp[400:410], atol=1e-4)
-    assert "Clamp is lost in 10 frames, 10 of them bridged" in str(found.notes)
-    made, _ = done(with_clamp(tracks, slice(400, 460), stale=False), protocol)
-    assert made.take.clamp is not None
-    assert np.isnan(made.take.clamp[400:460]).all()
+    np.testing.assert_allclose(made.take.clamp[frames], expected, atol=1e-4)
+    why = doubted(findings.entries).get("displacement", "")
+    assert why.startswith("clamp_frozen: Clamp keeps its last pose for 40" if is_stale else "")
 
 
 def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Protocol) -> None:
@@ -227,55 +181,31 @@ def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protoco
 SPAN = "span: 152.4 mm"
 
 
-@pytest.fixture(scope="module")
-def bent() -> tuple[ReducedTest, dict[str, Result]]:
-    return reduced(BendingRecord())
-
-
-def holds(result: Result, truth: float) -> bool:
-    interval = result.interval
-    return interval is not None and interval.lower <= truth <= interval.upper
-
-
 @pytest.mark.slow
-def test_every_number_holds_its_truth(bent: tuple[ReducedTest, dict[str, Result]]) -> None:
-    _, results = bent
+def test_numbers_and_shape_of_a_rod_on_two_supports() -> None:
+    """Three clocks are joined; a rod on knife edges sinks at mid-span as the load goes."""
     record = BendingRecord()
-
+    test, results = reduced(record)
     assert {result.status for result in results.values()} == {Status.OK}
-    assert holds(results["mid_span_bending_stiffness"], record.rigidity)
-    assert holds(results["mid_span_curvature"], curvature_at(STROKE))
-    assert holds(results["peak_force.1"], float(load_at(record, np.array([STROKE]))[0]))
-    assert holds(results["twist"], abs(record.twist))
-    assert holds(results["clock_offset"], 0.0)
-
-
-@pytest.mark.slow
-def test_three_clocks_are_joined(bent: tuple[ReducedTest, dict[str, Result]]) -> None:
-    test, _ = bent
-    fit = test.clocks.others["markers"]
-    shape = test.shape
-
-    assert fit.offset == pytest.approx(3.2, abs=0.01)
-    assert shape is not None
-    assert test.span is not None
-    assert shape.time[0] == pytest.approx(-3.2, abs=0.01)
+    for name, true in (
+        ("mid_span_bending_stiffness", record.rigidity),
+        ("mid_span_curvature", curvature_at(STROKE)),
+        ("peak_force.1", float(load_at(record, np.array([STROKE]))[0])),
+        ("twist", abs(record.twist)),
+        ("clock_offset", 0.0),
+    ):
+        interval = results[name].interval
+        assert interval is not None
+        assert interval.lower <= true <= interval.upper
+    assert test.clocks.others["markers"].offset == pytest.approx(3.2, abs=0.01)
     assert test.aligned is not None
-    seen = test.aligned.series["mid_span"].values
-    way = test.aligned.series["displacement"].values
-    # A rod on knife edges: mid-span goes where the load goes.
-    assert np.nanmax(np.abs(seen - way)) < 3e-4
+    sunk, way = (test.aligned.series[name].values for name in ("mid_span", "displacement"))
+    assert np.nanmax(np.abs(sunk - way)) < 3e-4
     (note,) = (note for note in test.findings.notes if note.code == "camera_clock")
-    assert note.message.startswith("the cameras are 3.19") or "3.20" in note.message
-
-
-@pytest.mark.slow
-def test_shape_of_the_store(bent: tuple[ReducedTest, dict[str, Result]]) -> None:
-    test, _ = bent
+    assert note.message.startswith("the cameras are 3.")
     shape = test.shape
-
     assert shape is not None
-    assert shape.names[0] == "section 1"
+    assert shape.time[0] == pytest.approx(-3.2, abs=0.01)
     assert shape.positions.shape[1:] == (15, 3)
     assert shape.length == pytest.approx(14 * 0.0127, abs=1e-4)
     top = int(np.nanargmax(shape.positions[:, 7, 1] - shape.positions[:, 1, 1]))

@@ -28,6 +28,7 @@ from labpipe.process.sheet_writing import (
 )
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
@@ -42,23 +43,6 @@ A2-2;wire-cantilever;A2;s1;2;8 cm;2026-03-04;a.mat;t.csv;Grip;renamed
 """
 
 
-@pytest.fixture
-def table(tmp_path: Path) -> Path:
-    path = tmp_path / "campaign.csv"
-    path.write_text(TABLE, encoding="utf-8")
-    return path
-
-
-def test_one_test_sheet_per_row(table: Path, tmp_path: Path) -> None:
-    made = new_from_sheet(table, tmp_path / "raw")
-
-    first, second = (load_test_sheet(path) for path in made.written)
-    assert made.kept == ()
-    assert [path.parent.name for path in made.written] == ["A2-1", "A2-2"]
-    assert (first.specimen.length, second.specimen.length) == (0.085, 0.080)
-    assert (first.overrides, list(second.overrides)) == ({}, ["markers.clamp"])
-
-
 BUNDLES = """\
 test;protocol;type;spool;sample;Span (mm);Bundle_wires;Arrangement;tape;taping;conduit;\
 Conduit_bore (mm);labels.cured;force;markers
@@ -68,94 +52,70 @@ C-3;wire-cantilever;B1;s1;3;152.4;;;;;;;;a.mat;t.csv
 """
 
 
-def test_bundles_from_a_table(tmp_path: Path) -> None:
-    path = tmp_path / "campaign.csv"
-    path.write_text(BUNDLES, encoding="utf-8")
+def sheets_of(table: str, folder: Path) -> list[TestSheet]:
+    (folder / "campaign.csv").write_text(table, encoding="utf-8")
+    made = new_from_sheet(folder / "campaign.csv", folder / "raw")
+    assert made.kept == ()
+    return [load_test_sheet(path) for path in made.written]
 
-    made = new_from_sheet(path, tmp_path / "raw")
 
-    one, two, three = (load_test_sheet(path).specimen.record for path in made.written)
-    assert one.bundle == Bundle(
-        (BundleWire("B1", 19),), conduit="corrugated-tube", conduit_bore=0.0107
-    )
-    assert two.bundle == Bundle(
+def test_one_test_sheet_per_row(tmp_path: Path) -> None:
+    first, second = sheets_of(TABLE, tmp_path)
+    assert (first.test, second.test) == ("A2-1", "A2-2")
+    assert (first.specimen.length, second.specimen.length) == (0.085, 0.080)
+    assert (first.overrides, list(second.overrides)) == ({}, ["markers.clamp"])
+
+    sheets = sheets_of(BUNDLES, tmp_path)
+    specimens = [sheet.specimen.record for sheet in sheets]
+    tube = Bundle((BundleWire("B1", 19),), conduit="corrugated-tube", conduit_bore=0.0107)
+    mixed = Bundle(
         (BundleWire("B1", 10), BundleWire("B2", 9)),
         arrangement="asymmetric",
         tape="PVC",
         taping="coarse",
         conduit="twist-tube",
     )
-    assert three.bundle is None
-    assert [dict(part.labels) for part in (one, two, three)] == [{"cured": "24 h"}, {}, {}]
-    assert resolve(load_test_sheet(made.written[0]), made.written[0]).specimen.span == 0.1524
-
-
-def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path) -> None:
-    path = tmp_path / "raw" / "A2-1" / "test.yaml"
-    path.parent.mkdir(parents=True)
-    path.write_text("mine", encoding="utf-8")
-
-    made = new_from_sheet(table, tmp_path / "raw")
-    assert (made.kept, len(made.written)) == ((path,), 1)
-    assert path.read_text(encoding="utf-8") == "mine"
-
-    made = new_from_sheet(table, tmp_path / "raw", overwrite=True)
-    assert (made.kept, len(made.written)) == ((), 2)
+    assert [specimen.bundle for specimen in specimens] == [tube, mixed, None]
+    assert [dict(part.labels) for part in specimens] == [{"cured": "24 h"}, {}, {}]
+    path = tmp_path / "raw" / "C-1" / "test.yaml"
+    assert resolve(sheets[0], path).specimen.span == 0.1524
 
 
 def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
-    values = {"test": "t", "type": "A2", "span": "", "protocol": ""}
     open_ = ("protocol", "spool", "sample", "span", "frame")
-    seen = InferredTest(
-        tmp_path, {k: v for k, v in values.items() if v}, {"force": ("a;b.mat",)}, open_
-    )
-
-    sheet = write_inferred_sheet(seen)
-
+    known = {"test": "t", "type": "A2"}
+    sheet = write_inferred_sheet(InferredTest(tmp_path, known, {"force": ("a;b.mat",)}, open_))
     assert sheet.open == open_
     lines = sheet.path.read_text(encoding="utf-8").splitlines()
     blank = [line.strip() for line in lines if line.endswith("# to be filled in")]
-    assert blank == [
-        f"{key}:   # to be filled in" for key in ("protocol", "spool", "sample", "span", "frame")
-    ]
+    assert blank == [f"{key}:   # to be filled in" for key in open_]
     assert "  force: a;b.mat" in lines  # a name, not two
-    with pytest.raises(ProtocolError) as info:
+    with pytest.raises(ProtocolError) as refused:
         load_test_sheet(sheet.path)
-    assert len(str(info.value).splitlines()) == len(open_)
+    assert len(str(refused.value).splitlines()) == len(open_)
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"length": "85"}, "length: expected a quantity with a unit"),
-        ({"typ": "A"}, "expected one of .*found 'typ'"),
-        ({"labels.Cured": "24 h"}, "labels.Cured: expected a name of small letters"),
-        ({"conduit": "twist-tube"}, "bundle_wires: expected a value for 'bundle_wires'"),
-        ({"force": "../a.mat"}, "force: expected a file inside the folder of the test"),
-        ({"markers.clamp": "Grip"}, "because: expected a value for 'because', found none"),
-    ],
+WRONG_VALUES = (
+    *({"length": "85"}, {"typ": "A"}, {"labels.Cured": "24 h"}, {"conduit": "twist-tube"}),
+    *({"force": "../a.mat"}, {"markers.clamp": "Grip"}),
 )
-def test_a_wrong_value_is_refused_though_others_are_open(
-    values: dict[str, str], message: str, tmp_path: Path
-) -> None:
+
+
+def test_a_wrong_value_is_refused_though_others_are_open(tmp_path: Path, approved: Approve) -> None:
     (tmp_path / "x").mkdir()
-    with pytest.raises(UsageError, match=message):
-        list(write_inferred_sheets(tmp_path / "x", values))
-    assert not (tmp_path / "x" / "test.yaml").exists()
+    messages = []
+    for values in WRONG_VALUES:
+        with pytest.raises(UsageError) as refused:
+            list(write_inferred_sheets(tmp_path / "x", values))
+        messages.append(str(refused.value))
+        assert not (tmp_path / "x" / "test.yaml").exists()
+    approved(messages)
 
 
-def test_an_existing_sheet_is_not_overwritten(tmp_path: Path) -> None:
-    sheet = tmp_path / "test.yaml"
-    sheet.write_text("mine", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"test\.yaml: expected no such file yet"):
-        list(write_inferred_sheets(tmp_path, {}))
-    assert sheet.read_text(encoding="utf-8") == "mine"
-
-
-def test_a_folder_that_cannot_be_made(table: Path, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "raw").write_text("", encoding="utf-8")
     with pytest.raises(StoreError, match=r"test\.yaml: expected "):
-        new_from_sheet(table, tmp_path / "raw")
+        sheets_of(TABLE, tmp_path)
 
 
 FAULTS_OF_A_TABLE = {
@@ -263,66 +223,43 @@ def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
     assert {test.values["protocol"] for test in campaign} == {"wire-cantilever"}
 
 
-@pytest.mark.parametrize(
-    ("written", "day"),
-    {
-        "2026-03-04 10.05.00.000 AM": "2026-03-04",
-        "20.02.2008": "2008-02-20",
-        "10/26/2022 1:02:25 PM": "2022-10-26",
-        "26/10/2022 13:02": "2022-10-26",
-        "7/3/2025 12:23:28 PM": "2025-07-03",
-        "7/7/2025": "2025-07-07",
-        "7/3/2025 12:23": "",
-        "31/31/2025": "",
-        "43173.4": "",
-    }.items(),
+DAYS = (
+    *("2026-03-04 10.05.00.000 AM", "20.02.2008", "10/26/2022 1:02:25 PM", "26/10/2022 13:02"),
+    *("7/3/2025 12:23:28 PM", "7/7/2025", "7/3/2025 12:23", "31/31/2025", "43173.4"),
 )
-def test_a_day_is_read_where_its_order_is_plain(written: str, day: str) -> None:
-    assert day_in(written) == day
-
-
 CONTROLDESK = {"Description": {"General": {"User": "jk", "DateTime": "x"}}, "date": "2026-03-04"}
 BLUEHILL = {
     "Specimen properties : Length": "50 mm",
     "Specimen properties : Width": "wide",
     "General : Specimen number (included)": "7",
 }
-
-
-@pytest.mark.parametrize(
-    ("metadata", "name", "facts"),
-    [
-        ({"Date": "27.02.2015"}, "2026-01-01.csv", {"date": "2015-02-27"}),
-        ({}, "2026-01-01.csv", {"date": "2026-01-01"}),
-        ({"Date/heure": "43173.4"}, "2026-01-01.csv", {"date": "2026-01-01"}),
-        ({}, "take.csv", {}),
-        (CONTROLDESK, "x.csv", {"date": "2026-03-04", "operator": "jk"}),
-        (BLUEHILL, "x.csv", {"length": "50 mm", "specimen": "7"}),
-        ({"Operator": "<None>", "Test Run": "A2-085-1"}, "x.csv", {"take": "A2-085-1"}),
-    ],
+EXPORTS: tuple[tuple[str, Mapping[str, object]], ...] = (
+    ("2026-01-01.csv", {"Date": "27.02.2015"}),
+    ("2026-01-01.csv", {}),
+    ("2026-01-01.csv", {"Date/heure": "43173.4"}),
+    ("take.csv", {}),
+    ("x.csv", CONTROLDESK),
+    ("x.csv", BLUEHILL),
+    ("x.csv", {"Operator": "<None>", "Test Run": "A2-085-1"}),
 )
-def test_facts_of_an_export(
-    metadata: Mapping[str, object], name: str, facts: dict[str, str]
-) -> None:
-    """Its day counts before that of its name."""
-    recording = Recording("r", metadata=metadata)
-    assert {fact.key: fact.value for fact in facts_of_export(name, recording)} == facts
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    {
-        "A2-085-1": {"type": "A2", "length": "85 mm", "sample": "1"},
-        "TWB-B1-19-PVC-2": {"type": "TWB-B1-19-PVC", "sample": "2"},
-        "twist-tube-1a": {"type": "twist-tube", "sample": "1a"},
-        "CT_10_3": {"type": "CT_10", "sample": "3"},
-        "2026-03-04": {},
-        "Test Run 4 10-23-2023 6 43 09 PM": {},
-        "specimen": {},
-    }.items(),
+FOLDERS = (
+    *("A2-085-1", "TWB-B1-19-PVC-2", "twist-tube-1a", "CT_10_3", "2026-03-04", "specimen"),
+    "Test Run 4 10-23-2023 6 43 09 PM",
 )
-def test_the_pattern_of_a_lab(name: str, said: dict[str, str]) -> None:
-    assert {fact.key: fact.value for fact in facts_of_folder(name)} == said
+
+
+def test_facts_of_days_exports_and_folders(approved: Approve) -> None:
+    """Days whose order is plain; that of an export counts before that of its name."""
+    facts = [facts_of_export(name, Recording("r", metadata=more)) for name, more in EXPORTS]
+    facts += [facts_of_folder(name) for name in FOLDERS]
+    names = [f"{name} {dict(more)}" for name, more in EXPORTS] + list(FOLDERS)
+    approved(
+        [f"{written}: {day_in(written) or '-'}" for written in DAYS]
+        + [
+            f"{name}: " + ", ".join(f"{fact.key} {fact.value}" for fact in known)
+            for name, known in zip(names, facts, strict=True)
+        ]
+    )
 
 
 def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:

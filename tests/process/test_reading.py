@@ -50,15 +50,6 @@ def export(tmp_path: Path, unit: str = "") -> Path:
     return write_mat_v5(tmp_path / "a.mat", [Axis(STEADY)], signals)
 
 
-def test_only_named_channels_in_si(tmp_path: Path) -> None:
-    source = "{reader: dspace-mat, channels: {displacement: {channel: Model/Out1, unit: mm}}}"
-    recording = read_role(export(tmp_path), protocol(source).sources["force"])
-    (channel,) = recording.channels
-    assert (channel.name, channel.path, channel.unit) == ("displacement", "Model/Out1", "m")
-    np.testing.assert_allclose(channel.values, 1e-3 * RISING, rtol=1e-15)
-    assert len(recording.clocks) == 1
-
-
 def test_fingerprints(pristine: Lab) -> None:
     sheet_path = pristine.raw / "test.yaml"
     sheet = load_test_sheet(sheet_path)
@@ -230,12 +221,6 @@ def test_units(tmp_path: Path, stated: str, asked: Source, factor: float, is_not
     assert [note for note in recording.notes if note.code == "unit_overridden"] == [note] * is_noted
 
 
-def test_another_label_than_the_one_that_is_said_to_be_wrong(tmp_path: Path) -> None:
-    """What was true of one export is not taken for the next one."""
-    with pytest.raises(ReadError, match=r"unit that the export states, 'mN', found '.*unit: N'"):
-        recorded(tmp_path, "mN", source(unit="N", wrong="kN"))
-
-
 REFUSED_UNITS = [
     *(("kN", "N"), ("N", "kN"), ("lbf", "N"), ("KN", "N"), ("lbs", "N"), ("mm", "N")),
     *(("", ""), ("KN", ""), ("Einh. 7", ""), ("mm", ""), ("kg", "")),
@@ -347,40 +332,3 @@ RAMP = np.arange(10.0)
 def test_recordings_that_are_refused(recordings: dict[str, Recording], message: str) -> None:
     with pytest.raises(ProcessingError, match=f"^{re.escape(message)}"):
         calibrate(recordings, PROTOCOL)
-
-
-def test_the_fewest_samples_that_are_taken() -> None:
-    made, _ = calibrate(force_recording(np.zeros(8), TIME[:8]), PROTOCOL)
-    assert len(made.signals.filtered["force"].values) == 8
-
-
-@pytest.mark.parametrize(
-    ("peak", "shown"),
-    [
-        *((peak, "") for peak in (20.0, -150.0, 2000.0)),
-        *((0.15, "0.15 N"), (2.5e3, "2500 N"), (-1.5e5, "1.5e+05 N"), (0.0, "0 N")),
-    ],
-)
-def test_a_plausible_peak(peak: float, shown: str) -> None:
-    _, findings = calibrate(force_recording(peak * RAMP / 9.0), PEAK)
-    reason = f"implausible_peak: the largest value is {shown}, plausible are 20 to 2000 N: "
-    assert doubted(findings).get("force", "").startswith(reason if shown else "")
-    assert len(findings) == (2 if shown else 1)
-
-
-def test_rows_without_time() -> None:
-    recordings = force_recording(np.arange(10.0))
-    rows = Clock("time", np.arange(10.0), "1")
-    counted = {"force": replace(recordings["force"], clocks=(rows,))}
-    timed, _ = calibrate(recordings, PROTOCOL)
-    made, _ = calibrate(counted, PROTOCOL)
-    assert timed.signals.raw["force"].has_time
-    assert not made.signals.raw["force"].has_time
-
-
-PEAK = parse_protocol(
-    "version: 1\nname: p\nsources:\n"
-    "  force: {reader: dspace-mat, channel: A, unit: N,"
-    " plausible_peak: {from: 20 N, to: 2 kN}}\n",
-    "p.yaml",
-)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,17 +112,6 @@ def test_seconds_where_there_are_only_rows(step: str, message: str) -> None:
         stepped(f"{{{step}}}", rows)
 
 
-@pytest.mark.parametrize("at", ["start", "end"])
-def test_a_stretch_of_a_quick_recorder_is_widened_for_a_slow_one(at: str) -> None:
-    """What holds two samples becomes one of three, and says so."""
-    test = after(f"{{step: zero, channel: force, over: 15 ms, at: {at}}}")
-    (note,) = (note for note in test.notes if note.code == "zeroed")
-    assert f"the mean over 0.02 s at the {at}, 3 samples: their noise" in note.message
-    start, stop = test.signals.zeroed["force"]
-    assert stop - start == pytest.approx(0.02)
-    assert (start if at == "start" else stop) == pytest.approx(TIME[0 if at == "start" else -1])
-
-
 @pytest.mark.parametrize(("by", "error"), [("mean", 5**-0.5), ("line", 0.6**0.5)])
 def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
     """At 10 Hz half a second holds five or six samples; the noise is that of the record."""
@@ -163,17 +151,6 @@ def test_low_pass_and_decimate(method: str) -> None:
     assert test.notes[0].message == f"every 4th sample kept ({method})"
 
 
-def test_zero_by_line_over_rest_and_motion() -> None:
-    """The machine moves from the first second on: the zero is what it stood at before."""
-    values = 0.7 + np.clip(TIME - 1.0, 0.0, None) + 1e-3 * np.sin(60.0 * TIME)
-    test = after("{step: zero, channel: force, over: 2 s, by: line}", values)
-    (note,) = test.notes
-    said = r"^zero at 0\.70\d+ N, the mean over the (0\.99\d?|1) s before the motion at the start$"
-    assert re.match(said, note.message)
-    assert abs(float(test.signals.raw["force"].values[TIME < 0.9].mean())) < 1e-3
-    assert test.signals.lined == {"force": (0.0, 2.0)}
-
-
 ALONE = ("frame", "markers")
 
 
@@ -199,14 +176,6 @@ def test_a_travel_made_from_the_speed_of_the_rig() -> None:
 
 
 @pytest.mark.slow
-def test_a_measured_displacement_goes_before_it() -> None:
-    test, _ = reduced(BendingRecord(), without=("markers",))
-
-    assert "displacement_from_speed" not in {note.code for note in test.findings.notes}
-    assert test.signals.raw["displacement"].clock == "frame"
-
-
-@pytest.mark.slow
 def test_a_zero_that_was_taken_under_load() -> None:
     test, results = reduced(BendingRecord(force_late=2.0), without=ALONE)
 
@@ -216,16 +185,6 @@ def test_a_zero_that_was_taken_under_load() -> None:
     )
     assert results["peak_force.1"].status is Status.DOUBTFUL
     assert results["peak_displacement.1"].status is Status.OK
-
-
-@pytest.mark.slow
-def test_a_reversed_bridge() -> None:
-    change = (("gain: -0.21082 N/V", "gain: 0.21082 N/V"),)
-    test, results = reduced(BendingRecord(force_late=-3.0), without=ALONE, change=change)
-
-    assert results["peak_displacement.1"].value == pytest.approx(STROKE, abs=1e-5)
-    assert set(doubted(test)) == {"force"}
-    assert doubted(test)["force"].startswith("force_reversed: the force goes to -")
 
 
 def test_a_force_that_never_turns() -> None:

@@ -9,59 +9,11 @@ from labpipe.errors import ProtocolError
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import TANGENT
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Result
 from labpipe.results.beam import _Corner
-from labpipe.results.reduced_test import ReducedTest
-from tests.builders.bundle_loops import (
-    FIRST,
-    FLAT,
-    NOISE,
-    ONSET,
-    SECOND,
-    cycles,
-    first_loading,
-    holds,
-    width,
-)
 from tests.builders.pulls import pull, pulled
-from tests.builders.reduced import reduced, reduction
 from tests.builders.three_point import CONDUIT, BendingRecord
 from tests.builders.three_point import reduced as reduced_bending
-
-ASKED = """\
-results:
-  - {result: initial-stiffness, from: 0.2 mm, to: 1.8 mm}
-  - {result: kink, from: 0.2 mm, to: 5 mm}
-  - {result: plateau, slope_below: 20 %}
-  - {result: loading-stiffness, over: 5 mm}
-  - {result: hardening, over: 5 mm}
-  - result: bending-stiffness
-    of: initial_stiffness
-    support: cantilever
-    length_uncertainty: 1 mm
-"""
-LENGTH = "specimen: {length: 100 mm}\n"
-PLATEAU = "plateau, slope_below: 10 %, of: stiffness, over: 2 mm"
-
-
-def asked(
-    loop: tuple[Floats, Floats, Floats], more: str = LENGTH + ASKED
-) -> tuple[ReducedTest, dict[str, Result]]:
-    return reduced(*loop, more=more)
-
-
-def test_plateau() -> None:
-    done = reduction(*cycles(noise=NOISE), more=LENGTH + ASKED)
-    results = {result.name: result for result in done.results}
-    below = 0.2 * FIRST
-    onset = ONSET - 0.001 + 0.002 * (SECOND - below) / (SECOND - FLAT)
-    holds(results["end_slope"], FLAT / FIRST, "1")
-    holds(results["plateau_displacement"], onset, "m")
-    force = first_loading(np.array([onset]))[0]
-    holds(results["plateau_force"], float(force), "N")
-    assert "no_plateau" not in {note.code for note in done.reduced_test.findings.notes}
-    assert [line.result for line in done.lines] == ["before_kink", "behind_kink", "slope_at_end"]
-    assert done.lines[2].slope == pytest.approx(FLAT, abs=1.0)
 
 
 def cornered(over: str) -> tuple[Floats, Floats, dict[str, Result]]:
@@ -129,60 +81,6 @@ def test_the_doubt_about_a_corner_by_hand() -> None:
     by_hand = 2.0 * (short - whole) - 3.0 * abs(change) * 100.0  # 0.1 N/mm behind the corner
     in_force = change_of_tangent(results["plateau_force"])
     assert in_force == pytest.approx(by_hand / np.sqrt(12.0), rel=0.06)
-
-
-def test_no_plateau_where_the_end_is_not_surely_flat() -> None:
-    """A slope at the end of 9.9 % that is known to a hundredth of itself, and one of 9 %."""
-    travel, force = pull()
-    for share, is_there in ((0.099, False), (0.09, True)):
-        flat = force - (1.0 - share) * 5e3 * np.maximum(travel - 0.008, 0.0)
-        line = "stiffness, from: 1 mm, to: 3 mm"
-        results = pulled(travel, flat, results=[line, PLATEAU])[1]
-        value, interval = results["end_slope"].value, results["end_slope"].interval
-        assert value is not None
-        assert interval is not None
-        assert value < 0.1
-        assert (interval.upper < 0.1) == is_there
-        assert ("plateau_displacement" in results) == is_there
-
-
-def test_no_plateau_is_a_finding_and_no_failure() -> None:
-    test, results = asked(cycles(noise=NOISE, has_plateau=False))
-    holds(results["end_slope"], SECOND / FIRST, "1")
-    assert "plateau_displacement" not in results
-    assert "plateau_force" not in results
-    (note,) = [note for note in test.findings.notes if note.code == "no_plateau"]
-    assert note.severity == "info"
-    assert note.message.startswith("the slope over the last 5 mm is 37.")
-    assert "not surely below 20 %: no plateau up to 49.9" in note.message
-
-
-@pytest.mark.parametrize(
-    ("support", "size", "divisor"), [("cantilever", "length", 3.0), ("three-point", "span", 48.0)]
-)
-def test_bending_stiffness(support: str, size: str, divisor: float) -> None:
-    """The length is uncertain by 1 %, which counts three times; without one there is no number."""
-    text = ASKED.replace("support: cantilever", f"support: {support}")
-    _, results = asked(cycles(noise=NOISE), f"specimen: {{{size}: 100 mm}}\n{text}")
-    result = results["bending_stiffness"]
-    holds(result, FIRST * 0.1**3 / divisor, "N*m^2")
-    assert result.value is not None
-    assert width(result) > 2 * 1.96 * 0.03 * result.value
-    assert result.method == f"initial_stiffness x L^3 / {divisor:g}, L = specimen.{size}"
-    _, results = asked(cycles(noise=NOISE), text)
-    assert results["bending_stiffness"].why.startswith(f"no_{size}: ")
-
-
-def test_the_slope_at_the_end_of_a_record_that_breaks_off_or_without_its_force() -> None:
-    time, path, force = cycles(noise=NOISE)
-    part = time < 23.0
-    _, results = asked((time[part], path[part], force[part]))
-    assert results["end_slope"].why.startswith("partial_cycle: the record ends at 22.98")
-    assert results["initial_stiffness"].status is Status.OK
-    _, results = asked((time, path, np.where((time > 40.0) & (time < 60.0), np.nan, force)))
-    why = "gap: force and displacement are known up to 37 mm of the first loading alone"
-    assert why in results["end_slope"].why
-    assert results["end_slope"].status is Status.DOUBTFUL
 
 
 OLD = "corrections: [large-deflection, roller-radius], roller: {diameter: 10 mm}"

@@ -14,7 +14,6 @@ from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.kinds import ClockResult, Number, Outcome, blocked_or, to_result
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.uncertainty.intervals import Measured
 
 STIFFNESS = Output("stiffness", "N/m", rests_on=("force", "displacement"))
 
@@ -196,9 +195,3 @@ def test_when_the_first_loading_went_between_two_displacements() -> None:
     assert test.while_loading() == (0.0, 2.5)
     assert test.while_loading(0.5, 1.5) == (1.0, 2.0)
     assert test.while_loading(0.5, 9.0) == (1.0, 2.5)
-
-
-def test_error_of_the_slack() -> None:
-    assert ReducedTest(Signals()).slack_error == 0.0
-    slack = Measured(1e-3, np.array([-2e-5, 2e-5]), (), 50)
-    assert ReducedTest(Signals(), slack=slack).slack_error == 2e-5

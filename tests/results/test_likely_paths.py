@@ -29,7 +29,7 @@ from labpipe.records.causes import (
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
-from labpipe.results.load_cell_noise import ForceSamples, PeakSamples, _frames_of, cuts_of
+from labpipe.results.load_cell_noise import ForceSamples, PeakSamples, cuts_of
 from labpipe.results.reduced_test import ReducedTest, Setup
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -84,17 +84,6 @@ def broken(at: int, count: int) -> ReducedTest:
     force += RNG(1).normal(0.0, 0.1, count)
     test = recorded(time, 1e-3 * time, force)
     return replace(test, failure=FailurePoint(at))
-
-
-def test_the_trace_is_the_curve() -> None:
-    sizes = Setup(length=0.3, span=0.1, section={"width": 2e-3})
-    test = replace(straight(), setup=sizes)
-    assert replicate_curves(ReducedTest(Signals())) is None
-    trace = traced(test)
-    assert trace.sizes == {"length": 0.3, "span": 0.1, "width": 2e-3}
-    assert np.array_equal(trace.force, test.known_curve.force)
-    assert trace.failed_at is None
-    assert traced(broken(50, 90)).failed_at == 50
 
 
 def test_the_first_loading_ends_at_the_failure() -> None:
@@ -280,10 +269,6 @@ def uncertain(name: str, scale: float, zero: float) -> ReducedTest:
     return replace(test, signals=test.signals.with_new(name, changed))
 
 
-def test_what_is_exact_is_no_input() -> None:
-    assert set(inputs(straight())) == {STEP}
-
-
 @pytest.mark.parametrize("compliance", [0.0, 4e-5])
 def test_scale_and_zero_of_the_force(compliance: float) -> None:
     """With a compliance C the displacement of the specimen is less by C of the change."""
@@ -408,22 +393,6 @@ def test_a_step_is_one_of_the_curve(count: int, step: float) -> None:
     assert given.moved(found.smooth, -0.5).beyond == pytest.approx(-0.5 * step)
 
 
-def test_short_branches_and_rows() -> None:
-    """Five samples, and one; time counts rows."""
-    time = np.arange(600.0)
-    branches = (
-        Branch(0, 300, 1, UP, 0.0, 299.0),
-        Branch(300, 305, 1, DOWN, 300.0, 304.0),
-        Branch(306, 600, 2, UP, 306.0, 599.0),
-    )
-    force = 0.1 * time + RNG(0).normal(size=600)
-    for act in (Smoothing(11), Butterworth(0.1, 1.0, 4)):
-        test = recorded(time, 1e-3 * time, force, branches=branches, filters=((act, 1),))
-        found = curves(test)
-        assert np.isfinite(off(found)).all()
-        assert 0.1 < noise(test) < 0.7
-
-
 def test_a_branch_without_force() -> None:
     time = np.arange(600) / 100.0
     branches = (Branch(0, 300, 1, UP, 0.0, 3.0), Branch(300, 600, 1, DOWN, 3.0, 6.0))
@@ -507,16 +476,6 @@ def test_what_a_drift_does_to_a_number(numbers: Numbers, share: float, of_a_walk
     """
     assert drift_of(straight_of_drift(), numbers) == pytest.approx(share, rel=1e-3)
     assert share == pytest.approx(SHARE * PEAK * np.sqrt(of_a_walk), rel=0.05)
-
-
-def test_the_frame_gives_way_to_a_force_that_is_not_there() -> None:
-    test = replace(straight_of_drift(), compliance=4e-5)
-    trace = curves(test).smooth
-    for given in modes(test):
-        moved = given.moved(trace, -2.0)
-        more, less = moved.force - trace.force, moved.displacement - trace.displacement
-        assert np.ptp(more) > 0.01 * PEAK * SHARE
-        assert less == pytest.approx(-4e-5 * more, abs=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -668,13 +627,6 @@ def test_what_is_left_to_the_curve() -> None:
     trace = replace(curve(), force=np.full(501, 100.0))
     samples = ForceSamples.of(evidence(noisy, rate=5e-4), trace)
     assert top_of(samples, trace).raised(np.zeros((2, 501))) is None
-
-
-def test_each_sample_belongs_to_the_frame_that_is_nearest() -> None:
-    """At a border between two frames to the earlier one."""
-    time = np.array([-1.0, 0.0, 0.4, 0.5, 0.6, 1.5, 2.4, 2.6, 9.0])
-    found = _frames_of(time, np.array([0.0, 1.0, 2.0, 3.0]))
-    assert found.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
 
 
 def test_pieces_begin_behind_the_time_of_a_turn() -> None:

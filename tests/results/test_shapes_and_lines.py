@@ -21,11 +21,7 @@ from labpipe.results.shapes import TipTravel, _at_turn, _Frames
 from labpipe.results.slack_correction import counted_from_taut, slack_of
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
-from tests.builders.bundle_loops import FIRST, KINK, SECOND, cycles, width
-from tests.builders.bundle_loops import NOISE as LOOP_NOISE
-from tests.builders.bundle_loops import holds as holds_in_bundles
-from tests.builders.pulls import MARKED, NOISE, STEP, holds, pull, pulled, reduction, slipped
-from tests.builders.reduced import reduction as reduced_bundle
+from tests.builders.pulls import NOISE, pull, pulled
 
 FRAMES = 100
 
@@ -113,109 +109,6 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     assert 0.9 * scatter < min(made.error for made in six)
     assert max(made.error for made in six) < 1.7 * scatter
     assert min(made.error for made in alone) < 0.5 * scatter
-
-
-TWO = "two-segments, from: 1 mm, to: 18 mm"
-
-
-NAMES = ("segment_stiffness_first", "segment_stiffness_second", "break_point")
-
-
-def bilinear(seed: int = 0) -> tuple[Floats, Floats]:
-    """5 N/mm up to 8 mm, 2 N/mm beyond, up to 20 mm."""
-    travel, force = pull(seed=seed)
-    return travel, force - 3e3 * np.maximum(travel - 0.008, 0.0)
-
-
-def test_two_segments() -> None:
-    done = reduction(*bilinear(), results=[TWO])
-    results = {result.name: result for result in done.results}
-    holds(results["segment_stiffness_first"], 5000.0, "N/m")
-    holds(results["segment_stiffness_second"], 2000.0, "N/m")
-    holds(results["break_point"], 0.008, "m")
-    first, second = done.lines
-    assert (first.result, second.result) == NAMES[:2]
-    assert first.stop == second.start == results["break_point"].value
-    assert first.level + first.slope * (first.stop - first.start) == pytest.approx(second.level)
-
-
-def test_a_slope_is_in_proportion_to_the_scale_of_the_force() -> None:
-    results = pulled(*bilinear(), results=[TWO], scale="1 %")[1]
-    slope = results["segment_stiffness_first"]
-    changes = {row.cause: row.change for row in slope.budget}
-    assert changes["scale of the force"] == pytest.approx(50.0, rel=5e-3)
-    assert width(slope) == pytest.approx(2.0 * 1.96 * np.hypot(50.0, changes["noise"]), rel=0.15)
-
-
-def test_slopes_are_stiffnesses_for_what_follows() -> None:
-    asked = [TWO, "modulus, of: segment_stiffness_second, area: stated"]
-    section = "{length: 100 mm, section: {area: 5 mm**2}}"
-    test, results = pulled(*bilinear(), results=asked, specimen=section)
-    holds(results["modulus"], 2000.0 * 0.1 / 5e-6, "Pa")
-    slope = results["segment_stiffness_second"]
-    assert width(results["modulus"]) == pytest.approx(width(slope) * 0.1 / 5e-6, rel=1e-6)
-    at = results["break_point"].value
-    assert test.stiffnesses["segment_stiffness_first"].window == pytest.approx(
-        (0.001, at), abs=STEP
-    )
-    assert test.stiffnesses["segment_stiffness_second"].window == pytest.approx(
-        (at, 0.018), abs=STEP
-    )
-
-
-def test_a_marked_slip_bends_both() -> None:
-    travel, force = bilinear()
-    torn = slipped(travel, force, (0.012, 2.0))
-    _, results = pulled(travel, torn, curve=MARKED, results=[TWO])
-    for name in NAMES:
-        assert results[name].why.startswith("slip_in_window: ")
-
-
-@pytest.mark.parametrize("phase", [0.0, 0.25, 0.75])
-def test_a_kink_does_not_depend_on_where_samples_lie(phase: float) -> None:
-    """A gradual bend, sampled every 50 um: two lines meet up to 20 um off as samples move.
-
-    With 20 000 samples they meet at 2.0488 mm, by numpy and all breaks tried. Nothing is uncertain
-    here, so that all of the interval stands for what lies between samples.
-    """
-    travel: Floats = 50e-6 * (np.arange(160.0) + phase)
-    force: Floats = 8.0 * (1.0 - np.exp(-travel / 2e-3))
-    _, results = pulled(travel, force, results=["kink, from: 0.2 mm, to: 5 mm"])
-    found = results["kink_displacement"]
-    assert found.interval is not None
-    assert found.value is not None
-    assert found.interval.lower <= 2.0488e-3 <= found.interval.upper
-    assert found.interval.lower <= found.value <= found.interval.upper
-
-
-def test_kink() -> None:
-    """The bundle's load cell is known to 1 %, which is in the force of the kink alone."""
-    more = "results:\n  - {result: kink, from: 0.2 mm, to: 5 mm}\n"
-    bundle = reduced_bundle(*cycles(noise=LOOP_NOISE), more=more)
-    place, force = bundle.results
-    holds_in_bundles(place, KINK, "m")
-    holds_in_bundles(force, FIRST * KINK, "N")
-    assert width(place) < 2e-4
-    assert width(force) > 2 * 1.96 * 0.01 * FIRST * KINK
-    scale = [abs(row.change) for row in place.budget if row.cause == "scale of the force"]
-    assert max(scale, default=0.0) < 1e-9
-    before, behind = bundle.lines
-    assert (before.result, behind.result) == ("before_kink", "behind_kink")
-    assert before.slope == pytest.approx(FIRST, rel=0.02)
-    assert behind.slope == pytest.approx(SECOND, rel=0.02)
-    assert before.stop == behind.start == place.value
-    assert before.level + before.slope * (before.stop - before.start) == pytest.approx(behind.level)
-
-
-@pytest.mark.parametrize(
-    ("change", "code"), [(0.0, "no_kink: one straight"), (2e3, "no_kink: the slope rises")]
-)
-def test_no_kink(change: float, code: str) -> None:
-    travel, force = pull()
-    bent = force + change * np.maximum(travel - 0.008, 0.0)
-    _, results = pulled(travel, bent, results=["kink, from: 1 mm, to: 18 mm"])
-    for name in ("kink_displacement", "kink_force"):
-        assert results[name].why.startswith(code)
 
 
 slack = partial(slack_of, start_share=0.1, stop_share=0.3)

@@ -127,16 +127,6 @@ def test_processes_by_their_formulas() -> None:
     assert np.unique(_processes(8, 8).time)[[1, -1]] == pytest.approx([0.4, 0.8])
 
 
-def test_prior_of_a_record_that_says_nothing() -> None:
-    """Eight samples: processes are nearly as likely as before, white 1, tau^-0.4 for the others."""
-    chances = np.mean([judged(RNG(seed).normal(size=8)).chances for seed in range(50)], axis=0)
-    times = np.geomspace(0.4, 0.8, 24)
-    prior = (times / 0.4) ** -0.4
-    weights = [1.0, prior.sum(), 0.5 * prior.sum(), 0.5 * prior.sum()]
-    shares = np.add.reduceat(chances, [0, 1, 25, 49])
-    assert shares == pytest.approx(np.array(weights) / sum(weights), abs=0.12)
-
-
 def test_a_piece_with_a_step_or_with_more_noise_is_left_out() -> None:
     """Of 1.8 times the deviation: 3.2 times the variance, which white noise has by no chance."""
     values = RNG(13).normal(size=3000)

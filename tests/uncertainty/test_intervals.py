@@ -282,21 +282,6 @@ def test_without_noise_and_inputs_there_is_no_width() -> None:
         assert [reason.code for _, reason in number.doubts] == codes
 
 
-def test_intervals_of_uneven_noise_hold_where_it_is_loud() -> None:
-    """Five pieces of twelve are five times as noisy as the others; 40 records."""
-
-    def late_mean(trace: Trace) -> tuple[Floats]:
-        return (trace.force[..., 2000:].mean(axis=-1),)
-
-    loudness = np.where(np.arange(3000) < 1750, 1.0, 5.0)
-    held = 0
-    for seed in range(40):
-        (number,) = measured(trace_of(loudness * RNG(seed).normal(size=3000)), late_mean)
-        assert not number.doubts
-        held += number.interval.lower <= 0.0 <= number.interval.upper
-    assert held >= 35
-
-
 def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
     """A sample has lost 10 N already: at 100 N that is 10 % of the number, at 2000 N 0.5 %."""
 
