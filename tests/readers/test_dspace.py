@@ -39,6 +39,7 @@ from tests.builders.controldesk import (
     write_mat_v73,
     write_mf4,
 )
+from tests.store.elsewhere import WAYS, move_elsewhere
 
 TIME = np.arange(200) * 0.001
 
@@ -136,27 +137,6 @@ def test_revision_2_0_keeps_quoted_paths_and_small_integers(tmp_path: Path) -> N
     file = write_mat_v5(tmp_path / "recording.mat", [Axis(TIME)], [FORCE], revision="2.7")
     messages = [n.message for n in dspace_mat.read(file).notes if n.code == "revision_unseen"]
     assert messages == ["file format revision 2.7: only 2.0 and 2.1 are known"]
-
-
-def in_another_way(group: h5py.Group, name: str, how: str) -> None:
-    """In place of a data set one that other files hold, or none, for the most part."""
-    old = group[name]
-    labels, shape, kind = dict(old.attrs), old.shape, old.dtype
-    other = Path(group.file.filename).with_name("other.h5")
-    del group[name]
-    if how == "link":
-        group[name] = h5py.ExternalLink(str(other), "secret")
-        return
-    if how == "virtual":
-        layout = h5py.VirtualLayout(shape=shape, dtype=kind)
-        layout[:] = h5py.VirtualSource(str(other), "secret", shape=shape)
-        made = group.create_virtual_dataset(name, layout)
-    elif how == "external":
-        made = group.create_dataset(name, shape=shape, dtype=kind, external=[(other, 0, 10**6)])
-    else:
-        made = group.create_dataset(name, shape=(1, 10**6), dtype=kind, chunks=(1, 1000))
-        made[0, :10] = 1.0
-    made.attrs.update(labels)
 
 
 def test_rows_of_a_csv_that_are_cut_off(tmp_path: Path) -> None:
@@ -342,7 +322,6 @@ SPOILED: list[Callable[[bytes], bytes]] = [
     lambda content: CSV + content[content.find(b"trace_values") :],
     lambda content: content.replace(b",0.001,", b",O.001,", 1),
 ]
-ELSEWHERE = ("link", "virtual", "external", "sparse")
 MF4_DAMAGE = [
     (b"\x18\0\0\0", b"\x18\0\0\x7f", b"##CG"),  # a record of 24 bytes, or of 2 GB
     (b"\x08\0\0\0\x40\0\0\0", b"\x08\0\0\x0f\x40\0\0\0", b"##CN"),  # a byte offset
@@ -368,11 +347,9 @@ def test_recordings_that_are_refused(
     for spoil in SPOILED:
         csv.write_bytes(spoil(whole))
         messages.append(refusal(dspace_csv.read, csv))
-    with h5py.File(tmp_path / "other.h5", "w") as other:
-        other["secret"] = np.zeros((1, len(TIME)))
-    for how in ELSEWHERE:
+    for how in WAYS:
         with h5py.File(write_mat_v73(mat, [Axis(TIME)], [FORCE, LASER]), "r+") as opened:
-            in_another_way(opened["recording/X"], "Data", how)
+            move_elsewhere(opened["recording/X"], "Data", how)
         size = str(mat.stat().st_size)
         messages.append(refusal(dspace_mat.read, mat).replace(size, "SIZE"))
     messages.append(refusal(load, trace("A/B", np.zeros(3))))

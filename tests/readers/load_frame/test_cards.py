@@ -208,3 +208,8 @@ def test_own_cards_come_first_and_must_not_both_fit(
         ReadError, match=r"one card recognises, found one that fits other and own\. Na"
     ):
         recognise_card(file)
+    assert [*lab_cards()] == ["other", "own"]
+    (tmp_path / "dialects" / "own.toml").rename(tmp_path / "dialects" / "catman.toml")
+    expected = r"catman\.toml: expected a name of its own, found 'catman', which is a card of labp"
+    with pytest.raises(ReadError, match=expected):
+        load_frame.read(file)
