@@ -117,7 +117,8 @@ def test_columns_that_are_named(
 
 
 def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
-    rows = [["deflection / mm", "force / N"], [0, 0], [10, 0.02], [20, 0.035], [30.5, 0.05]]
+    rows: list[list[object]] = [["deflection / mm", "force / N"], [0, 0], [10, 0.02]]
+    rows += [[20, 0.035], [30.5, 0.05]]
     path = workbook(tmp_path / "curve.xlsx", {"Sheet": rows})
     np.testing.assert_allclose(read_curve(path, ACROSS, UP), [DEFLECTION, FORCE], rtol=1e-12)
     rows[3][1] = "=1/0"

@@ -414,7 +414,8 @@ def test_notes_on_tracks() -> None:
     frames = np.arange(40.0)
     stack = np.tile(np.arange(120.0).reshape(40, 1, 3), (1, 5, 1))
     names = ("tip", "base", "label", "Unlabeled 7", "Unlabeled 8")
-    for i, hidden in enumerate(([3, 4, 9], slice(40), slice(12), slice(12, 40), slice(5, 40))):
+    stack[[3, 4, 9], 0] = np.nan
+    for i, hidden in enumerate((slice(40), slice(12), slice(12, 40), slice(5, 40)), start=1):
         stack[hidden, i] = np.nan
     still = np.arange(120.0).reshape(40, 3)
     still[10:30] = still[10]

@@ -128,8 +128,11 @@ def test_arrays_of_another_shape_are_refused(approved: Approve) -> None:
     messages = []
     others: dict[str, object] = {"time": [[0.0]], "places": np.zeros((2, 2, 3)), "count": [1]}
     others["terms"] = np.zeros((2, 3))
-    made = [partial(_track, **{name: value}) for name, value in others.items()]
-    for make in (*made, *(partial(kind, *values) for kind, values in UNEVEN)):
+    made: list[Callable[[], object]] = [
+        partial(_track, **{name: value}) for name, value in others.items()
+    ]
+    made += [partial(kind, *values) for kind, values in UNEVEN]
+    for make in made:
         with pytest.raises(ValueError) as refused:  # noqa: PT011  the text is approved
             make()
         messages.append(refused.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -39,9 +40,12 @@ PARTED = ["Ch 1 Displacement Deflectometer Ch 1 Force Time", "Odd words that tel
 
 
 def test_headers_that_are_refused(approved: Approve) -> None:
-    calls = [partial(find_header, lines, shipped_cards()[c], "a.csv") for c, lines in FAULTS]
+    calls: list[Callable[[], object]] = [
+        partial(find_header, lines, shipped_cards()[c], "a.csv") for c, lines in FAULTS
+    ]
     messages = []
-    for find in (*calls, *(partial(together, names, 4) for names in PARTED)):
+    calls += [partial(together, names, 4) for names in PARTED]
+    for find in calls:
         with pytest.raises(ReadError) as refused:
             find()
         messages.append(refused.value)
