@@ -98,6 +98,7 @@ def late(at: int, by: float) -> Floats:
 
 REDUCED: Floats = np.concatenate([np.arange(100) * 0.01, 1.0 + np.arange(20) * 0.25])
 """Ten milliseconds, then a quarter of a second, as a program that changes its rate writes."""
+MANY: Floats = np.arange(10000.0)
 ON_CHANGE = np.array([0.0, 1.0, 2.0, 9.0, 10.0])
 CLOCKS: dict[str, tuple[Clock, bool]] = {
     "a late sample": (Clock("time", late(50, 0.6)), False),
@@ -112,10 +113,10 @@ CLOCKS: dict[str, tuple[Clock, bool]] = {
     "before zero": (Clock("time", np.array([-1.0, 0.0, 1.0])), False),
     "empty": (Clock("time", np.empty(0)), False),
     "one sample": (Clock("time", np.zeros(1)), False),
-    "frames": (Clock("time", np.arange(10000) / 120.0), False),
+    "frames": (Clock("time", MANY / 120.0), False),
     "backwards": (Clock("time", np.array([0.0, 1.0, 2.0, 3.0, 0.5, 5.0, 6.0])), False),
     "no number": (Clock("time", np.array([0.0, 1.0, np.nan])), False),
-    "another step": (Clock("time", np.arange(10000) * 0.99985e-3), False),
+    "another step": (Clock("time", 0.99985e-3 * MANY), False),
 }
 """A clock, and whether its program varies the rate."""
 

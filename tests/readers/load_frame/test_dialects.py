@@ -278,7 +278,10 @@ def test_units_that_a_protocol_and_a_card_say(
 @pytest.mark.parametrize("mark", ["{}, {}", "{} / {}", "{},{}"])
 def test_units_behind_a_comma_or_a_slash(write: Written, mark: str) -> None:
     pairs = (("Time", "s"), ("Force", "lbf"), ("Displacement", "in"))
-    table = [[mark.format(*pair) for pair in pairs], *frames.pull(TIME, FORCE, TRAVEL)]
+    table: list[list[Any]] = [
+        [mark.format(*pair) for pair in pairs],
+        *frames.pull(TIME, FORCE, TRAVEL),
+    ]
     text = frames.lines(table, ";")
     for content in (book(*table), text.encode(), f"sep=;\r\n{text}".encode()):
         recording = read_export(write(content))
