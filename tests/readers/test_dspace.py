@@ -39,7 +39,7 @@ from tests.builders.controldesk import (
     write_mat_v73,
     write_mf4,
 )
-from tests.store.elsewhere import WAYS, move_elsewhere
+from tests.store.test_read import WAYS, move_elsewhere
 
 TIME = np.arange(200) * 0.001
 

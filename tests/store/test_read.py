@@ -27,7 +27,6 @@ from labpipe.store.read import (
 from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, differences, with_slips
-from tests.store.elsewhere import WAYS, move_elsewhere
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +160,33 @@ def test_damage_anywhere_is_said_or_harmless(
     (tmp_path / "x.h5").write_bytes(content[:place] if cut else content)
     with suppress(StoreError):  # and no other
         read_result(tmp_path / "x.h5")
+
+
+WAYS = ("link", "virtual", "external", "sparse", "sparse in chunks")
+
+
+def move_elsewhere(group: h5py.Group, name: str, how: str) -> None:
+    """Put another data set in the place of one, with its attributes."""
+    old = group[name]
+    labels, shape, kind = dict(old.attrs), old.shape, old.dtype
+    other = Path(group.file.filename).with_name("other.h5")
+    with h5py.File(other, "w") as file:
+        file["secret"] = np.zeros(shape)
+    del group[name]
+    if how == "link":
+        group[name] = h5py.ExternalLink(str(other), "secret")
+        return
+    if how == "virtual":
+        layout = h5py.VirtualLayout(shape=shape, dtype=kind)
+        layout[:] = h5py.VirtualSource(str(other), "secret", shape=shape)
+        group.create_virtual_dataset(name, layout)
+    elif how == "external":
+        group.create_dataset(name, shape=shape, dtype=kind, external=[(other, 0, 10**6)])
+    else:
+        most = (*(1 for _ in shape[1:]), 10**13)
+        chunks = (*(1 for _ in shape[1:]), 1 << 15) if "chunks" in how else None
+        group.create_dataset(name, shape=most, dtype=kind, chunks=chunks)
+    group[name].attrs.update(labels)
 
 
 ELSEWHERE = "expected all of the result in its own file, found (a link|samples that)"
