@@ -52,21 +52,12 @@ def test_every_command_has_a_module_and_help(run: Run, command: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", ["", "proces", "process", "inspect", "new", "process x --fast", "serve --port x"]
-)
-def test_bad_usage_is_status_2(run: Run, arguments: str) -> None:
-    ran = run(*arguments.split())
-    assert ran.status == BAD_INPUT
-    assert ran.err.startswith("usage: labpipe")
-    assert "Traceback" not in ran.err
-
-
-@pytest.mark.parametrize(
     "arguments",
     [
         *("process nowhere", "inspect nowhere.mat", "check nowhere", "new raw/x --set nonsense"),
         *("simulate --rate 10", "simulate --fps 50mm", "simulate --cycles 0"),
         *("simulate --rate 0Hz", "simulate --fps=-50Hz", "new raw/x --from nowhere.xlsx"),
+        *("", "proces", "process", "inspect", "new", "process x --fast", "serve --port x"),
     ],
 )
 def test_bad_input_is_status_2_and_one_message(
@@ -75,8 +66,8 @@ def test_bad_input_is_status_2_and_one_message(
     monkeypatch.chdir(tmp_path)
     ran = run(*arguments.split())
     assert ran.status == BAD_INPUT, ran
-    assert ": expected " in ran.err
-    assert ", found " in ran.err
+    is_said = ": expected " in ran.err and ", found " in ran.err
+    assert is_said or ran.err.startswith("usage: labpipe")
     assert "Traceback" not in ran.err
     assert list(tmp_path.iterdir()) == []
 

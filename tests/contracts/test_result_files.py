@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import h5py
-import numpy as np
 import pytest
 
 from labpipe.records.harness_bundle import Bundle, BundleWire
@@ -18,13 +17,8 @@ from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, with_slips
 
-OCTAVE, H5DUMP = shutil.which("octave-cli"), shutil.which("h5dump")
-
-
+OCTAVE = shutil.which("octave-cli")
 needs_octave = pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
-
-
-needs_h5dump = pytest.mark.skipif(H5DUMP is None, reason="h5dump is not installed")
 
 
 @pytest.fixture(scope="module")
@@ -95,26 +89,6 @@ def test_xarray_opens_every_group_with_its_axes(engine: str, path: Path) -> None
     lines = ran.stdout.splitlines()
     assert {"results/table name=3", "specimen/bundle wire=2 wire_types=2 xy=2"} <= set(lines)
     assert "curve time=600" in lines
-
-
-def test_xarray_finds_values_by_their_axes(path: Path, result: TestResult) -> None:
-    xarray = pytest.importorskip("xarray")
-    assert result.curve is not None
-    assert result.shape is not None
-    with xarray.open_dataset(path, engine="h5netcdf", group="shape") as found:
-        tip = found.positions.sel(xyz=b"y", names=b"pull").values
-    np.testing.assert_array_equal(tip, result.shape.positions[:, -1, 1])
-    with xarray.open_dataset(path, engine="h5netcdf", group="curve") as found:
-        late = found.force.sel(time=slice(2.0, None)).values
-    np.testing.assert_array_equal(late, result.curve.force[result.curve.time >= 2.0])
-
-
-@needs_h5dump
-def test_h5dump_shows_the_table(path: Path) -> None:
-    command = [H5DUMP or "", "-y", "-g", "/results/table", str(path)]
-    ran = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert '"peak_force.1", "residual_displacement.1", "initial_stiffness"' in ran.stdout
-    assert "0.62, 0.0031, nan" in ran.stdout
 
 
 LOAD = """

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import pytest
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.load import load_test_sheet, resolve
 
 WIRE = """\
 version: 1
@@ -90,7 +90,6 @@ date: 2026-03-04
 files: {force: force.mat, markers: [take.csv]}
 """
 
-Told: TypeAlias = Callable[..., list[str]]
 Tell: TypeAlias = Callable[[str], list[str]]
 
 
@@ -104,22 +103,6 @@ def wire() -> str:
 def tube() -> str:
     """A protocol of a tensile test that is right."""
     return TUBE
-
-
-@pytest.fixture
-def told() -> Told:
-    """Give the lines of the error that a protocol with some changes (old, new) leads to."""
-
-    def told(*changes: tuple[str, str]) -> list[str]:
-        text = WIRE
-        for old, new in changes:
-            assert text.count(old) == 1, old
-            text = text.replace(old, new)
-        with pytest.raises(ProtocolError) as info:
-            parse_protocol(text, "p.yaml")
-        return str(info.value).splitlines()
-
-    return told
 
 
 @pytest.fixture

@@ -100,20 +100,17 @@ def test_unquoted_words_stay_text() -> None:
     }
 
 
-def test_every_value_has_its_place() -> None:
-    document = parse_yaml("a:\n  - b\n  - {c: d}\n", "x.yaml")
-
+def test_places_of_values_and_of_faults(tmp_path: Path) -> None:
+    """A fault at a path that is not there stands at the block around it."""
+    path = tmp_path / "x.yaml"
+    path.write_text("a:\n  - b\n  - {c: d}\n", encoding="utf-8-sig")
+    document = parse_yaml(read_text(path), "x.yaml")
     spot = document.spots["a", 1, "c"]
     assert (spot.file, spot.key, spot.value) == ("x.yaml", (3, 6), (3, 9))
     assert document.at(("a", 1, "c")) == "d"
-
-
-def test_a_fault_at_a_path_that_is_not_there_stands_at_the_block_around_it() -> None:
-    document = parse_yaml("a:\n  b: c\n", "x.yaml")
-
-    told = document.place(Fault(("a", "z"), "this", "that"), "(Remark.)")
-
-    assert told.text == "x.yaml, line 2, column 3 (a.z): expected this, found that. (Remark.)"
+    assert document.data == {"a": ["b", {"c": "d"}]}
+    placed = document.place(Fault(("a", 1, "z"), "this", "that"), "(Remark.)")
+    assert placed.text == "x.yaml, line 3, column 5 (a.1.z): expected this, found that. (Remark.)"
 
 
 @pytest.mark.parametrize(
@@ -140,13 +137,6 @@ def test_what_is_no_yaml_file(tmp_path: Path, content: bytes | None, message: st
         path.write_bytes(content)
     with pytest.raises(ProtocolError, match=f"^{re.escape(str(path))}{message}"):
         read_text(path)
-
-
-def test_a_byte_order_mark_is_no_content(tmp_path: Path) -> None:
-    path = tmp_path / "x.yaml"
-    path.write_text("a: b\n", encoding="utf-8-sig")
-
-    assert parse_yaml(read_text(path), "x").data == {"a": "b"}
 
 
 SHIPPED = Path(__file__).parents[2] / "protocols"

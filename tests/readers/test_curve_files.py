@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import openpyxl
 import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers.curve_files import CurveColumn, is_calculix, read_curve
 from tests.approved import Approve
+from tests.readers.load_frame.exports import workbook
 
 ACROSS, UP = CurveColumn("deflection", "m"), CurveColumn("force", "N")
 
@@ -43,6 +43,7 @@ def refusal(path: Path, across: CurveColumn = ACROSS, up: CurveColumn = UP) -> s
         "deflection_mm,force [mN]\n0,0\n10,20\n20,35\n30.5,50\n",
         "Deflection (mm);Force (N)\n0;0\n10;0,02\n20;0,035\n30,5;0,05\n",
         "tip displacement, cm\tforce, N\n0\t0\n1\t0,02\n2\t0,035\n3,05\t0,05\n",
+        "deflection / µm;force / N\r\n0;0\r\n10000;0,02\r\n20000;0,035\r\n30500;0,05\r\n",
         "deflection,force\nmm,N\n0,0\n10,0.02\n20,0.035\n30.5,0.05\n",
         "deflection,force\n[mm],[mN]\n0,0\n10,20\n20,35\n30.5,50\n",
         "# deflection_m force_N\n0 0\n1e-2 2e-2\n2e-2 3.5e-2\n3.05e-2 5e-2\n",
@@ -51,16 +52,10 @@ def refusal(path: Path, across: CurveColumn = ACROSS, up: CurveColumn = UP) -> s
     ],
 )
 def test_headings_say_column_and_unit(tmp_path: Path, text: str) -> None:
-    across, up = read_curve(saved(tmp_path, text), ACROSS, UP)
+    encoding = "latin-1" if "µ" in text else "utf-16" if ";" in text else "utf-8-sig"
+    across, up = read_curve(saved(tmp_path, text, encoding), ACROSS, UP)
     np.testing.assert_allclose(across, DEFLECTION, rtol=1e-12)
     np.testing.assert_allclose(up, FORCE, rtol=1e-12)
-
-
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
-def test_encodings(tmp_path: Path, encoding: str) -> None:
-    text = "deflection / µm;force / N\r\n0;0\r\n10000;0,02\r\n20000;0,035\r\n30500;0,05\r\n"
-    across, _ = read_curve(saved(tmp_path, text, encoding), ACROSS, UP)
-    np.testing.assert_allclose(across, DEFLECTION, rtol=1e-12)
 
 
 FIXED = "deflection / mm;force / N\n0.000;0.000\n6.000;10.250\n12.000;20.500"
@@ -98,49 +93,37 @@ def test_a_page_of_blanks_is_read_in_no_time(tmp_path: Path) -> None:
         np.testing.assert_allclose(across, [0.0, 0.006, 0.012])
 
 
-def test_named_columns_with_signs(tmp_path: Path) -> None:
-    path = saved(tmp_path, "X,U2,RF2\n0,0,-0\n1,-10,-0.02\n2,-20,-0.035\n3,-30.5,-0.05\n")
-    across, up = read_curve(
-        path,
-        CurveColumn("deflection", "m", "u2", "mm", sign=-1),
-        CurveColumn("force", "N", "RF2", "N", sign=-1),
-    )
-    np.testing.assert_allclose(across, DEFLECTION, rtol=1e-12)
-    np.testing.assert_allclose(up, FORCE, rtol=1e-12)
-
-
-def test_curves_side_by_side_end_where_they_end(tmp_path: Path) -> None:
-    text = "A,,B,\nX,Y,X,Y\n0,0,0,0\n1,1,2,2\n2,2,4,3\n3,3,,\n"
-    across, up = read_curve(
-        saved(tmp_path, text),
-        CurveColumn("deflection", "m", "3", "mm"),
-        CurveColumn("force", "N", "4", "N"),
-    )
-    np.testing.assert_allclose(across, [0.0, 0.002, 0.004])
-    np.testing.assert_allclose(up, [0.0, 2.0, 3.0])
+@pytest.mark.parametrize(
+    ("text", "across", "up"),
+    [
+        (
+            "X,U2,RF2\n0,0,-0\n1,-10,-0.02\n2,-20,-0.035\n3,-30.5,-0.05\n",
+            CurveColumn("deflection", "m", "u2", "mm", sign=-1),
+            CurveColumn("force", "N", "RF2", "N", sign=-1),
+        ),
+        (
+            "A,,B,\nX,Y,X,Y\n0,0,0,0\n1,1,10,.02\n2,2,20,.035\n3,3,30.5,.05\n4,4,,\n",
+            CurveColumn("deflection", "m", "3", "mm"),
+            CurveColumn("force", "N", "4", "N"),
+        ),
+    ],
+    ids=["names with signs", "side by side"],
+)
+def test_columns_that_are_named(
+    tmp_path: Path, text: str, across: CurveColumn, up: CurveColumn
+) -> None:
+    curve = read_curve(saved(tmp_path, text), across, up)
+    np.testing.assert_allclose(curve, [DEFLECTION, FORCE], rtol=1e-12)
 
 
 def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
-    book = openpyxl.Workbook()
-    assert book.active is not None
-    rows: list[tuple[str | float, ...]] = [
-        ("deflection / mm", "force / N"),
-        (0, 0),
-        (10, 0.02),
-        (20, 0.035),
-        (30.5, 0.05),
-    ]
-    for row in rows:
-        book.active.append(row)
-    path = tmp_path / "curve.xlsx"
-    book.save(path)
-    across, up = read_curve(path, ACROSS, UP)
-    np.testing.assert_allclose(across, DEFLECTION, rtol=1e-12)
-    np.testing.assert_allclose(up, FORCE, rtol=1e-12)
-    book.active["B4"] = "=1/0"
-    book.save(path)
-    with pytest.raises(ReadError, match="cell B4: expected a value, found a formula without"):
-        read_curve(path, ACROSS, UP)
+    rows: list[list[object]] = [["deflection / mm", "force / N"], [0, 0], [10, 0.02]]
+    rows += [[20, 0.035], [30.5, 0.05]]
+    path = workbook(tmp_path / "curve.xlsx", {"Sheet": rows})
+    np.testing.assert_allclose(read_curve(path, ACROSS, UP), [DEFLECTION, FORCE], rtol=1e-12)
+    rows[3][1] = "=1/0"
+    workbook(path, {"Sheet": rows})
+    assert "cell B4: expected a value, found a formula without" in refusal(path)
 
 
 HEAD = "deflection / mm,force / N\n"
@@ -189,15 +172,12 @@ def whole(name: str = "TIPHALF") -> str:
 
 @pytest.mark.parametrize(("name", "times"), [("TIPHALF", 2.0), ("TIP", 1.0)])
 def test_deflection_and_force_of_the_tip(tmp_path: Path, name: str, times: float) -> None:
+    assert is_calculix(whole(name).splitlines())
+    assert not is_calculix(["deflection / m,force / N", "0,0"])
+    assert not is_calculix([])
     deflection, force = read_curve(saved_dat(tmp_path, whole(name)), ACROSS, UP)
     np.testing.assert_allclose(deflection, 0.05 * np.array(SHARES), rtol=1e-6)
     np.testing.assert_allclose(force, times * 0.04 * np.array(SHARES), rtol=1e-6)
-
-
-def test_other_files_are_not_taken_for_it() -> None:
-    assert is_calculix(whole().splitlines())
-    assert not is_calculix(["deflection / m,force / N", "0,0"])
-    assert not is_calculix([])
 
 
 REFUSED = [

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from openpyxl import Workbook
+from openpyxl import Workbook, load_workbook
 from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
@@ -36,21 +36,19 @@ from tests.builders.motive import (
 )
 
 FRAMES = 30
-
-
 RANDOM = np.random.default_rng(7)
 TIP, BASE, CLAMP = (RANDOM.normal(size=(FRAMES, 3)).round(6) for _ in range(3))
+TIP[4:7] = np.nan
 TURN = RANDOM.normal(size=(FRAMES, 4)).round(6)
 ERROR = np.full(FRAMES, 0.000105)
 LAYOUT = Layout()
-
-
 COLUMNS = [
     *rigid_body("Clamp", CLAMP, TURN, error=ERROR),
     *fitted_marker("Clamp:Marker1", TIP + 5.0),
     *marker("Clamp:Marker1", TIP),
     *marker("Unlabeled 12", BASE, id_="C3500"),
 ]
+TRACKED = marker("Tip", BASE)
 
 
 def tracks(recording: Recording) -> MarkerTracks:
@@ -58,8 +56,8 @@ def tracks(recording: Recording) -> MarkerTracks:
     return recording.markers
 
 
-def notes(recording: Recording) -> dict[str, str]:
-    return {note.code: note.message for note in recording.notes}
+def notes(given: Recording | RowExport) -> dict[str, str]:
+    return {note.code: note.message for note in given.notes}
 
 
 positions = hnp.arrays(
@@ -104,124 +102,68 @@ def test_what_was_written_is_read(
     np.testing.assert_array_equal(take.time, np.arange(len(data)) / 120.0)
 
 
-@pytest.mark.parametrize("version", ["1.21", "1.23", "1.24", "1.25"])
-def test_bodies_and_measured_markers(tmp_path: Path, version: str) -> None:
-    layout = replace(LAYOUT, version=version, lower_w=version == "1.25")
-    recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", COLUMNS, FRAMES, layout))
+@pytest.mark.parametrize("write", [write_table, write_xlsx])
+@pytest.mark.parametrize(
+    ("version", "unit", "factor"),
+    [
+        *(("1.21", "Meters", 1.0), ("1.23", "Centimeters", 0.01)),
+        *(("1.24", "Millimeters", 0.001), ("1.25", "Meters", 1.0)),
+    ],
+)
+def test_bodies_and_markers_in_metres(
+    tmp_path: Path, write: Callable[..., Path], version: str, unit: str, factor: float
+) -> None:
+    """Of any version and unit, as text and saved from a spreadsheet."""
+    layout = replace(LAYOUT, version=version, unit=unit, lower_w=version == "1.25")
+    file = tmp_path / f"synthetic.{'csv' if write is write_table else 'xlsx'}"
+    recording = motive_takes.read(write(file, COLUMNS, FRAMES, layout))
     take = tracks(recording)
-    assert take.names == ("Clamp:Marker1", "Unlabeled 12")
-    np.testing.assert_allclose(take.positions[:, 0], TIP, rtol=1e-15)
+    assert (take.names, take.rate) == (("Clamp:Marker1", "Unlabeled 12"), 120.0)
+    np.testing.assert_allclose(take.positions, factor * np.stack([TIP, BASE], 1), rtol=1e-14)
     body = take.body("Clamp")
     assert body is not None
-    np.testing.assert_allclose(body.position, CLAMP, rtol=1e-15)
+    np.testing.assert_allclose(body.position, factor * CLAMP, rtol=1e-14)
     np.testing.assert_allclose(body.rotation, TURN, rtol=1e-15)
-    np.testing.assert_allclose(body.error, ERROR, rtol=1e-15)
-    assert (recording.program, recording.program_version) == ("Motive", version)
-    assert set(notes(recording)) == {"fitted_markers", "unlabelled_markers"}
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor"), [("Meters", 1.0), ("Centimeters", 0.01), ("Millimeters", 0.001)]
-)
-def test_lengths_become_metres(tmp_path: Path, unit: str, factor: float) -> None:
-    layout = replace(LAYOUT, unit=unit)
-    take = tracks(motive_takes.read(write_table(tmp_path / "take.csv", COLUMNS, FRAMES, layout)))
-    np.testing.assert_allclose(take.positions[:, 0], TIP * factor, rtol=1e-14)
-    np.testing.assert_allclose(take.bodies[0].position, CLAMP * factor, rtol=1e-14)
-    np.testing.assert_allclose(take.bodies[0].error, ERROR * factor, rtol=1e-14)
+    np.testing.assert_allclose(body.error, factor * ERROR, rtol=1e-14)
     assert take.unit_in_file == unit
+    assert (recording.reader, recording.program) == (f"motive-{file.suffix[1:]}", "Motive")
+    assert recording.program_version == version
+    assert set(notes(recording)) == {"fitted_markers", "unlabelled_markers", "marker_gaps"}
 
 
-def test_the_same_sheet_saved_as_xlsx(tmp_path: Path) -> None:
-    gap = TIP.copy()
-    gap[4:7] = np.nan
-    columns = [*COLUMNS, *marker("Tip", gap)]
-    one = motive_takes.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, LAYOUT))
-    file = write_xlsx(tmp_path / "synthetic.xlsx", columns, FRAMES, LAYOUT)
-    assert motive_takes.recognise(file)
-    other = motive_takes.read(file)
-    np.testing.assert_allclose(tracks(one).positions, tracks(other).positions, rtol=1e-15)
-    assert tracks(one).names == tracks(other).names
-    assert tracks(one).rate == tracks(other).rate
-    assert notes(one) == notes(other)
-    assert (other.reader, other.program_version) == ("motive-xlsx", "1.23")
+def edited(folder: Path, change: Callable[[list[str]], list[str]]) -> Path:
+    """A take of three objects whose lines were changed."""
+    file = write_table(folder / "synthetic.csv", COLUMNS, FRAMES, LAYOUT)
+    file.write_text("\n".join(change(file.read_text().splitlines())) + "\n")
+    return file
 
 
-def test_a_cell_of_a_workbook_that_is_no_number(tmp_path: Path) -> None:
-    from openpyxl import load_workbook
-
-    file = write_xlsx(tmp_path / "take.xlsx", COLUMNS, FRAMES, LAYOUT)
-    book = load_workbook(file)
-    book.active["F12"] = "lost"  # type: ignore[index]
-    book.save(file)
-    with pytest.raises(
-        ReadError, match=r"row 12, column 'Clamp Rotation W': expected .*, found 'lost'"
-    ):
-        motive_takes.read(file)
-
-
-def test_an_empty_take_is_legal(tmp_path: Path) -> None:
-    recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", [], 9, LAYOUT))
-    take = tracks(recording)
-    assert (take.positions.shape, take.names, take.bodies) == ((9, 0, 3), (), ())
-    assert set(notes(recording)) == {"take_empty"}
-
-
-def test_a_cut_in_mid_line_loses_that_line_only(tmp_path: Path) -> None:
-    file = write_table(tmp_path / "synthetic.csv", COLUMNS, FRAMES, LAYOUT)
+def test_lines_that_were_cut_or_changed(tmp_path: Path) -> None:
+    file = edited(tmp_path, lambda lines: lines)
     file.write_bytes(file.read_bytes()[:-20])
     recording = motive_takes.read(file)
     assert len(tracks(recording).time) == FRAMES - 1
-    found = notes(recording)
-    assert found["truncated"] == "the last line (37) is incomplete and was left out"
-    assert found["rows_differ"] == "the header states 30 rows, the file holds 29"
+    assert notes(recording)["truncated"] == "the last line (37) is incomplete and was left out"
+    assert notes(recording)["rows_differ"] == "the header states 30 rows, the file holds 29"
 
+    def infinite(lines: list[str]) -> list[str]:
+        return [*lines[:12], f"{lines[12].rpartition(',')[0]},inf", *lines[13:]]
 
-def test_infinite_numbers_count_as_blank(tmp_path: Path) -> None:
-    file = write_table(tmp_path / "take.csv", COLUMNS, FRAMES, LAYOUT)
-    lines = file.read_text().splitlines()
-    cells = lines[12].split(",")
-    cells[-1] = "inf"
-    lines[12] = ",".join(cells)
-    file.write_text("\n".join(lines) + "\n")
-    recording = motive_takes.read(file)
+    recording = motive_takes.read(edited(tmp_path, infinite))
     assert tracks(recording).missing["Unlabeled 12"] == 1
     assert notes(recording)["not_finite"] == (
         "1 infinite numbers count as blank, the first in data row 6"
     )
+    file = edited(tmp_path, lambda lines: [*lines[:20], lines[12], *lines[20:]])
+    (note,) = (n for n in motive_takes.read(file).notes if n.severity is Severity.ERROR)
+    assert note.message.startswith("time runs backwards 1 times, first at sample 14")
 
 
-def test_a_workbook_of_something_else(tmp_path: Path) -> None:
-    file = tmp_path / "other.xlsx"
-    book = Workbook()
-    book.active.append(["time", "force"])  # type: ignore[union-attr]
-    book.save(file)
-    assert not motive_takes.recognise(file)
-    with pytest.raises(ReadError, match=r"expected a sheet whose first cell is Format Version"):
-        motive_takes.read(file)
-
-
-TABLE_FRAMES = 40
-TRACK = np.random.default_rng(5).normal(size=(TABLE_FRAMES, 3)).round(6)
-
-
-def read(
-    folder: Path, columns: list[Column], layout: Layout = LAYOUT
-) -> tuple[MarkerTracks, dict[str, str]]:
-    file = write_table(folder / "synthetic.csv", columns, TABLE_FRAMES, layout)
-    recording = motive_takes.read(file)
-    assert recording.markers is not None
-    return recording.markers, {note.code: note.message for note in recording.notes}
-
-
-def test_time_is_frame_by_rate_where_the_column_was_rounded(tmp_path: Path) -> None:
-    take, notes = read(tmp_path, marker("Tip", TRACK), replace(LAYOUT, milliseconds=True))
-    np.testing.assert_array_equal(take.time, np.arange(TABLE_FRAMES) / 120.0)
-    assert notes["time_rounded"].startswith("the column of times is rounded to milliseconds (up")
-
-
-TRACKED = marker("Tip", TRACK)
 NOTED: dict[str, tuple[list[Column], Layout, str]] = {
+    "time_rounded": (
+        *(TRACKED, replace(LAYOUT, milliseconds=True)),
+        "the column of times is rounded to milliseconds (up",
+    ),
     "time_column_differs": (
         *(TRACKED, replace(LAYOUT, time_shift=0.5)),
         "the column of times is up to 500 ms off frame / rate: kept",
@@ -244,24 +186,27 @@ NOTED: dict[str, tuple[list[Column], Layout, str]] = {
         "Capture Start Time '2023-11-28 10.27.58.765 DU",
     ),
     "names_not_unique": (
-        *([*TRACKED, *marker("Tip", TRACK + 1.0, id_="2")], LAYOUT),
+        *([*TRACKED, *marker("Tip", BASE + 1.0, id_="2")], LAYOUT),
         "objects with the same name have their id added: Tip",
     ),
     "columns_left_out": (
-        *([*TRACKED, *marker("Hip", TRACK, kind="Bone Marker")], LAYOUT),
+        *([*TRACKED, *marker("Hip", BASE, kind="Bone Marker")], LAYOUT),
         "left out: 1 of type Bone Marker",
     ),
+    "take_empty": ([], LAYOUT, "the take holds no rigid body and no marker"),
 }
 
 
 @pytest.mark.parametrize("code", NOTED)
 def test_what_is_odd_is_noted(tmp_path: Path, code: str) -> None:
     columns, layout, message = NOTED[code]
-    take, notes = read(tmp_path, columns, layout)
-    assert notes[code].startswith(message)
-    assert len(take.names) == (2 if code == "names_not_unique" else 1)
+    recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, layout))
+    take = tracks(recording)
+    assert notes(recording)[code].startswith(message)
+    assert len(take.names) == {"names_not_unique": 2, "take_empty": 0}.get(code, 1)
     assert take.rate == pytest.approx(120.0, rel=1e-4)
-    assert take.time[0] == (0.5 if code == "time_column_differs" else 0.0)
+    start = 0.5 if code == "time_column_differs" else 0.0
+    np.testing.assert_allclose(take.time, start + np.arange(FRAMES) / 120.0, rtol=1e-4)
 
 
 def test_names_become_unique() -> None:
@@ -271,38 +216,27 @@ def test_names_become_unique() -> None:
 
 
 def test_euler_angles_become_quaternions(tmp_path: Path) -> None:
-    degrees = np.random.default_rng(2).uniform(-80, 80, (TABLE_FRAMES, 3)).round(6)
+    degrees = np.random.default_rng(2).uniform(-80, 80, (FRAMES, 3)).round(6)
     degrees[3] = np.nan
-    take, notes = read(
-        tmp_path, rigid_body("Clamp", TRACK, degrees), replace(LAYOUT, rotation="XYZ")
+    columns, layout = rigid_body("Clamp", CLAMP, degrees), replace(LAYOUT, rotation="XYZ")
+    recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, layout))
+    known = np.arange(FRAMES) != 3
+    x, y, z = (
+        Rotation.from_euler(axis, angles[:, None], degrees=True)
+        for axis, angles in zip("XYZ", degrees[known].T, strict=True)
     )
-    known = np.arange(TABLE_FRAMES) != 3
-    turns = [
-        Rotation.from_euler("X", x, degrees=True)
-        * Rotation.from_euler("Y", y, degrees=True)
-        * Rotation.from_euler("Z", z, degrees=True)
-        for x, y, z in degrees[known]
-    ]
-    found = Rotation.from_quat(take.bodies[0].rotation[known])
-    wanted = Rotation.from_quat([turn.as_quat() for turn in turns])
-    np.testing.assert_allclose((found.inv() * wanted).magnitude(), 0.0, atol=1e-12)
-    assert np.isnan(take.bodies[0].rotation[3]).all()
-    assert notes["rotation_from_euler"].startswith("Euler angles of type 'XYZ' in degrees")
-
-
-def test_frames_that_run_backwards_are_an_error_note(tmp_path: Path) -> None:
-    file = write_table(tmp_path / "synthetic.csv", marker("Tip", TRACK), TABLE_FRAMES, LAYOUT)
-    lines = file.read_text().splitlines()
-    file.write_text("\n".join([*lines[:20], lines[12], *lines[20:]]) + "\n")
-    (note,) = (n for n in motive_takes.read(file).notes if n.severity is Severity.ERROR)
-    assert note.message.startswith("time runs backwards 1 times, first at sample 14")
+    rotation = tracks(recording).bodies[0].rotation
+    apart = Rotation.from_quat(rotation[known]).inv() * (x * y * z)
+    np.testing.assert_allclose(apart.magnitude(), 0.0, atol=1e-12)
+    assert np.isnan(rotation[3]).all()
+    message = notes(recording)["rotation_from_euler"]
+    assert message.startswith("Euler angles of type 'XYZ' in degrees")
 
 
 def test_the_derived_rate_leaves_holes_out() -> None:
     time = np.delete(np.arange(100) / 50.0, np.arange(40, 60))
     assert derived_rate(time) == pytest.approx(50.0)
-    assert np.isnan(derived_rate(np.zeros(1)))
-    assert np.isnan(derived_rate(np.zeros(5)))
+    assert np.isnan([derived_rate(np.zeros(1)), derived_rate(np.zeros(5))]).all()
 
 
 FILE = Path("take.csv")
@@ -325,14 +259,11 @@ def test_headers_that_are_odd_but_whole() -> None:
     header = parse(LINE_1, "", *labels, "Frame,Time (Seconds),TimeCode,X,Y,Z")
     assert header.groups[0].axes("Position", "XYZ") == [3, 4, 5]
     assert header.time_column == 1
-    twice = [
-        line + line.replace(",Type", "").replace(",Name", "").replace(",ID", "") for line in LABELS
-    ]
+    twice = [line + blank[1:] for line, blank in zip(LABELS, wordless, strict=True)]
     header = parse(LINE_1, "", *twice, QUANTITY + ",Position" * 3, AXES + ",X,Y,Z")
     assert [group.axes("Position", "XYZ") for group in header.groups] == [[2, 3, 4], [5, 6, 7]]
     header = parse(LINE_1.replace("Export", "Take Notes,wet, cold,Export"), *WHOLE[1:])
-    assert header.about["Take Notes"] == "wet, cold"
-    assert header.rate == 120.0
+    assert (header.about["Take Notes"], header.rate) == ("wet, cold", 120.0)
 
 
 HEADERS = [
@@ -352,31 +283,36 @@ LINES = [
 ]
 
 
-def refusal(read: Callable[[], object]) -> str:
+def refusal(read: Callable[..., object], *given: object) -> str:
     with pytest.raises(ReadError) as refused:
-        read()
+        read(*given)
     return str(refused.value)
 
 
 def test_takes_that_are_refused(tmp_path: Path, approved: Approve) -> None:
     """For their headers, their columns, a line without number, their rows, and for no frame."""
-    messages = []
-    for old, new in HEADERS:
-        lines = [line.replace(old, new) for line in WHOLE]
-        messages.append(refusal(lambda lines=lines: parse(*lines)))  # type: ignore[misc]
-    messages.append(refusal(lambda: read(tmp_path, TRACKED[:2])))
-    file = write_table(tmp_path / "synthetic.csv", TRACKED, TABLE_FRAMES, LAYOUT)
-    lines = file.read_text().splitlines()
-    lines[10] = lines[10][lines[10].index(",") :]
-    file.write_text("\n".join(lines) + "\n")
-    messages.append(refusal(lambda: motive_takes.read(file)))
-    rows = write_row_style(tmp_path / "rows.csv", TIMES, [body()])
-    for old, new in LINES:
-        text = rows.read_text().replace(old, new, 1)
-        messages.append(refusal(lambda text=text: parse_rows(text, rows)))  # type: ignore[misc]
+    messages = [refusal(parse, *(line.replace(old, new) for line in WHOLE)) for old, new in HEADERS]
+    file = write_table(tmp_path / "synthetic.csv", TRACKED[:2], FRAMES, LAYOUT)
+    messages.append(refusal(motive_takes.read, file))
+    file = edited(
+        tmp_path, lambda lines: [*lines[:10], "," + lines[10].partition(",")[2], *lines[11:]]
+    )
+    messages.append(refusal(motive_takes.read, file))
+    text = write_row_style(tmp_path / "rows.csv", TIMES, [body()]).read_text()
+    rows = tmp_path / "rows.csv"
+    messages += [refusal(parse_rows, text.replace(old, new, 1), rows) for old, new in LINES]
     empty = write_row_style(tmp_path / "empty.csv", TIMES[:0], [body()])
-    messages.append(refusal(lambda: parse_file(empty)))
-    approved(messages)
+    messages.append(refusal(parse_file, empty))
+    book = Workbook()
+    book.active.append(["time", "force"])  # type: ignore[union-attr]
+    book.save(tmp_path / "other.xlsx")
+    assert not motive_takes.recognise(tmp_path / "other.xlsx")
+    messages.append(refusal(motive_takes.read, tmp_path / "other.xlsx"))
+    file = write_xlsx(tmp_path / "words.xlsx", COLUMNS, FRAMES, LAYOUT)
+    book = load_workbook(file)
+    book.active["F12"] = "lost"  # type: ignore[index]
+    book.save(file)
+    approved([*messages, refusal(motive_takes.read, file)])
 
 
 ROWS = 12
@@ -399,10 +335,6 @@ def body(name: str = "Clamp", number: int = 1, lost: tuple[int, ...] = ()) -> Ro
 
 def parse_file(file: Path) -> RowExport:
     return parse_rows(file.read_text(), file)
-
-
-def notes_of_rows(export: RowExport) -> dict[str, str]:
-    return {note.code: note.message for note in export.notes}
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
@@ -441,14 +373,14 @@ def test_what_rows_say_of_themselves(tmp_path: Path) -> None:
     assert export.about["title"] == "Synthetic Export Data"
     assert export.about["frames_without_body"] == 2
     assert export.about["visible_markers"] == {"least": 0, "most": 3}
-    messages = notes_of_rows(export)
+    messages = notes(export)
     assert messages["rows_differ"] == "the header states 99 rows, the file holds 12 frames"
     assert messages["frames_without_body"] == "2 of 12 frames hold no rigid body"
     assert messages["visible_markers"] == "0 to 3 markers are seen in a frame"
     assert messages["unit_assumed"].startswith("no unit is stated: positions are taken as metres")
     cut = parse_file(file)
     assert len(cut.tracks.time) == ROWS
-    assert notes_of_rows(cut)["truncated"].endswith("is incomplete and was left out")
+    assert notes(cut)["truncated"].endswith("is incomplete and was left out")
 
 
 def test_a_point_of_no_body(tmp_path: Path) -> None:
@@ -459,25 +391,9 @@ def test_a_point_of_no_body(tmp_path: Path) -> None:
     assert export.tracks.names[-1] == "Marker-99"
     np.testing.assert_array_equal(export.tracks.positions[:, -1], stray)
     file = write_row_style(tmp_path / "take.csv", TIMES, [body()], version="1.0", stray=stray)
-    assert notes_of_rows(parse_file(file))["anonymous_markers"] == (
+    assert notes(parse_file(file))["anonymous_markers"] == (
         "11 points in 11 frames belong to no body and have no identity: left out"
     )
-
-
-def take(**positions: np.ndarray) -> MarkerTracks:
-    frames = len(next(iter(positions.values()))) if positions else 5
-    stack = np.stack(list(positions.values()), axis=1) if positions else np.empty((5, 0, 3))
-    numbers = np.arange(float(frames))
-    names = tuple(name.replace("_", " ") for name in positions)
-    return MarkerTracks(numbers / 50.0, numbers, 50.0, names, stack)
-
-
-def moving(frames: int = 40) -> np.ndarray:
-    return np.arange(frames * 3.0).reshape(frames, 3)
-
-
-def track_codes(tracks: MarkerTracks) -> dict[str, str]:
-    return {f"{note.code} {note.where}": note.message for note in track_notes(tracks)}
 
 
 @given(st.lists(st.booleans()))
@@ -493,36 +409,28 @@ def test_runs_are_the_flags(flags: list[bool]) -> None:
     assert longest(stretches) == max(len(s) for s in "".join("01"[f] for f in flags).split("0"))
 
 
-def test_gaps_and_markers_never_seen() -> None:
-    track = moving()
-    track[[3, 4, 9]] = np.nan
-    notes = track_codes(take(tip=track, base=np.full((40, 3), np.nan)))
-    assert notes == {
-        "marker_gaps tip": "missing in 3 of 40 frames, gaps: 2, the longest 2 frames",
+def test_notes_on_tracks() -> None:
+    """On gaps, a marker never seen, a frozen body, and a label that another marker has."""
+    frames = np.arange(40.0)
+    stack = np.tile(np.arange(120.0).reshape(40, 1, 3), (1, 5, 1))
+    names = ("tip", "base", "label", "Unlabeled 7", "Unlabeled 8")
+    stack[[3, 4, 9], 0] = np.nan
+    for i, hidden in enumerate((slice(40), slice(12), slice(12, 40), slice(5, 40)), start=1):
+        stack[hidden, i] = np.nan
+    still = np.arange(120.0).reshape(40, 3)
+    still[10:30] = still[10]
+    clamp = RigidBody("Clamp", still, np.full((40, 4), np.nan), np.full(40, np.nan))
+    take = MarkerTracks(frames / 50.0, frames, 50.0, names, stack, (clamp,))
+    assert {f"{note.code} {note.where}": note.message for note in track_notes(take)} == {
         "marker_blank markers": "never seen: base",
-    }
-
-
-def test_a_frozen_body() -> None:
-    track = moving()
-    track[10:30] = track[10]
-    body = RigidBody("Clamp", track, np.full((40, 4), np.nan), np.full(40, np.nan))
-    tracks = take(tip=moving())
-    tracks = MarkerTracks(tracks.time, tracks.frames, 50.0, ("tip",), tracks.positions, (body,))
-    assert track_codes(tracks) == {
+        "marker_gaps tip": "missing in 3 of 40 frames, gaps: 2, the longest 2 frames",
+        "marker_gaps label": "missing in 12 of 40 frames, gaps: 1, the longest 12 frames",
+        "marker_gaps Unlabeled 7": "missing in 28 of 40 frames, gaps: 1, the longest 28 frames",
+        "marker_gaps Unlabeled 8": "missing in 35 of 40 frames, gaps: 1, the longest 35 frames",
         "frozen_pose Clamp": "position unchanged to the last digit in 19 of 39 steps,"
-        " up to 19 in a row: lost, with its last pose repeated?"
+        " up to 19 in a row: lost, with its last pose repeated?",
+        "label_switch label": (
+            "missing in rows 0-11, exactly where Unlabeled 7 is seen: label switch?"
+        ),
+        "unlabelled_markers markers": "2 of 5 markers have no label",
     }
-
-
-def test_a_label_switch() -> None:
-    labelled, spare, passing = moving(), moving(), moving()
-    labelled[:12] = np.nan
-    spare[12:] = np.nan
-    passing[5:] = np.nan
-    notes = track_codes(take(tip=labelled, Unlabeled_7=spare, Unlabeled_8=passing))
-    assert notes["label_switch tip"] == (
-        "missing in rows 0-11, exactly where Unlabeled 7 is seen: label switch?"
-    )
-    assert notes["unlabelled_markers markers"] == "2 of 3 markers have no label"
-    assert sum(key.startswith("label_switch") for key in notes) == 1

@@ -27,21 +27,20 @@ from labpipe.records.result import Contribution, Result, Specimen, Status
 
 
 @pytest.mark.parametrize(
-    ("value", "status", "codes", "message"),
+    ("value", "status", "reasons", "message"),
     [
-        (None, Status.OK, ["gap"], "a result is failed exactly when it has no"),
-        (None, Status.DOUBTFUL, ["gap"], "a result is failed exactly when it has no"),
-        (1.0, Status.FAILED, ["gap"], "a result is failed exactly when it has no"),
+        (None, Status.OK, [Reason("gap", "x")], "a result is failed exactly when it has no"),
+        (None, Status.DOUBTFUL, [Reason("gap", "x")], "a result is failed exactly when it has no"),
+        (1.0, Status.FAILED, [Reason("gap", "x")], "a result is failed exactly when it has no"),
         (None, Status.FAILED, [], "a failed result must say why"),
         (1.0, Status.DOUBTFUL, [], "a doubtful result must say why"),
     ],
 )
 def test_results_that_contradict_themselves(
-    value: float | None, status: Status, codes: list[str], message: str
+    value: float | None, status: Status, reasons: list[Reason], message: str
 ) -> None:
-    reasons = tuple(Reason(code, "x") for code in codes)
     with pytest.raises(ValueError, match=f"energy.1: {message}"):
-        Result("energy.1", value, "J", status=status, reasons=reasons)
+        Result("energy.1", value, "J", status=status, reasons=tuple(reasons))
 
 
 def test_shares_of_the_variance() -> None:
@@ -65,25 +64,21 @@ def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool
     assert replace(found, interval=None).apart is None
 
 
-LOPSIDED = Estimate(1.0, 0.1, 9, Interval(0.9, 1.4))
-
-
-def test_an_uncertain_input_widens() -> None:
+@pytest.mark.parametrize(
+    ("given", "lower", "upper"),
+    [
+        (Interval(0.9, 1.4), 1.0 - np.hypot(0.1, 0.1959964), 1.0 + np.hypot(0.4, 0.1959964)),
+        (Interval(0.7, 0.9), 0.8 - np.hypot(0.1, 0.1959964), 0.8 + np.hypot(0.1, 0.1959964)),
+    ],
+    ids=["lopsided", "beside its value: about its middle"],
+)
+def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) -> None:
     assert widened(Estimate(1.0, 3.0, 9), 4.0) == Estimate(1.0, 5.0, 9)
-    found = widened(LOPSIDED, 0.1)
-    assert found.interval is not None
-    assert 1.0 - found.interval.lower == pytest.approx(np.hypot(0.1, 0.196), rel=1e-3)
-    assert found.interval.upper - 1.0 == pytest.approx(np.hypot(0.4, 0.196), rel=1e-3)
-    assert widened(LOPSIDED) == LOPSIDED
-
-
-def test_an_interval_beside_its_value_widens_about_its_middle() -> None:
-    """Half width 0.1 about 0.8; 0.196 on top in quadrature."""
-    off = Estimate(1.0, 0.05, 9, Interval(0.7, 0.9))
-    found = widened(off, 0.1).interval
-    assert found is not None
-    half = np.hypot(0.1, 0.1959964)
-    assert (found.lower, found.upper) == pytest.approx((0.8 - half, 0.8 + half), rel=1e-6)
+    estimate = Estimate(1.0, 0.1, 9, given)
+    assert widened(estimate) == estimate
+    wide = widened(estimate, 0.1).interval
+    assert wide is not None
+    assert (wide.lower, wide.upper) == pytest.approx((lower, upper), rel=1e-6)
 
 
 def test_a_doubt_of_several_quantities_is_one_note() -> None:
@@ -106,16 +101,12 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
     assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}
 
 
-def test_notes_and_doubts_count_once() -> None:
-    each = doubtful("a", "c", "b", "force")
-    other = doubtful("a", "c", "b", "clock")
-    found = Findings((each, each)) + iter((other,))
-    assert len(found.entries) == 3
-    assert found.notes == (each.note,)
-    assert [doubt.quantity for doubt in found.doubts] == ["force", "clock"]
-
-
 def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
+    """Notes and doubts count once."""
+    one, other = doubtful("a", "c", "b", "force"), doubtful("a", "c", "b", "clock")
+    joined = Findings((one, one)) + iter((other,))
+    assert (len(joined.entries), joined.notes) == (3, (one.note,))
+    assert [doubt.quantity for doubt in joined.doubts] == ["force", "clock"]
     assert Findings((not_available("x", "", ""),)).blocked is None
     several = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
     assert [finding.code for finding in several.without("a").entries] == ["b"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -74,36 +72,6 @@ def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
         other[-1, -1, -1] += 1e-9
         assert not same_content(dataset, other)
         assert not same_content(dataset, array[:-1])
-
-
-PACKS = """
-import random, sys, threading
-from isal import isal_zlib
-different = []
-for size in (41, 150, 280, 400, 1000, 20_000):
-    drawn = random.Random(size)
-    data = bytes(drawn.choice([0, 0, 0, 1]) for _ in range(size))
-    begin, made = threading.Barrier(8), []
-    def pack(data=data, begin=begin, made=made):
-        begin.wait()
-        made.append(isal_zlib.compress(data, int(sys.argv[1])))
-    threads = [threading.Thread(target=pack) for _ in range(8)]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join()
-    different += [size] if len(set(made)) > 1 else []
-print(different)
-"""
-
-
-@pytest.mark.slow
-def test_threads_pack_the_same_bytes_alike() -> None:
-    """The first time counts: at level 1 one process in twelve packed them otherwise."""
-    for _ in range(20):
-        command = [sys.executable, "-c", PACKS, str(LEVEL)]
-        ran = subprocess.run(command, capture_output=True, text=True, check=True)
-        assert ran.stdout == "[]\n"
 
 
 @pytest.mark.parametrize("values", [np.zeros((5, 3)), np.arange(4), np.zeros((0, 2), np.uint8)])

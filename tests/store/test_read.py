@@ -1,4 +1,4 @@
-"""Result files are read whole or refused, those of earlier schemas, too."""
+"""Result files are read whole or refused."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 
 import h5py
@@ -17,9 +16,6 @@ from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
 from labpipe.records.curve import SlipDecision
-from labpipe.records.quality import Reason
-from labpipe.records.result import Status
-from labpipe.store import layout
 from labpipe.store.read import (
     RawTest,
     read_drawable,
@@ -89,25 +85,6 @@ def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
     np.testing.assert_array_equal(drawable.law.moment_upper, law.moment_upper)
 
 
-TABLES = {
-    "curve/branches": layout.BRANCH_TABLE,
-    "curve/slips": layout.SLIP_TABLE,
-    "curve/lines": layout.LINE_TABLE,
-}
-
-
-def before_columns(root: h5py.File) -> None:
-    """Make compounds of the columns of tables."""
-    for name, table in TABLES.items():
-        columns = {column: root[name][column][()] for column in table.columns}
-        kinds = [(column, values.dtype.str) for column, values in columns.items()]
-        rows = np.array(list(zip(*columns.values(), strict=True)), dtype=kinds)
-        del root[name]
-        root[name] = rows
-        root[name].attrs["axes"] = table.axis
-    del root["results/table"], root.attrs["date"], root.attrs["operator"]
-
-
 def foreign(path: Path) -> None:
     with h5py.File(path, "w") as root:
         root["x"] = 1
@@ -154,48 +131,6 @@ def test_what_is_no_whole_result_file_is_refused(case: str, path: Path) -> None:
         read_result(path)
 
 
-def as_in_schema_1(root: h5py.File) -> None:
-    """Turn a result file into one of schema 1.
-
-    Reasons are one text, remarks are in methods, tables are compounds, and there are no budgets.
-    """
-    root.attrs["labpipe_schema"] = 1
-    results = [name for name in root["results"] if name != "table"]
-    for name in (*(f"results/{result}" for result in results), "bending", "bending/law"):
-        attributes = root[name].attrs
-        pairs = zip(attributes["reason_codes"], attributes["reason_messages"], strict=True)
-        attributes["reason"] = "; ".join(f"{code}: {message}" for code, message in pairs)
-        del attributes["reason_codes"], attributes["reason_messages"]
-    for result in (root["results"][result].attrs for result in results):
-        if result["remark"]:
-            result["method"] += f"; {result['remark']}"
-        for name in ("made_of", "remark", "estimate", "seal"):
-            result.pop(name, None)
-    before_columns(root)
-    del root["budgets"]
-
-
-def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
-    result = with_slips(replace(build_result(cycles=1, half_cycle=4.0), bending=some_bending()))
-    several = (
-        Reason("frozen_channel", "the force stands still; for 3 s: from 1 s; is it connected?"),
-        Reason("gap", "4 samples are missing"),
-    )
-    first, *rest = result.results
-    doubtful = replace(
-        first, status=Status.DOUBTFUL, reasons=several, remark="3 N of slips added back"
-    )
-    how = f"{first.name} / peak force; errors independent"
-    share = replace(first, name="share", method=how, made_of=first.name)
-    result = replace(result, results=(doubtful, share, *rest))
-    write_result(result, tmp_path / "result.h5")
-    with h5py.File(tmp_path / "result.h5", "a") as root:
-        as_in_schema_1(root)
-    bare = tuple(replace(one, budget=(), estimate=None) for one in result.results)
-    assert not differences(read_result(tmp_path / "result.h5"), replace(result, results=bare))
-    assert read_outcome(tmp_path / "result.h5").results == bare
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -227,61 +162,43 @@ def test_damage_anywhere_is_said_or_harmless(
         read_result(tmp_path / "x.h5")
 
 
-def replaced(
-    path: Path, name: str, make: Callable[[h5py.Group, str, h5py.Dataset], object]
-) -> None:
-    """Put another dataset in the place of one, with its attributes."""
-    with h5py.File(path, "a") as root:
-        old = root[name]
-        labels = dict(old.attrs)
-        folder, _, last = name.rpartition("/")
-        root.move(name, "kept")
-        made = make(root[folder], last, root["kept"])
-        if isinstance(made, h5py.Dataset):
-            made.attrs.update(labels)
-        del root["kept"]
+WAYS = ("link", "virtual", "external", "sparse", "sparse in chunks")
 
 
-def by_link(group: h5py.Group, name: str, _: h5py.Dataset) -> None:
-    group[name] = h5py.ExternalLink("other.h5", "secret")
-
-
-def by_virtual_dataset(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
-    layout = h5py.VirtualLayout(shape=old.shape, dtype=old.dtype)
-    layout[:] = h5py.VirtualSource("other.h5", "secret", shape=old.shape)
-    return group.create_virtual_dataset(name, layout)
-
-
-def by_external_storage(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
-    where = [("/etc/hostname", 0, old.nbytes)]
-    return group.create_dataset(name, shape=old.shape, dtype=old.dtype, external=where)
-
-
-def too_large(group: h5py.Group, name: str, old: h5py.Dataset, **more: object) -> h5py.Dataset:
-    return group.create_dataset(name, shape=(10**13,), dtype=old.dtype, **more)
+def move_elsewhere(group: h5py.Group, name: str, how: str) -> None:
+    """Put another data set in the place of one, with its attributes."""
+    old = group[name]
+    labels, shape, kind = dict(old.attrs), old.shape, old.dtype
+    other = Path(group.file.filename).with_name("other.h5")
+    with h5py.File(other, "w") as file:
+        file["secret"] = np.zeros(shape)
+    del group[name]
+    if how == "link":
+        group[name] = h5py.ExternalLink(str(other), "secret")
+        return
+    if how == "virtual":
+        layout = h5py.VirtualLayout(shape=shape, dtype=kind)
+        layout[:] = h5py.VirtualSource(str(other), "secret", shape=shape)
+        group.create_virtual_dataset(name, layout)
+    elif how == "external":
+        group.create_dataset(name, shape=shape, dtype=kind, external=[(other, 0, 10**6)])
+    else:
+        most = (*(1 for _ in shape[1:]), 10**13)
+        chunks = (*(1 for _ in shape[1:]), 1 << 15) if "chunks" in how else None
+        group.create_dataset(name, shape=most, dtype=kind, chunks=chunks)
+    group[name].attrs.update(labels)
 
 
 ELSEWHERE = "expected all of the result in its own file, found (a link|samples that)"
 CLAIMED = "expected the 10000000000000 numbers that it claims, found a part of them"
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (by_link, ELSEWHERE),
-        (by_virtual_dataset, ELSEWHERE),
-        (by_external_storage, ELSEWHERE),
-        (too_large, CLAIMED),
-        (partial(too_large, chunks=(1 << 15,)), CLAIMED),
-    ],
-)
+@pytest.mark.parametrize("how", WAYS)
 @pytest.mark.parametrize("name", ["curve/force", "raw/force/Out1"])
-def test_samples_elsewhere_or_nowhere_are_not_read(
-    path: Path, name: str, make: Callable[..., object], message: str
-) -> None:
-    with h5py.File(path.with_name("other.h5"), "w") as other:
-        other["secret"] = np.zeros(5)
-    replaced(path, name, make)
+def test_samples_elsewhere_or_nowhere_are_not_read(path: Path, name: str, how: str) -> None:
+    with h5py.File(path, "a") as root:
+        move_elsewhere(root[name].parent, name.rpartition("/")[2], how)
+    message = CLAIMED if "sparse" in how else ELSEWHERE
     with pytest.raises(StoreError, match=f"/?{name}: {message}"):
         read_result(path)
 

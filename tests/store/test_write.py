@@ -39,12 +39,6 @@ def result() -> TestResult:
     return with_slips(build_result(half_cycle=1.0))
 
 
-def test_same_result_gives_same_bytes(result: TestResult, tmp_path: Path) -> None:
-    write_result(result, tmp_path / "one.h5")
-    write_result(with_slips(build_result(half_cycle=1.0)), tmp_path / "other.h5")
-    assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "other.h5").read_bytes()
-
-
 def label_of(dataset: h5py.Dataset) -> str:
     assert dataset.chunks, dataset.name
     filters = (dataset.compression, dataset.shuffle, dataset.fletcher32)
@@ -63,52 +57,29 @@ LABELLED = (
 def test_layout_is_the_documented_one(
     result: TestResult, tmp_path: Path, approved: Approve
 ) -> None:
-    """Units, axes and shapes of all datasets, and values of attributes of some groups."""
+    """Units, axes and shapes of all datasets, values of some, and attributes of some groups.
+
+    The same result gives the same bytes; rows without time are not called seconds.
+    """
     write_result(result, tmp_path / "result.h5")
     lines = list[str]()
     with h5py.File(tmp_path / "result.h5") as root:
         root.visititems(
             lambda _, item: lines.append(label_of(item)) if isinstance(item, h5py.Dataset) else None
         )
-        for name in (
-            "raw/force",
-            "raw/force/Out1_2",
-            "raw/markers/rigid_bodies/Table_1",
-            "aligned",
-        ):
-            lines += [f"{name}.{key} = {value}" for key, value in sorted(root[name].attrs.items())]
-        for name in ("results/peak_force.1", "results/initial_stiffness"):
+        for name in LABELLED:
             lines += [f"{name}.{key} = {value}" for key, value in sorted(root[name].attrs.items())]
         assert root["raw/markers/time"] == root["raw/markers/markers/time"]
-        assert {name: column[1] for name, column in root["budgets"].items()} == {
-            "result": b"peak_force.1",
-            "cause": b"scale of the force",
-            "change": -0.004,
-            "unit": b"N",
-            "share": pytest.approx(0.64),
-            "is_common": 1,
-        }
+        assert list(root["results/table"]) == sorted(layout.RESULT_COLUMNS.columns)
+        for name in ("results/table", "budgets"):
+            lines += [f"{name}/{key} = {column[()].tolist()}" for key, column in root[name].items()]
     approved(lines)
-
-
-def test_the_table_of_results_says_what_the_results_say(result: TestResult, tmp_path: Path) -> None:
-    write_result(result, tmp_path / "result.h5")
-    with h5py.File(tmp_path / "result.h5") as root:
-        rows = {name: each[()].tolist() for name, each in root["results/table"].items()}
-    assert list(rows) == sorted(layout.RESULT_COLUMNS.columns)
-    assert rows["name"] == [b"peak_force.1", b"residual_displacement.1", b"initial_stiffness"]
-    assert rows["unit"] == [b"N", b"m", b"N/m"]
-    assert rows["status"] == [b"ok", b"doubtful", b"failed"]
-    assert rows["code"] == [b"", b"extrapolated", b"not_reached"]
-    assert rows["reason"][2] == b"not_reached: too short"
-    for name, wanted in {
-        "value": [0.62, 0.0031, np.nan],
-        "estimate": [0.6, 0.0031, np.nan],
-        "lower": [0.59, np.nan, np.nan],
-        "upper": [0.61, np.nan, np.nan],
-        "level": [0.95, np.nan, np.nan],
-    }.items():
-        np.testing.assert_array_equal(rows[name], wanted)
+    write_result(with_slips(build_result(half_cycle=1.0)), tmp_path / "other.h5")
+    assert (tmp_path / "result.h5").read_bytes() == (tmp_path / "other.h5").read_bytes()
+    write_result(counted_in_rows(result), tmp_path / "rows.h5")
+    with h5py.File(tmp_path / "rows.h5") as root:
+        for name in ("raw/frame/time", "aligned/time", "curve/time", "curve/branches/start_time"):
+            assert root[name].attrs["unit"] == "1"
 
 
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -222,13 +193,6 @@ def test_what_is_written_is_read(variant: str, result: TestResult, tmp_path: Pat
     assert differences(wanted.specimen, outcome.specimen) == []
     assert outcome.bending is None
     assert [file.name for file in tmp_path.iterdir()] == ["result.h5"]
-
-
-def test_rows_without_time_are_not_called_seconds(result: TestResult, tmp_path: Path) -> None:
-    write_result(counted_in_rows(result), tmp_path / "result.h5")
-    with h5py.File(tmp_path / "result.h5") as root:
-        for name in ("raw/frame/time", "aligned/time", "curve/time", "curve/branches/start_time"):
-            assert root[name].attrs["unit"] == "1"
 
 
 _NAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)

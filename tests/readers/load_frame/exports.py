@@ -12,34 +12,6 @@ Change = Callable[[str], str]
 
 ROWS = [(0.1, 0.5, 2.25), (0.2, 0.75, 4.5), (0.3, 1.0, 8.125), (0.4, 1.25, 9.5)]
 """Time s, displacement mm, force N."""
-MTS_HEAD = (
-    "File Path: C:\\lab\\synthetic\\DAQ- Crosshead, … - (Timed).txt   \n"
-    "Test: synthetic\nTest Run: 1\nDate: 7/3/2025 12:23:28 PM\n\n\n"
-)
-
-
-def written(path: Path, text: str, encoding: str = "utf-8") -> Path:
-    """Write a synthetic export."""
-    path.write_bytes(text.encode(encoding))
-    return path
-
-
-def lines(rows: Sequence[Sequence[object]], separator: str = ",", comma: bool = False) -> str:
-    """Rows of cells as text."""
-    text = "".join(separator.join(map(str, row)) + "\n" for row in rows)
-    return text.replace(".", ",") if comma else text
-
-
-def mts(path: Path, body: str | None = None, units: str = "sec\tmm\tN\n") -> Path:
-    """A synthetic TestSuite text."""
-    names = "Time \tCrosshead \tLoad \n"
-    return written(path, MTS_HEAD + names + units + (body or lines(ROWS, "\t")), "utf-8-sig")
-
-
-def bluehill(path: Path, body: str | None = None, above: str = "", units: str = "") -> Path:
-    """A synthetic Bluehill csv."""
-    head = above + "Time,Extension,Load\n" + (units or "(s),(mm),(N)\n")
-    return written(path, head + (body or lines(ROWS)))
 
 
 def workbook(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> Path:

@@ -18,34 +18,24 @@ from labpipe.readers.load_frame.cards import (
 )
 from labpipe.readers.load_frame.recognition import choose_card, recognise_card
 from tests.approved import Approve
-from tests.readers.load_frame.exports import bluehill, mts, written
+from tests.builders import load_frames as frames
 
 
-def test_a_card_that_is_not_in_utf_8(tmp_path: Path) -> None:
-    (tmp_path / "acme.toml").write_bytes("about = 'Prüfung'".encode("cp1252"))
-    with pytest.raises(
-        ReadError, match=r"expected a card in UTF-8, found a damaged one .*Save it as"
-    ):
-        lab_cards(tmp_path)
+def written(path: Path, text: str) -> Path:
+    path.write_bytes(text.encode())
+    return path
 
 
 def page(repository: Path) -> str:
     return (repository / "docs" / "how-to" / "new-dialect.md").read_text(encoding="utf-8")
 
 
-def test_every_key_is_documented_and_no_other(repository: Path) -> None:
-    table = page(repository).partition("## 3. The keys")[2]
-    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == {
-        key.name for key in fields(Card)
-    } - {
-        "name",
-        "source",
-    }
-
-
-def test_the_example_of_the_documentation(
+def test_the_keys_and_the_example_of_the_documentation(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    table = page(repository).partition("## 3. The keys")[2]
+    documented = set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE))
+    assert documented | {"name", "source"} == {key.name for key in fields(Card)}
     fenced = re.findall(r"^```(\w+)\n(.*?)^```$", page(repository), flags=re.MULTILINE | re.DOTALL)
     export, card = (next(text for kind, text in fenced if kind == k) for k in ("text", "toml"))
     file = tmp_path / "test-7.acme"
@@ -67,6 +57,10 @@ def test_the_example_of_the_documentation(
     )
     assert recording.clocks[0].time.tolist() == [0.0, 0.5, 1.0]
     assert recording.metadata["Prüfer"] == "lab"
+    (tmp_path / "dialects" / "acme.toml").write_bytes("about = 'Prüfung'".encode("cp1252"))
+    expected = r"expected a card in UTF-8, found a damaged one .*Save it as"
+    with pytest.raises(ReadError, match=expected):
+        lab_cards(tmp_path / "dialects")
 
 
 GOOD = """
@@ -75,14 +69,6 @@ recognise = ["^ACME"]
 names = "above units"
 time = ["time"]
 """
-
-
-def test_a_card() -> None:
-    card = parse_card(
-        GOOD + 'separators = ["blanks", ","]\n[units]\nF = "N"', name="acme", source="x"
-    )
-    assert (card.name, card.separators, card.units["F"]) == ("acme", (" ", ","), "N")
-    assert card.time[0].fullmatch("TIME")
 
 
 FAULTS = [
@@ -114,6 +100,10 @@ FAULTS = [
 
 
 def test_cards_that_are_refused(approved: Approve) -> None:
+    whole = GOOD + 'separators = ["blanks", ","]\n[units]\nF = "N"'
+    card = parse_card(whole, name="acme", source="x")
+    assert (card.name, card.separators, card.units["F"]) == ("acme", (" ", ","), "N")
+    assert card.time[0].fullmatch("TIME")
     messages = [refusal(text) for text in FAULTS]
     assert messages[-1].count(", key ") == 5
     # what Python says of text that is no TOML is its own affair
@@ -134,7 +124,7 @@ def test_exports_of_other_instruments_fit_none(realdata: Path, folder: str) -> N
 
 
 def test_the_wrong_dialect(tmp_path: Path) -> None:
-    file = mts(tmp_path / "a.txt")
+    file = written(tmp_path / "a.txt", frames.mts_suite().decode())
     expected = (
         r"a\.txt: expected an export of the dialect bluehill, found one of the dialect mts-te"
     )
@@ -200,7 +190,7 @@ def test_own_cards_come_first_and_must_not_both_fit(
     text += 'names = "above units"\nbrackets = "()"\n'
     (tmp_path / "dialects").mkdir()
     monkeypatch.chdir(tmp_path)
-    file = bluehill(tmp_path / "a.csv")
+    file = written(tmp_path / "a.csv", frames.bluehill(preamble=0).decode())
     (tmp_path / "dialects" / "own.toml").write_text(text, encoding="utf-8")
     assert load_frame.read(file).metadata["dialect"] == "own"
     (tmp_path / "dialects" / "other.toml").write_text(text, encoding="utf-8")
@@ -208,3 +198,8 @@ def test_own_cards_come_first_and_must_not_both_fit(
         ReadError, match=r"one card recognises, found one that fits other and own\. Na"
     ):
         recognise_card(file)
+    assert [*lab_cards()] == ["other", "own"]
+    (tmp_path / "dialects" / "own.toml").rename(tmp_path / "dialects" / "catman.toml")
+    expected = r"catman\.toml: expected a name of its own, found 'catman', which is a card of labp"
+    with pytest.raises(ReadError, match=expected):
+        load_frame.read(file)
