@@ -1,7 +1,7 @@
 """Every real export is inspected right: rows, columns, units, ends, extremes, gaps.
 
-The numbers are those of ``real_load_frames.txt`` and ``real_takes.txt``, of the README of the real exports, and of the
-files themselves. None of them was taken from the output of a reader.
+The numbers are those of ``real_load_frames.txt`` and ``real_takes.txt``, of the README of the real
+exports, and of the files themselves. None of them was taken from the output of a reader.
 """
 
 from __future__ import annotations
