@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked
-from tests.builders import bad_input
+from tests.builders.bad_input import refused
 from tests.builders.reasons import runs
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab, Run, state
@@ -69,7 +69,7 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
     monkeypatch.setattr(store, "_flush_to_disk", full_flush)
     if place == "wire-shapes.svg":
         monkeypatch.setattr("labpipe.report.saving.save_page", full_figures)
-    message = bad_input.Refused(lab, run)(lambda _: None)
+    _, message = refused(lab, run, lambda _: None)
     assert "full disk" in message or "No space left" in message
     assert not list(lab.home.rglob("*.tmp"))
     assert {path.name for path in lab.processed.iterdir()} == {
