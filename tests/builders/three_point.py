@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import date
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -186,7 +185,6 @@ def reduced(
     *,
     without: tuple[str, ...] = (),
     change: tuple[tuple[str, str], ...] = (),
-    tested: date | None = None,
 ) -> tuple[ReducedTest, dict[str, Result]]:
     """Reduce a test by the shipped protocol and the rod's span, with some changes of their text."""
     text = CONDUIT.read_text(encoding="utf-8")
@@ -198,5 +196,5 @@ def reduced(
         role: recording for role, recording in recordings(record).items() if role not in without
     }
     protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
-    done = reduce_recordings(made, protocol, tested=tested)
+    done = reduce_recordings(made, protocol)
     return done.reduced_test, {result.name: result for result in done.results}
