@@ -100,8 +100,8 @@ def _reach(push: float, slope: float) -> tuple[float, Any]:
         return float(state[0])
 
     flat.terminal = True  # type: ignore[attr-defined]
-    start, fine = [slope, 0.0, 0.0, 0.0], {"rtol": 1e-9, "atol": 1e-12}
-    half = solve_ivp(path, [0.0, 0.3], start, events=flat, dense_output=True, **fine)
+    start, ends = [slope, 0.0, 0.0, 0.0], [0.0, 0.3]
+    half = solve_ivp(path, ends, start, events=flat, rtol=1e-9, atol=1e-12, dense_output=True)
     return float(half.y[2, -1]), half
 
 

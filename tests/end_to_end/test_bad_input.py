@@ -264,7 +264,7 @@ def test_two_parts_of_one_recording(lab: Lab, run: Run) -> None:
     assert run("process", lab.raw, "--no-figures").status == 0
     whole = lab.results
     for number, part in enumerate((slice(0, 1500), slice(1500, None))):
-        force(lambda *_, part=part: part, f"part{number}.mat")(lab)  # type: ignore[misc]
+        force(lambda *_, part=part: part, f"part{number}.mat")(lab)
     sheet("force: force.mat", "force: [part0.mat, part1.mat]")(lab)
     assert run("process", lab.raw, "--no-figures").status == 0
     assert lab.results == whole

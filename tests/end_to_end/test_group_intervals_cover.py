@@ -51,14 +51,13 @@ def test_nested(counts: tuple[int, ...], share: float) -> None:
 
 
 SIZES, POINTS = (3, 5, 6), len(PATH)
+SMOOTH = np.exp(-0.5 * ((PATH[:, None] - PATH) / 0.2) ** 2) + 1e-9 * np.eye(POINTS)
 MODES: dict[str, Floats] = {
     "slope": PATH[None] + 0.05,
     "slope and zero": np.array([PATH, np.full(POINTS, 0.2)]),
     "slope, zero, bend": np.array([PATH, np.full(POINTS, 0.1), 0.3 * np.maximum(PATH - 0.5, 0)]),
     "slope and noise": np.vstack([PATH, 0.02 * np.eye(POINTS)]),
-    "slow waves": np.linalg.cholesky(
-        np.exp(-0.5 * ((PATH[:, None] - PATH) / 0.2) ** 2) + 1e-9 * np.eye(POINTS)
-    ).T,
+    "slow waves": np.asarray(np.linalg.cholesky(SMOOTH).T, dtype=np.float64),
     "random walk": np.tril(np.ones((POINTS, POINTS))).T / 10.0,
 }
 """Shapes whose random sum is the scatter of a curve, shape (modes, points)."""

@@ -212,7 +212,8 @@ def kill(home: Path, after: float, chance: random.Random) -> None:
 @pytest.mark.parametrize(("tests", "kills"), [(3, 4), (6, 50)])
 def test_killed_at_random_moments(tmp_path: Path, tests: int, kills: int) -> None:
     """Files of a test are those of one of two runs, never of both and of no third."""
-    chance, labs, seen = random.Random(20261122), small_pulls(tmp_path, tests), set()
+    chance, labs = random.Random(20261122), small_pulls(tmp_path, tests)
+    seen: set[int] = set()
     _, first = whole_run(labs)
     whole, second = whole_run(labs, CHANGED)
     assert not set(first) & set(second)
