@@ -90,12 +90,10 @@ def grouped(samples: Sequence[Sample], *by: str) -> list[Group]:
     return [build_group(name, PROTOCOL, members[key], scaled=True) for key, name in names.items()]
 
 
-def bundle_campaign(
-    samples: Sequence[Sample], *by: str, alone: str = "", margin: float | None = 0.1
-) -> Campaign:
+def bundle_campaign(samples: Sequence[Sample], *by: str, alone: str = "") -> Campaign:
     """A campaign with its differences."""
     groups = grouped(samples, *by)
-    wishes = {PROTOCOL: Groups(main=MAIN, margin=margin)}
+    wishes = {PROTOCOL: Groups(main=MAIN, margin=0.1)}
     settings: dict[str, dict[str, str]] = {sample.source: {} for sample in samples}
     differences = find_differences(groups, wishes, settings, by=by or (TYPE,), alone=alone)
     campaign = Campaign(

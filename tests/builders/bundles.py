@@ -12,7 +12,7 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
 
-MODULUS = 100e9
+MODULUS, CORE, WALL = 100e9, 0.8e-3, 0.1e-3
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
 
 
@@ -22,17 +22,15 @@ def bundle(*wires: tuple[str, int], arrangement: str = PACKED, **more: object) -
 
 
 @cache
-def solid_wire(
-    name: str = "S", *, core: float = 0.8e-3, wall: float = 0.1e-3, modulus: float = MODULUS
-) -> WireTable:
+def solid_wire(name: str = "S", *, modulus: float = MODULUS) -> WireTable:
     """One elastic strand in a soft tube: EI and EA by hand, and no slip inside."""
     spec = WireSpec(
         name=name,
-        wire_diameter=core + 2.0 * wall,
+        wire_diameter=CORE + 2.0 * WALL,
         layer_counts=(1,),
-        strand_diameters=(core,),
+        strand_diameters=(CORE,),
         lay_angles=(),
-        insulation_thickness=wall,
+        insulation_thickness=WALL,
         insulation_modulus=1e3,
         insulation_strain=1.0,
         stress_table=((0.5,), (0.5 * modulus,)),
@@ -41,9 +39,9 @@ def solid_wire(
     return wire_table(spec)
 
 
-def solid_stiffnesses(core: float = 0.8e-3, modulus: float = MODULUS) -> tuple[float, float]:
+def solid_stiffnesses() -> tuple[float, float]:
     """EI and EA of the core by hand."""
-    return modulus * np.pi * core**4 / 64.0, modulus * np.pi * core**2 / 4.0
+    return MODULUS * np.pi * CORE**4 / 64.0, MODULUS * np.pi * CORE**2 / 4.0
 
 
 @cache

@@ -79,26 +79,27 @@ def build_sample(
     )
 
 
-def build_results(scale: float, noise: np.random.Generator) -> tuple[Result, ...]:
-    def one(name: str, value: float, unit: str, error: float, method: str) -> Result:
-        value = value * (1 + noise.normal(0, 0.01))
-        error = 1.96 * error * value
-        return Result(
-            name, value, unit, Interval(value - error, value + error), method=method, n=200
-        )
+LINE = "straight line over 2 mm to 8 mm; interval from the long-run variance of the residuals"
+RESULTS: tuple[tuple[str, float, str, float, str], ...] = (
+    ("peak_force.1", 134, "N", 0.002, "parabola through the top of the curve"),
+    ("stiffness_first", 5000, "N/m", 0.004, LINE),
+    ("stiffness_second", 2800, "N/m", 0.006, LINE),
+    ("stiffness_first_per_peak_force", 5000 / 134, "1/m", 0.004, "stiffness over peak force"),
+    ("break_point", 0.010, "m", 0.01, "two-segment least squares, all break points scanned"),
+    ("failure_displacement", END, "m", 0.001, "last point before the force is lost"),
+    ("failure_force", 134, "N", 0.002, "force at the last point before it is lost"),
+)
+"""Name, value, unit, standard error as a share, method."""
 
-    line = "straight line over 2 mm to 8 mm; interval from the long-run variance of the residuals"
-    return (
-        one("peak_force.1", 134 * scale, "N", 0.002, "parabola through the top of the curve"),
-        one("stiffness_first", 5000 * scale, "N/m", 0.004, line),
-        one("stiffness_second", 2800 * scale, "N/m", 0.006, line),
-        one(
-            "stiffness_first_per_peak_force", 5000 / 134, "1/m", 0.004, "stiffness over peak force"
-        ),
-        one("break_point", 0.010, "m", 0.01, "two-segment least squares, all break points scanned"),
-        one("failure_displacement", END, "m", 0.001, "last point before the force is lost"),
-        one("failure_force", 134 * scale, "N", 0.002, "force at the last point before it is lost"),
-    )
+
+def build_results(scale: float, noise: np.random.Generator) -> tuple[Result, ...]:
+    results = []
+    for name, number, unit, error, method in RESULTS:
+        value = number * (scale if unit in {"N", "N/m"} else 1.0) * (1 + noise.normal(0, 0.01))
+        half = 1.96 * error * value
+        ends = Interval(value - half, value + half)
+        results.append(Result(name, value, unit, ends, method=method, n=200))
+    return tuple(results)
 
 
 def build_lines(scale: float) -> tuple[FittedLine, ...]:

@@ -20,8 +20,8 @@ WIRE = stick_slip_law(
 )
 
 
-def by_stations(law: MomentLaw, deflections: Floats, n_stations: int = 64) -> Floats:
-    state, loads = straight(law, n_stations), []
+def by_stations(law: MomentLaw, deflections: Floats) -> Floats:
+    state, loads = straight(law, 64), []
     for deflection in deflections:
         shape = bend_to_deflection(law, state, LENGTH, float(deflection))
         state = shape.state

@@ -33,38 +33,22 @@ class Signal:
 
 
 def write_mat_v5(
-    path: Path,
-    axes: Sequence[Axis],
-    signals: Sequence[Signal],
-    *,
-    revision: str = "2.1",
-    variable: str = "recording",
-    columns: bool = False,
-    start: float | None = None,
+    path: Path, axes: Sequence[Axis], signals: Sequence[Signal], *, revision: str = "2.1"
 ) -> Path:
     from scipy.io import savemat
 
-    shape = (-1, 1) if columns else (1, -1)
-    x = [_axis_fields(axis, revision, shape) for axis in axes]
-    y = [_signal_fields(signal, axes, revision, shape) for signal in signals]
-    content: dict[str, Any] = {"X": _struct_array(x), "Y": _struct_array(y), **_about(revision)}
-    if start is not None:
-        content["Description"]["Measurement"]["StartTimestamp"] = start
-    savemat(path, {variable: content}, appendmat=False)
+    x = [_axis_fields(axis, revision, (1, -1)) for axis in axes]
+    y = [_signal_fields(signal, axes, revision, (1, -1)) for signal in signals]
+    content = {"X": _struct_array(x), "Y": _struct_array(y), **_about(revision)}
+    savemat(path, {"recording": content}, appendmat=False)
     return path
 
 
-def write_mat_v73(
-    path: Path,
-    axes: Sequence[Axis],
-    signals: Sequence[Signal],
-    *,
-    variable: str = "recording",
-) -> Path:
+def write_mat_v73(path: Path, axes: Sequence[Axis], signals: Sequence[Signal]) -> Path:
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
-        group = _group(file, variable)
+        group = _group(file, "recording")
         x = [_axis_fields(axis, "2.1", (-1, 1)) for axis in axes]
         y = [_signal_fields(signal, axes, "2.1", (-1, 1)) for signal in signals]
         _write_structs(file, _group(group, "X"), x)
@@ -72,8 +56,7 @@ def write_mat_v73(
         for key, fields in _about("2.1").items():
             _write_fields(_group(group, key), fields)
     with path.open("r+b") as stream:
-        header = HEADER_V73.encode().ljust(124) + b"\x00\x02IM"
-        stream.write(header)
+        stream.write(HEADER_V73.encode().ljust(124) + b"\x00\x02IM")
     return path
 
 

@@ -23,9 +23,9 @@ FORCE = 2.0 * GRID
 UNTESTED = QualityNote("external_curve_untested", Severity.INFO, "paper", "no test of B2 at 100 mm")
 
 
-def third_group(wire: str = "A2", length: float = 0.085) -> ValidationGroup:
+def third_group() -> ValidationGroup:
     band = Band(GRID, FORCE, FORCE - 0.004, FORCE + 0.004, FORCE - 0.01, FORCE + 0.01, 3, "samples")
-    return ValidationGroup(wire, length, is_calibrated=True, samples={}, band=band)
+    return ValidationGroup("A2", 0.085, is_calibrated=True, samples={}, band=band)
 
 
 def third_model() -> Prediction:
@@ -35,12 +35,12 @@ def third_model() -> Prediction:
 
 
 def external_comparison(
-    name: str = "finite elements", *, offset: float = 0.001, is_normal: bool = False
+    name: str = "finite elements", *, is_normal: bool = False
 ) -> ExternalCurveComparison:
-    """A curve above the mean of the tests by an offset in N, one of its points out of range."""
+    """A curve above the mean of the tests by 1 mN, one of its points out of range."""
     at = np.linspace(0.01, 0.06, 6)
     curve = ExternalCurve(
-        name, "fe.csv", "A2", 0.085, at, 2.0 * at + offset, is_normal, "synthetic elements"
+        name, "fe.csv", "A2", 0.085, at, 2.0 * at + 0.001, is_normal, "synthetic elements"
     )
     band, model = third_group().band, third_model()
     ends = (model.lower_mean, model.upper_mean)
@@ -53,9 +53,9 @@ def external_comparison(
     )
 
 
-def untested(name: str = "paper") -> ExternalCurveComparison:
+def untested() -> ExternalCurveComparison:
     """A curve without tests."""
-    whole = external_comparison(name)
+    whole = external_comparison("paper")
     curve = replace(whole.curve, wire="B2", length=0.1)
     return replace(whole, curve=curve, tests=None, notes=(UNTESTED,))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterable, Sequence
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from typing import Literal
 
 import numpy as np
@@ -48,23 +48,15 @@ def pull(*columns: Floats) -> list[list[object]]:
 
 def mts_suite(separator: str = "\t", *, rows: list[list[object]] | None = None) -> bytes:
     """TestSuite, as txt (tabs) or csv (every cell quoted)."""
+    head = (
+        "File Path: C:\\Synthetic\\Run 1\\DAQ- Crosshead, … - (Timed).txt   ",
+        *("Test: Synthetic pull", "Test Run: Run 1", "Date: 7/3/2025 12:23:28 PM", "", ""),
+    )
     quoted = separator == ","
-    head = [
-        [r"File Path: C:\Synthetic\Run 1\DAQ- Crosshead, … - (Timed).txt   "],
-        *(
-            ["Test: Synthetic pull"],
-            ["Test Run: Run 1"],
-            ["Date: 7/3/2025 12:23:28 PM"],
-            [""],
-            [""],
-        ),
-    ]
+    preamble = "".join(f'"{line}"\r\n' if quoted else f"{line}\r\n" for line in head)
     table = [["Crosshead ", "Load ", "Time "], ["mm", "N", "sec"]]
     body = pull(TRAVEL, FORCE, TIME) if rows is None else rows
-    if quoted:
-        return lines([*head, *table, *body], separator, quoted=True).encode("utf-8-sig")
-    preamble = "".join(f"{row[0]}\r\n" for row in head)
-    return (preamble + lines([*table, *body], separator)).encode("utf-8-sig")
+    return (preamble + lines([*table, *body], separator, quoted=quoted)).encode("utf-8-sig")
 
 
 def underscored_suite() -> bytes:
@@ -184,22 +176,17 @@ def workbook(sheets: dict[str, Sequence[Row]]) -> bytes:
     return stream.getvalue()
 
 
-def zwick_workbook(specimens: Sequence[str] = ("S1",), *, samples: int = N) -> bytes:
-    """Parameters, results and one sheet of values per specimen."""
-    sheets: dict[str, Sequence[Row]] = {
-        "Parameters": [["Test standard", "synthetic"]],
-        "Results series": [
-            [None, "Specimen designation", "Fmax"],
-            [None, None, "N"],
-            *([None, name, float(FORCE.max())] for name in specimens),
-        ],
-    }
-    for i, name in enumerate(specimens, 1):
-        titles = [[name] * 3, ["Test time", "Standard force", "Standard travel"], ["s", "N", "mm"]]
-        time = TIME if samples == N else np.zeros(samples)
-        rows = pull(time, i * FORCE[:samples], TRAVEL[:samples])
-        sheets[f"Values {name}"] = [*titles, *rows]
-    return workbook(sheets)
+def zwick_workbook() -> bytes:
+    """Parameters, results and one sheet of values."""
+    titles = [["S1"] * 3, ["Test time", "Standard force", "Standard travel"], ["s", "N", "mm"]]
+    series = [[None, "Specimen designation", "Fmax"], [None, None, "N"]]
+    return workbook(
+        {
+            "Parameters": [["Test standard", "synthetic"]],
+            "Results series": [*series, [None, "S1", float(FORCE.max())]],
+            "Values S1": [*titles, *pull(TIME, FORCE, TRAVEL)],
+        }
+    )
 
 
 def r_controller() -> bytes:
@@ -222,17 +209,14 @@ def nexygen(*, mark: bool = False, blanks: bool = True) -> bytes:
     return (b"\xff\xfe" if mark else b"") + text.encode("utf-16-le")
 
 
-def trapezium(lengths: Sequence[int] = (N,), *, encoding: str = "latin-1") -> bytes:
+def trapezium(lengths: Sequence[int] = (N,)) -> bytes:
     """Specimens side by side, three columns each; short ones are padded with blanks."""
-    groups: list[list[list[object]]] = []
+    groups: list[list[Row]] = []
     for i, length in enumerate(lengths, 1):
-        titles: list[list[object]] = [[f"C{i}", "", ""], ["Temps", "Force", "Stroke"]]
-        rows = pull(TIME[:length], i * FORCE[:length], TRAVEL[:length])
-        groups.append([*titles, ["sec", "N", "mm"], *rows])
-    table = [
-        [cell for row in rows for cell in (row or ["", "", ""])] for rows in zip_longest(*groups)
-    ]
-    return lines(table, ",", quoted=True).encode(encoding)
+        titles: list[Row] = [[f"C{i}", "", ""], ["Temps", "Force", "Stroke"], ["sec", "N", "mm"]]
+        groups.append([*titles, *pull(TIME[:length], i * FORCE[:length], TRAVEL[:length])])
+    rows = zip_longest(*groups, fillvalue=["", "", ""])
+    return lines(map(list, map(chain.from_iterable, rows)), ",", quoted=True).encode("latin-1")
 
 
 def dion() -> bytes:
@@ -250,10 +234,10 @@ def walter_bai() -> bytes:
     return lines([names, *rows], ",").encode("latin-1")
 
 
-def catman(missing: int = -1000000) -> bytes:
+def catman() -> bytes:
     """A tab after each row but not after the names; a code for a channel without a sensor."""
     names: Row = ["Zeit  1 - Standardmessrate [s]", "Kraft [N]", "Weg [mm]", "Pyrometer [°C]"]
-    rows: list[Row] = [[*row, str(missing), ""] for row in pull(TIME, FORCE, TRAVEL)]
+    rows: list[Row] = [[*row, "-1000000", ""] for row in pull(TIME, FORCE, TRAVEL)]
     return lines([names, *rows], "\t").encode("latin-1")
 
 
@@ -266,36 +250,36 @@ def microtest() -> bytes:
     names = ["Point", "Elongation", "Force", "Position", "Code", "Samplerate", "Motorspeed"]
     rows: list[Row] = [
         [f"{t:g}".removeprefix("0"), s, f, s, 0 if i else 2, 100]
-        for i, (t, s, f) in enumerate(zip(TIME, TRAVEL, FORCE, strict=True))
+        for i, (t, s, f) in enumerate(pull(TIME, TRAVEL, FORCE))
     ]
-    rows.append(["4.1", 0, 0, 1.6, 1, 100])
     quoted = lines([*([line] for line in head), names], ",", quoted=True)
-    body = lines([[str(cell) for cell in row] for row in rows], ",")
+    body = lines([*rows, ["4.1", 0, 0, 1.6, 1, 100]], ",")
     return (quoted + body.replace("\r\n", ',"0.1 mm/min"\r\n')).replace("\r", "").encode("ascii")
 
 
-def dma_q800(*, length_unit: str = "µm") -> bytes:
+def dma_q800() -> bytes:
     """Time in minutes, displacement in micrometres, names as lines Sig1 to Sig3, UTF-16."""
     head = (
         "CLOSED\r\nVersion\t2.0\r\nInstrument\tDMA Q800 V21.2 Build 73\r\nSample\tsynthetic\r\n"
         "Size\t10.0\t5.0\t0.05\tmm\r\nNsig\t3\r\nSig1\tTime (min)\r\n"
-        f"Sig2\tDisplacement ({length_unit})\r\nSig3\tStatic Force (N)\r\n"
+        "Sig2\tDisplacement (µm)\r\nSig3\tStatic Force (N)\r\n"
         "OrgMethod\t1: Ramp force 1.0000 N/min to 18.0000 N\r\nStartOfData\r\n"
     )
     body = lines(pull(TIME / 60.0, 1e3 * TRAVEL, FORCE), "\t")
     return (head + body).encode("utf-16")
 
 
+TABLE: list[Row] = [["Time (s)", "Force (N)", "Displacement (mm)"], *pull(TIME, FORCE, TRAVEL)]
+
+
 def table(separator: str = ",") -> bytes:
     """A table of no known program."""
-    rows = pull(TIME, FORCE, TRAVEL)
-    return lines([["Time (s)", "Force (N)", "Displacement (mm)"], *rows], separator).encode()
+    return lines(TABLE, separator).encode()
 
 
 def table_workbook() -> bytes:
     """A sheet of no known program."""
-    rows = pull(TIME, FORCE, TRAVEL)
-    return workbook({"Tabelle1": [["Time (s)", "Force (N)", "Displacement (mm)"], *rows]})
+    return workbook({"Tabelle1": TABLE})
 
 
 EXAMPLES: dict[str, tuple[str, Callable[[], bytes]]] = {

@@ -51,14 +51,12 @@ def law_of(wire: Wire, n_plays: int = 200) -> MomentLaw:
 
 
 @lru_cache
-def exact_curve(
-    name: str, length: float, *, has_string: bool = True, deepest: float = DEEPEST
-) -> CubicSpline:
+def exact_curve(name: str, length: float, *, has_string: bool = True) -> CubicSpline:
     """Force over deflection of the wire as made, N and m."""
     law = law_of(wire_of(name))
     state, rig = straight(law), rig_of(length)
     deflections, forces = [0.0], [0.0]
-    for goal in 1.06 * deepest * np.linspace(0.0, 1.0, 50)[1:] ** 1.6:
+    for goal in 1.06 * DEEPEST * np.linspace(0.0, 1.0, 50)[1:] ** 1.6:
         if has_string:
             shape = bend_to_travel(law, state, length, rig, float(goal))
             forces.append(shape.tension - WEIGHT)

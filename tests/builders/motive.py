@@ -52,29 +52,22 @@ def marker(name: str, positions: Array, *, id_: str = "A1", kind: str = "Marker"
     ]
 
 
-def fitted_marker(name: str, positions: Array, *, id_: str = "B1") -> list[Column]:
-    columns = marker(name, positions, id_=id_, kind="Rigid Body Marker")
+def fitted_marker(name: str, positions: Array) -> list[Column]:
+    columns = marker(name, positions, id_="B1", kind="Rigid Body Marker")
     quality = np.ones(len(positions))
-    return [*columns, Column("Rigid Body Marker", name, id_, "Marker Quality", "", quality)]
+    return [*columns, Column("Rigid Body Marker", name, "B1", "Marker Quality", "", quality)]
 
 
 def rigid_body(
-    name: str,
-    positions: Array,
-    rotation: Array,
-    *,
-    id_: str = "C1",
-    error: Array | None = None,
-    error_word: str = "Mean Marker Error",
+    name: str, positions: Array, rotation: Array, *, error: Array | None = None
 ) -> list[Column]:
-    axes = "XYZW"[: rotation.shape[1]]
     columns = [
-        Column("Rigid Body", name, id_, "Rotation", axis, rotation[:, i])
-        for i, axis in enumerate(axes)
+        Column("Rigid Body", name, "C1", "Rotation", axis, rotation[:, i])
+        for i, axis in enumerate("XYZW"[: rotation.shape[1]])
     ]
-    columns += marker(name, positions, id_=id_, kind="Rigid Body")
+    columns += marker(name, positions, id_="C1", kind="Rigid Body")
     if error is not None:
-        columns.append(Column("Rigid Body", name, id_, error_word, "", error))
+        columns.append(Column("Rigid Body", name, "C1", "Mean Marker Error", "", error))
     return columns
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -33,12 +33,7 @@ class PlainRecord:
 
     def where(self, kept: Flags) -> Self:
         """Some of the samples; the time stays as it was."""
-        return replace(
-            self,
-            time=self.time[kept],
-            displacement=self.displacement[kept],
-            force=self.force[kept],
-        )
+        return type(self)(*(values[kept] for values in self.arrays()))
 
     def up_to(self, end: float) -> Self:
         """The record cut off at a time."""
@@ -54,24 +49,21 @@ def up_and_down(
     cycles: int = 2,
     rate: float = 50.0,
     rest: float = 2.0,
-    branch: float = 5.0,
     is_round: bool = False,
     noise: float = 1e-3,
-    seed: int = 0,
 ) -> PlainRecord:
     """Pull a spring of 100 N/m by 10 mm and let it back.
 
     Parameters
     ----------
-    cycles, rate, rest, branch : how often; samples per second; s before and behind; s per branch
+    cycles, rate, rest : how often, 5 s up and 5 s down; samples per second; s before and behind
     is_round : a cosine in place of straight strokes
     noise : of force and displacement, as a share of their ranges
-    seed : of the noise
     """
-    time: Floats = np.arange(0.0, 2.0 * rest + 2.0 * branch * cycles, 1.0 / rate)
-    phase = np.clip((time - rest) / branch, 0.0, 2.0 * cycles)
+    time: Floats = np.arange(0.0, 2.0 * rest + 10.0 * cycles, 1.0 / rate)
+    phase = np.clip((time - rest) / 5.0, 0.0, 2.0 * cycles)
     share = 0.5 - 0.5 * np.cos(np.pi * phase) if is_round else 1.0 - np.abs(phase % 2.0 - 1.0)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     path = STROKE * (share + noise * random.normal(size=len(time)))
     peak = STIFFNESS * STROKE
     return PlainRecord(time, path, peak * (share + noise * random.normal(size=len(time))))

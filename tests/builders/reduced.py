@@ -43,14 +43,14 @@ results:
 """
 
 
-def loop(*, cycles: int = 2, noise: float = 0.0, seed: int = 0) -> tuple[Floats, Floats, Floats]:
+def loop(*, cycles: int = 2, noise: float = 0.0) -> tuple[Floats, Floats, Floats]:
     """Time, displacement and force: 10 mm up in 10 s along 100 N/m, down along 125 N/m to 2 mm."""
     time: Floats = np.arange(0.0, 4.0 + 20.0 * cycles, 0.02)
     phase = (time - 2.0) % 20.0
     moving = (time > 2.0) & (time < 2.0 + 20.0 * cycles)
     path = np.where(moving, 1e-3 * np.minimum(phase, 20.0 - phase), 0.0)
     force = np.where(phase < 10.0, 100.0 * path, np.maximum(125.0 * (path - 0.002), 0.0))
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     force = np.where(moving, force, 0.0) + random.normal(0.0, noise, len(time))
     return time, path + random.normal(0.0, 1e-3 * noise, len(time)), force
 
@@ -80,15 +80,10 @@ def reduction(
 
 
 def reduced(
-    time: Floats,
-    displacement: Floats,
-    force: Floats,
-    *,
-    more: str = RESULTS,
-    replaced: tuple[str, str] = ("", ""),
+    time: Floats, displacement: Floats, force: Floats, **options: Any
 ) -> tuple[ReducedTest, dict[str, Result]]:
     """Evidence and results by name, of the same."""
-    done = reduction(time, displacement, force, more=more, replaced=replaced)
+    done = reduction(time, displacement, force, **options)
     return done.reduced_test, {result.name: result for result in done.results}
 
 

@@ -73,9 +73,7 @@ def there_and_back(peak: tuple[float, float, float], steps: int, cycles: int = 1
     return np.asarray(np.interp(at, np.arange(len(turns)), turns)[:, None] * np.array(peak))
 
 
-def space_case(
-    turn: Floats | None = None, *, steps: int = 6, n: int = 12
-) -> tuple[Line, list[Boundary]]:
+def space_case(turn: Floats | None = None, *, steps: int = 6) -> tuple[Line, list[Boundary]]:
     """A curved line with sliders, its ends moved and turned in space, under its weight and a load.
 
     Its elements are not alike, and it is curved at rest, so that no step snaps.
@@ -83,9 +81,9 @@ def space_case(
     Parameters
     ----------
     turn : unit quaternion, shape (4,), that everything is turned by
-    steps, n : of the walk, and elements
+    steps : of the walk
     """
-    angle = np.linspace(0.0, 1.2, n + 1) ** 1.1
+    angle = np.linspace(0.0, 1.2, 13) ** 1.1
     points = np.stack([np.sin(angle), 1.0 - np.cos(angle), 0.1 * angle], axis=1)
     scale = LENGTH / np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1))
     line = line_along(scale * points, sliding_section(mass=0.02), is_formed=True)
@@ -108,7 +106,7 @@ def space_case(
     return line, [
         Held(0, line.positions[0], first),
         Held(-1, way, frames),
-        Load(n // 3, load),
+        Load(4, load),
         Gravity(weight),
     ]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import date
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -101,15 +100,8 @@ def _reach(push: float, slope: float) -> tuple[float, Any]:
         return float(state[0])
 
     flat.terminal = True  # type: ignore[attr-defined]
-    half = solve_ivp(
-        path,
-        [0.0, 0.3],
-        [slope, 0.0, 0.0, 0.0],
-        events=flat,
-        rtol=1e-9,
-        atol=1e-12,
-        dense_output=True,
-    )
+    start, ends = [slope, 0.0, 0.0, 0.0], [0.0, 0.3]
+    half = solve_ivp(path, ends, start, events=flat, rtol=1e-9, atol=1e-12, dense_output=True)
     return float(half.y[2, -1]), half
 
 
@@ -155,9 +147,7 @@ def tracks(record: BendingRecord, random: np.random.Generator) -> MarkerTracks:
     known, _, xs, ys, _ = shapes()
     places = 0.0127 * np.arange(-7, 8)
     half = np.abs(places)
-    grid = np.stack(
-        [np.stack([piece(half) for piece in part]) for part in (xs, ys)]
-    )  # (2, deflections, sections)
+    grid = [np.stack([piece(half) for piece in part]) for part in (xs, ys)]
     slope = np.stack([np.arctan2(y(half, 1), x(half, 1)) for x, y in zip(xs, ys, strict=True)])
     x, y = (np.asarray(CubicSpline(known, part)(deflection)) for part in grid)
     angle = np.asarray(CubicSpline(known, slope)(deflection)) * np.sign(places)
@@ -168,11 +158,8 @@ def tracks(record: BendingRecord, random: np.random.Generator) -> MarkerTracks:
         for row, at in enumerate(record.angles):
             off, out = RADIUS * np.cos(at + phi), RADIUS * np.sin(at + phi)
             tilt = angle[:, number]
-            columns.append(
-                np.column_stack(
-                    [x[:, number] - np.sin(tilt) * off, y[:, number] + np.cos(tilt) * off, out]
-                )
-            )
+            place = x[:, number] - np.sin(tilt) * off, y[:, number] + np.cos(tilt) * off, out
+            columns.append(np.column_stack(place))
             names.append(f"S{number + 1}{'ab'[row]}")
     positions = np.stack(columns, axis=1)
     positions += random.normal(0.0, record.noise[2], positions.shape)
@@ -186,7 +173,6 @@ def reduced(
     *,
     without: tuple[str, ...] = (),
     change: tuple[tuple[str, str], ...] = (),
-    tested: date | None = None,
 ) -> tuple[ReducedTest, dict[str, Result]]:
     """Reduce a test by the shipped protocol and the rod's span, with some changes of their text."""
     text = CONDUIT.read_text(encoding="utf-8")
@@ -194,9 +180,9 @@ def reduced(
     for old, new in change:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    made = {
-        role: recording for role, recording in recordings(record).items() if role not in without
-    }
+    made = recordings(record)
+    for role in without:
+        del made[role]
     protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
-    done = reduce_recordings(made, protocol, tested=tested)
+    done = reduce_recordings(made, protocol)
     return done.reduced_test, {result.name: result for result in done.results}

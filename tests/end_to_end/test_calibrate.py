@@ -19,6 +19,9 @@ from labpipe.store.read import read_result
 from labpipe.store.write import write_result
 from labpipe.studies.validation import STEPS, bent_shapes
 from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.virtual_lab import simulate_campaigns, simulate_test
+from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
+from labpipe.virtual_lab.specimens import WIRES as SPECIMENS
 from labpipe.virtual_lab.tensile_scenarios import corrugated_tube
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.cantilever import StringRig
@@ -26,15 +29,37 @@ from labpipe.wire.wire_table import build, wire_table
 from tests.approved import Approve
 from tests.builders.small_tests import Run, RunSummary, state
 from tests.builders.tensile_tests import make_tensile
-from tests.builders.wire_lab import processed_rest, processed_wires
 
+pytestmark = pytest.mark.slow
+HEADING = "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insulation_thickness_mm"
+WIRES = WireCampaign(
+    groups=(WireGroup(SPECIMENS["A2"], 0.085), WireGroup(SPECIMENS["B1"], 0.1)),
+    samples=2,
+    fps=25.0,
+    cycles=2,
+    has_mishaps=False,
+)
 TRUTH = {"radial_friction": 0.0465, "insulation_modulus": 1e9, "copper_scale": 1.0}
 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Processed tests; not to be changed."""
-    return processed_wires(tmp_path_factory.mktemp("wires"))
+    """Processed tests: two samples of A2 and of B1; not to be changed."""
+    home = tmp_path_factory.mktemp("wires")
+    for test in simulate_campaigns([WIRES], home / "raw" / "wires", seed=3):
+        main(["process", str(test), "--out", str(home / "processed"), "--no-figures"])
+    return home / "processed"
+
+
+def hung(home: Path, slack: float) -> Path:
+    """A processed test of A2 that hung under the counterweight until the clamp went by a slack."""
+    one = replace(WIRES, groups=WIRES.groups[:1], samples=1)
+    ((scenario, seed),) = one.scenarios(3)
+    mechanics = replace(scenario.mechanics, slack=slack)
+    named = replace(scenario, name="A2-085-hung", mechanics=mechanics)
+    test = simulate_test(named, home / "raw" / named.name, seed)
+    main(["process", str(test), "--out", str(home / "processed"), "--no-figures"])
+    return home / "processed" / named.name
 
 
 @pytest.fixture
@@ -48,12 +73,20 @@ def plan(folder: Path, text: str) -> str:
     return str(path)
 
 
-def test_truth_is_found_and_another_wire_predicted(
+def test_truth_is_found_and_other_wires_and_curves_compared(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:
+    rows = [f"{i},{-2.0 * i},{-0.004 * i}" for i in range(26)]
+    (tmp_path / "fe.csv").write_text("\n".join(["step,U2,RF2", *rows, ""]), encoding="utf-8")
+    text = (
+        "wire: A2\ncomparisons:\n"
+        "  - {name: elements, file: fe.csv, wire: A2, length: 85 mm, load: normal, because: made,\n"
+        "     deflection: {column: U2, unit: mm, sign: -1},\n"
+        "     force: {column: RF2, unit: N, sign: -1}}\n"
+    )
     out = tmp_path / "out"
-    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(out))
-    done = run("calibrate", str(campaign), "--wire", sheet, *asked, "--no-figures")
+    asked = ("--plan", plan(tmp_path, text), "--out", str(out))
+    done = run("calibrate", str(campaign), "--wire", sheet, *asked)
     assert done.status == 0, done.err
     found: dict[str, Any] = json.loads((out / "calibration.json").read_text("utf-8"))
     assert found["wire"] == "A2"
@@ -67,19 +100,23 @@ def test_truth_is_found_and_another_wire_predicted(
     assert (second["wire"], second["calibrating"]) == ("B1", False)
     assert second["rmse_share"] < 0.08
     assert second["inside_band"] > 0.9
-    assert "cannot be distinguished" in done.out
-    assert "predicted" in done.out
+    (curve,) = found["comparisons"]
+    assert (curve["name"], curve["load"]) == ("elements", "normal")
+    for point in (curve["tests"], curve["model"]):
+        pairs = zip(curve["force"], point["force"], strict=True)
+        left = [force - other for force, other in pairs if other is not None]
+        assert point["n"] == len(left) > 20
+        assert point["n"] + point["left_out"] == 26
+        assert point["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
+    printed = " ".join(done.out.split())
+    for part in (
+        *("cannot be distinguished", "predicted", "elements tests of A2, 85 mm"),
+        "its load is normal to the axis, unlike that of the tests",
+    ):
+        assert part in printed
     assert (out / "calibration.xlsx").is_file()
-
-
-def test_decks_are_those_of_the_calibrated_wires(
-    campaign: Path, sheet: str, tmp_path: Path, run: Run
-) -> None:
-    out = tmp_path / "out"
-    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(out), "--json", "--no-figures")
-    done = run("calibrate", str(campaign), "--wire", sheet, *asked)
-    assert done.status == 0
-    values = {load["name"]: load["value"] for load in json.loads(done.out)["parameters"]}
+    assert (out / "figures" / "external-curves.svg").is_file()
+    values = {each["name"]: each["value"] for each in found["parameters"]}
     deck = json.loads((out / "decks" / "B1.json").read_text("utf-8"))
     nominal = next(spec for spec in read_wire_sheet(Path(sheet)) if spec.name == "B1")
     calibrated = replace(
@@ -95,39 +132,32 @@ def test_decks_are_those_of_the_calibrated_wires(
 def test_tests_beyond_the_range_of_the_insulation_are_told(
     campaign: Path, tmp_path: Path, run: Run
 ) -> None:
-    heading = "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg"
-    heading += ",insulation_thickness_mm,insulation_strain,insulation_table"
-    row = "A2,1.6,7,0.32,12,0.3"
-    sheet, asked = tmp_path / "wires.csv", ("--plan", plan(tmp_path, "wire: A2\n"), "--no-figures")
-    others = "B1,1.1,7,0.25,12,0.15,,"
-    arguments = ("calibrate", str(campaign), "--wire", str(sheet), *asked, "--out", str(tmp_path))
+    sheet = tmp_path / "wires.csv"
+    arguments = ("calibrate", campaign, "--wire", sheet, "--plan", plan(tmp_path, "wire: A2\n"))
 
-    def told(cells: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-        sheet.write_text(f"{heading}\n{row},{cells}\n{others}\n")
-        done = run(*arguments)
+    def calibrated(cells: str) -> tuple[dict[str, Any], list[str]]:
+        sheet.write_text(
+            f"{HEADING},insulation_strain,insulation_table\n"
+            f"A2,1.6,7,0.32,12,0.3,{cells}\nB1,1.1,7,0.25,12,0.15,,\n"
+        )
+        done = run(*arguments, "--no-figures", "--out", tmp_path)
         assert done.status == 0, done.err
         found = json.loads((tmp_path / "calibration.json").read_text("utf-8"))
-        return found, [
-            finding for finding in found["quality"] if finding["code"] == "insulation_doubtful"
-        ]
+        notes = [note for note in found["quality"] if note["code"] == "insulation_doubtful"]
+        return found, [note["message"] for note in notes]
 
-    found, [note] = told("0.01,")
-    assert note["message"].startswith(
+    found, [message] = calibrated("0.01,")
+    assert message.startswith(
         f"the tests bend A2 to {found['tested_curvature']:.3g} 1/m; from 12.5 1/m on its insulation"
-        " is strained by more than 1 %, where its straight line is not taken to hold"
+        " is strained by more than 1 %, beyond its linear range:"
     )
     assert found["stress_tables"] == {}
-    (tmp_path / "pvc.csv").write_text("strain,stress_mpa,temperature_c\n0.2,200,23\n")
-    found, notes = told(",pvc.csv")
+    # a table need not go on beyond the tests
+    (tmp_path / "pvc.csv").write_text("strain,stress_mpa,temperature_c\n0.028,28,23\n")
+    found, notes = calibrated(",pvc.csv")
     assert not notes
     assert found["stress_tables"]["insulation_table"]["temperature"] == pytest.approx(296.15)
-    # a table need not go on beyond the tests
-    (tmp_path / "pvc.csv").write_text("strain,stress_mpa\n0.028,28\n")
-    short, notes = told(",pvc.csv")
-    assert not notes
-    assert 29.0 < short["tested_curvature"] < 0.028 / 0.8e-3
-    values = [[each["value"] for each in this["parameters"]] for this in (found, short)]
-    assert values[1] == pytest.approx(values[0], rel=0.01)
+    assert 29.0 < found["tested_curvature"] < 0.028 / 0.8e-3
 
 
 def test_the_model_is_bent_as_far_as_the_sample(campaign: Path, repository: Path) -> None:
@@ -143,38 +173,6 @@ def test_the_model_is_bent_as_far_as_the_sample(campaign: Path, repository: Path
             # Scatter of the sample and of its markers; a wrong frame or sign is many times that.
             assert np.abs(shape.fit[-1] - shape.model[-1]).max() < 0.5e-3
             assert len(shape.markers) == 8
-
-
-def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
-    campaign: Path, sheet: str, tmp_path: Path, run: Run
-) -> None:
-    rows = [f"{i},{-2.0 * i},{-0.004 * i}" for i in range(26)]
-    (tmp_path / "fe.csv").write_text("\n".join(["step,U2,RF2", *rows, ""]), encoding="utf-8")
-    text = (
-        "wire: A2\ncomparisons:\n"
-        "  - {name: elements, file: fe.csv, wire: A2, length: 85 mm, load: normal, because: made,\n"
-        "     deflection: {column: U2, unit: mm, sign: -1},\n"
-        "     force: {column: RF2, unit: N, sign: -1}}\n"
-    )
-    out = tmp_path / "out"
-    asked = ("--plan", plan(tmp_path, text), "--out", str(out))
-    done = run("calibrate", str(campaign), "--wire", sheet, *asked)
-    assert done.status == 0, done.err
-    found = json.loads((out / "calibration.json").read_text("utf-8"))
-    (curve,) = found["comparisons"]
-    assert (curve["name"], curve["load"]) == ("elements", "normal")
-    for point in (curve["tests"], curve["model"]):
-        pairs = zip(curve["force"], point["force"], strict=True)
-        left = [force - other for force, other in pairs if other is not None]
-        assert point["n"] == len(left) > 20
-        assert point["n"] + point["left_out"] == 26
-        assert point["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
-    assert "elements tests of A2, 85 mm" in " ".join(done.out.split())
-    assert "its load is normal to the axis, unlike that of the tests" in done.out
-    assert (out / "figures" / "external-curves.svg").is_file()
-
-
-pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -241,11 +239,7 @@ def test_wire_sheets_that_are_missing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     alone = run("calibrate", campaign)
-    (tmp_path / "wires.csv").write_text(
-        "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insulation_thickness_mm\n"
-        "A22,1.6,7,0.32,12,0.3\n",
-        encoding="utf-8",
-    )
+    (tmp_path / "wires.csv").write_text(f"{HEADING}\nA22,1.6,7,0.32,12,0.3\n", encoding="utf-8")
     other = run("calibrate", campaign / "A2-085-1")
     assert (alone.status, other.status) == (2, 2)
     approved([alone.err, other.err])
@@ -265,8 +259,8 @@ def test_tests_that_cannot_be_taken(
         "blocked": changed(campaign / "A2-085-2", tmp_path / "blocked", blocked),
         "no cantilever": lab.processed,
         "no free length": changed(campaign / "A2-085-2", tmp_path / "bare", without_length),
-        "slack string": processed_rest(tmp_path / "slack", 1.5e-3),
-        "hanging wire": processed_rest(tmp_path / "hanging", 0.0),
+        "slack string": hung(tmp_path / "slack", 1.5e-3),
+        "hanging wire": hung(tmp_path / "hanging", 0.0),
         "broken file": broken,
     }
     told = []
@@ -294,20 +288,3 @@ def test_two_tests_of_one_name_and_half_of_a_third(
     done = calibrate(again)
     assert (done.status, done.err) == (0, "")
     assert "one sample: the scatter of samples is unknown" in done.out
-
-
-@pytest.mark.parametrize(("value", "side"), [("3000 MPa", "below"), ("300 MPa", "above")])
-def test_a_prior_that_contradicts_the_tests(
-    value: str, side: str, campaign: Path, calibrate: Callable[..., RunSummary]
-) -> None:
-    text = (
-        "wire: A2\nparameters:\n"
-        f"  insulation_modulus: {{enters: prior, value: {value}, factor: 1.2, because: a sheet}}\n"
-    )
-    done = calibrate(campaign, text=text)
-    assert done.status == 0
-    (row,) = [line for line in done.out.splitlines() if line.startswith("? insulation_modulus")]
-    assert row.endswith("contradicts its prior")
-    (said,) = [line for line in done.out.splitlines() if "contradicts the tests" in line]
-    assert f"the prior of the modulus of the insulation, {value} within a factor of 1.2" in said
-    assert f"standard errors of both together {side} the prior" in said

@@ -8,6 +8,8 @@ one side, and a difference after Welch must not cover less.
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest
@@ -17,6 +19,7 @@ from labpipe.statistics.mean_curves import CommonCurves, mean_band
 from labpipe.statistics.means import mean_interval, nested_mean
 from labpipe.statistics.two_groups import difference_of_means
 
+pytestmark = pytest.mark.slow
 RUNS = 1000
 SHARES = [0.0, 0.05, 0.1, 0.3, 0.5, 0.8, 0.98]
 NESTED = [(3, 3), (2, 2, 2), (2, 3), (1, 2, 3)]
@@ -37,56 +40,34 @@ def nested_hits(counts: tuple[int, ...], share: float) -> int:
     return hits
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n", [3, 5, 6])
-def test_one_spool(n: int) -> None:
-    hits = nested_hits((n,), 0.0)
-    # The interval is about this spool, and all its samples share what the spool adds.
-    assert binomtest(hits, RUNS, 0.95).pvalue > 0.01, hits
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("share", SHARES)
-@pytest.mark.parametrize("counts", NESTED)
+@pytest.mark.parametrize(
+    ("counts", "share"), [*product(NESTED, SHARES), *(((n,), 0.0) for n in (3, 5, 6))]
+)
 def test_nested(counts: tuple[int, ...], share: float) -> None:
+    """An interval over one spool is about that one, and all its samples share what it adds."""
     hits = nested_hits(counts, share)
-    assert binomtest(hits, RUNS, 0.95).pvalue > 0.01 / (len(NESTED) * len(SHARES)), hits
+    cases = len(NESTED) * len(SHARES) if len(counts) > 1 else 1
+    assert binomtest(hits, RUNS, 0.95).pvalue > 0.01 / cases, hits
 
 
-def modes(kind: str) -> Floats:
-    """Shapes whose random sum is the scatter of a curve, shape (modes, points)."""
-    distance = PATH[:, None] - PATH
-    smooth = np.exp(-0.5 * (distance / 0.2) ** 2)
-    made: dict[str, Floats] = {
-        "slope": PATH[None] + 0.05,
-        "slope and zero": np.array([PATH, np.full(len(PATH), 0.2)]),
-        "slope, zero, bend": np.array(
-            [PATH, np.full(len(PATH), 0.1), 0.3 * np.maximum(PATH - 0.5, 0)]
-        ),
-        "slope and noise": np.vstack([PATH, 0.02 * np.eye(len(PATH))]),
-        "slow waves": np.asarray(np.linalg.cholesky(smooth + 1e-9 * np.eye(len(PATH))).T, float),
-        "random walk": np.tril(np.ones((len(PATH), len(PATH)))).T / 10.0,
-    }
-    return made[kind]
+SIZES, POINTS = (3, 5, 6), len(PATH)
+SMOOTH = np.exp(-0.5 * ((PATH[:, None] - PATH) / 0.2) ** 2) + 1e-9 * np.eye(POINTS)
+MODES: dict[str, Floats] = {
+    "slope": PATH[None] + 0.05,
+    "slope and zero": np.array([PATH, np.full(POINTS, 0.2)]),
+    "slope, zero, bend": np.array([PATH, np.full(POINTS, 0.1), 0.3 * np.maximum(PATH - 0.5, 0)]),
+    "slope and noise": np.vstack([PATH, 0.02 * np.eye(POINTS)]),
+    "slow waves": np.asarray(np.linalg.cholesky(SMOOTH).T, dtype=np.float64),
+    "random walk": np.tril(np.ones((POINTS, POINTS))).T / 10.0,
+}
+"""Shapes whose random sum is the scatter of a curve, shape (modes, points)."""
 
 
-KINDS = [
-    "slope",
-    "slope and zero",
-    "slope, zero, bend",
-    "slope and noise",
-    "slow waves",
-    "random walk",
-]
-SIZES = [3, 5, 6]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("n", SIZES)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", MODES)
 def test_bands(kind: str, n: int) -> None:
-    level = 0.01 / (len(KINDS) * len(SIZES))
-    rng, shapes, truth = np.random.default_rng(n), modes(kind), 20.0 * PATH
+    level = 0.01 / (len(MODES) * len(SIZES))
+    rng, shapes, truth = np.random.default_rng(n), MODES[kind], 20.0 * PATH
     held = held_all = 0
     for _ in range(RUNS):
         curves = truth + rng.normal(size=(n, len(shapes))) @ shapes
@@ -97,7 +78,6 @@ def test_bands(kind: str, n: int) -> None:
     assert binomtest(held_all, RUNS, 0.95, alternative="less").pvalue > level, held_all
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.0, 2.0])
 @pytest.mark.parametrize("counts", [(3, 3), (5, 5), (6, 6), (3, 6)])
 def test_differences(counts: tuple[int, int], ratio: float) -> None:

@@ -12,13 +12,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked
-from tests.builders import bad_input
+from tests.builders.bad_input import refused
 from tests.builders.reasons import runs
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab, Run, state
@@ -47,6 +46,7 @@ STAGES = (
     "labpipe.process.run.write_summary",
     "labpipe.report.figures.save_figures",
 )
+FILES = {"result.h5", "summary.json", "figures"}
 PLACES = ("result.h5", "summary.json", "wire-shapes.svg", "timeline.svg")
 
 
@@ -69,15 +69,10 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
     monkeypatch.setattr(store, "_flush_to_disk", full_flush)
     if place == "wire-shapes.svg":
         monkeypatch.setattr("labpipe.report.saving.save_page", full_figures)
-    message = bad_input.Refused(lab, run)(lambda _: None)
+    _, message = refused(lab, run, lambda _: None)
     assert "full disk" in message or "No space left" in message
     assert not list(lab.home.rglob("*.tmp"))
-    assert {path.name for path in lab.processed.iterdir()} == {
-        "result.h5",
-        "summary.json",
-        "failure.json",
-        "figures",
-    }
+    assert {path.name for path in lab.processed.iterdir()} == FILES | {"failure.json"}
 
 
 @pytest.mark.slow
@@ -91,37 +86,6 @@ def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: s
     ran = run("process", lab.raw)
     assert ran.status == 130
     assert "labpipe: interrupted; earlier results are unchanged" in ran.err
-    assert state(lab.home / "raw") == raw
-    assert state(lab.processed) == earlier
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-def test_real_interrupt(lab: Lab) -> None:
-    raw, earlier = state(lab.home / "raw"), state(lab.processed)
-    stopped = (
-        "import signal, sys, time\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background
-        "import labpipe.process.run as process\n"
-        "def wait(*arguments):\n"
-        "    print('here', flush=True)\n"
-        "    for _ in range(600):\n"  # a signal that another thread is given ends no long sleep
-        "        time.sleep(0.1)\n"
-        "process.write_summary = wait\n"
-        "from labpipe.cli import main\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    command = [sys.executable, "-c", stopped, "process", str(lab.raw)]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "here\n"
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "interrupted; earlier results are unchanged" in said
-    assert "Traceback" not in said
     assert state(lab.home / "raw") == raw
     assert state(lab.processed) == earlier
 
@@ -169,16 +133,12 @@ def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None
     again = run("process", lab.result)
     assert again.status == 0
     assert (
-        f"labpipe process: {lab.processed}: a process was killed while it replaced the files here;"
-        " that was finished first\n" in again.err
+        f"labpipe process: {lab.processed}: completed a replacement of files that a killed process"
+        " had left unfinished\n" in again.err
     )
     (second,) = runs(lab.processed)
     assert second != first
-    assert {path.name for path in lab.processed.iterdir()} == {
-        "result.h5",
-        "summary.json",
-        "figures",
-    }
+    assert {path.name for path in lab.processed.iterdir()} == FILES
 
 
 @pytest.mark.slow
@@ -217,25 +177,23 @@ def children(process: int) -> list[int]:
     return [int(part) for part in found.read_text("ascii").split()] if found.exists() else []
 
 
-def seconds(labs: list[TensileLab]) -> float:
-    """Process all to the end."""
+def whole_run(labs: list[TensileLab], change: str = "") -> tuple[float, list[str]]:
+    """Process all tests to the end; seconds, and the key of each, all of whose files are of it."""
+    for lab in labs:
+        text = lab.sheet.read_text("utf-8").replace(CHANGED, "")
+        lab.sheet.write_text(text + change, "utf-8")
     start = time.monotonic()
     with started(labs[0].home) as process:
-        said = process.communicate()[0]
+        printed = process.communicate()[0]
     assert process.returncode == 0
-    assert len(said.splitlines()) == len(labs)
-    assert "failed" not in said
-    return time.monotonic() - start
+    assert len(printed.splitlines()) == len(labs)
+    assert "failed" not in printed
+    keys = [runs(lab.processed) for lab in labs]
+    assert {len(key) for key in keys} == {1}
+    return time.monotonic() - start, [key for (key,) in keys]
 
 
-def keys(labs: list[TensileLab]) -> list[str]:
-    """Key of each test, all of whose files are there and of one run."""
-    found = [runs(lab.processed) for lab in labs]
-    assert {len(finding) for finding in found} == {1}
-    return [key for (key,) in found]
-
-
-def kill(home: Path, after: float, chance: random.Random) -> str:
+def kill(home: Path, after: float, chance: random.Random) -> None:
     """Start a run and kill it, or one process of a test, after a time."""
     with started(home) as process:
         time.sleep(after)
@@ -247,58 +205,34 @@ def kill(home: Path, after: float, chance: random.Random) -> str:
     while any(Path(f"/proc/{victim}").exists() for victim in victims):
         assert time.monotonic() < until
         time.sleep(0.02)
-    return "a test" if alone else "the run"
-
-
-def seen(lab: TensileLab, known: tuple[str, str]) -> str:
-    """Which run the files of a test are of, the first or the second; no other, and no two."""
-    word = ""
-    if is_cut_off(lab.processed):
-        with locked(lab.processed):
-            finish_cut_off(lab.processed)
-        word = "cut off, "
-    (key,) = runs(lab.processed)
-    assert key in known
-    return word + ("first" if key == known[0] else "second")
-
-
-def killed_and_looked_at(home: Path, *, tests: int, kills: int) -> None:
-    chance = random.Random(20261122)
-    labs = small_pulls(home, tests)
-    texts = [lab.sheet.read_text("utf-8") for lab in labs]
-    seconds(labs)
-    first = keys(labs)
-    for lab, text in zip(labs, texts, strict=True):
-        lab.sheet.write_text(text + CHANGED, "utf-8")
-    whole = seconds(labs)
-    second = keys(labs)
-    assert not set(first) & set(second)
-    found, killed = Counter[str](), Counter[str]()
-    for number in range(4 * kills):
-        if number >= kills:
-            if found["first"] and found["second"]:
-                break
-            whole *= 1.5  # the machine has become slower since it was timed: nothing was finished
-        for lab, text in zip(labs, texts, strict=True):
-            lab.sheet.write_text(text + CHANGED * (number % 2), "utf-8")
-        killed[kill(home, chance.uniform(0.1, 1.2) * whole, chance)] += 1
-        found.update(seen(*lab) for lab in zip(labs, zip(first, second, strict=True), strict=True))
-    sys.stdout.write(
-        f"{sum(killed.values())} kills: {dict(killed)}; {whole:.1f} s a run; {dict(found)}\n"
-    )
-    assert found["first"]
-    assert found["second"]
-    for lab, text in zip(labs, texts, strict=True):
-        lab.sheet.write_text(text, "utf-8")
-    seconds(labs)
-    assert keys(labs) == first
-    for lab in labs:
-        names = {path.name for path in lab.processed.iterdir()}
-        assert names == {"result.h5", "summary.json", "figures"}
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of children")
 @pytest.mark.parametrize(("tests", "kills"), [(3, 4), (6, 50)])
 def test_killed_at_random_moments(tmp_path: Path, tests: int, kills: int) -> None:
-    killed_and_looked_at(tmp_path, tests=tests, kills=kills)
+    """Files of a test are those of one of two runs, never of both and of no third."""
+    chance, labs = random.Random(20261122), small_pulls(tmp_path, tests)
+    seen: set[int] = set()
+    _, first = whole_run(labs)
+    whole, second = whole_run(labs, CHANGED)
+    assert not set(first) & set(second)
+    for number in range(4 * kills):
+        if number >= kills:
+            if seen == {0, 1}:
+                break
+            whole *= 1.5  # the machine has become slower since it was timed: nothing was finished
+        for lab in labs:
+            text = lab.sheet.read_text("utf-8").replace(CHANGED, "")
+            lab.sheet.write_text(text + CHANGED * (number % 2), "utf-8")
+        kill(tmp_path, chance.uniform(0.1, 1.2) * whole, chance)
+        for lab, known in zip(labs, zip(first, second, strict=True), strict=True):
+            if is_cut_off(lab.processed):
+                with locked(lab.processed):
+                    finish_cut_off(lab.processed)
+            (key,) = runs(lab.processed)
+            seen.add(known.index(key))
+    assert seen == {0, 1}
+    assert whole_run(labs)[1] == first
+    for lab in labs:
+        assert {path.name for path in lab.processed.iterdir()} == FILES

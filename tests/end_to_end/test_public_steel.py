@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.judges.plain.judge import RunSummary, process
+from tests.judges.plain.judge import process
 
 PROTOCOL = """\
 version: 1
@@ -43,19 +43,16 @@ ISO, BAM = 26, 6
 QUICK = {0}
 
 
-def _processed(folder: Path, export: Path, area: float) -> RunSummary:
-    files = {
-        "steel.yaml": PROTOCOL.replace("AREA", f"{area:.6g}").encode(),
-        "export.csv": export.read_bytes(),
-    }
-    return process(folder, SHEET, files)
-
-
-def _judged(ran: RunSummary, peak: float, columns: tuple[np.ndarray, np.ndarray]) -> None:
+def _judged(
+    folder: Path, export: Path, area: float, peak: float, columns: tuple[np.ndarray, np.ndarray]
+) -> None:
     """Peak by the laboratory; stiffness by a least-squares line over the plain columns.
 
     The records end while the necked specimen still carries some 70 % of its largest force.
     """
+    protocol = PROTOCOL.replace("AREA", f"{area:.6g}").encode()
+    files = {"steel.yaml": protocol, "export.csv": export.read_bytes()}
+    ran = process(folder, SHEET, files)
     found = ran.results["peak_force.1"]
     assert found["status"] == "ok"
     assert found["value"] == pytest.approx(peak, rel=1e-3)
@@ -86,9 +83,8 @@ def test_round_steel_of_iso_6892(realdata: Path, tmp_path: Path, number: int) ->
     said = dict(re.findall(r"^(.+?):\t([\d.]+)", "\n".join(lines[:23]), re.MULTILINE))
     rows = np.array([[float(cell) for cell in line.split("\t")[:4]] for line in lines[25:]])
     area = float(said["Original cross-section"])
-    ran = _processed(tmp_path, exports[number], area)
     peak = float(said["Ultimate tensile strength"]) * area
-    _judged(ran, peak, (rows[:, 3], 1e3 * rows[:, 2]))
+    _judged(tmp_path, exports[number], area, peak, (rows[:, 3], 1e3 * rows[:, 2]))
 
 
 @pytest.mark.parametrize("number", _marked(BAM))
@@ -102,5 +98,7 @@ def test_flat_steel_with_certified_values(realdata: Path, tmp_path: Path, number
     rows = np.array(
         [[float(cell.replace(",", ".")) for cell in line.split(";")[:3]] for line in lines]
     )
-    ran = _processed(tmp_path, exports[number], float(said["d1 / a1"]) * float(said["b1"]))
-    _judged(ran, 1e3 * float(said["Fm"]), (rows[:, 1], 1e3 * rows[:, 2]))
+    area = float(said["d1 / a1"]) * float(said["b1"])
+    _judged(
+        tmp_path, exports[number], area, 1e3 * float(said["Fm"]), (rows[:, 1], 1e3 * rows[:, 2])
+    )

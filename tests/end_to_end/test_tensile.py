@@ -15,7 +15,6 @@ from labpipe.records.curve import SlipDecision
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import TensileScenario
 from labpipe.virtual_lab.tensile_scenarios import (
-    TABLE_2_3,
     GripSlip,
     corrugated_tube,
     pet_tape,
@@ -23,7 +22,7 @@ from labpipe.virtual_lab.tensile_scenarios import (
     twist_tube,
 )
 from tests.builders.small_tests import Run, state
-from tests.builders.tensile_tests import make_tensile, true_results
+from tests.builders.tensile_tests import TensileLab, make_tensile, true_results
 
 SLIPS = (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81))
 """Those of the source's specimen."""
@@ -44,26 +43,21 @@ KINDS: dict[str, TensileScenario] = {
 }
 VARIANTS = {"driven back", "twist-tube, other spool", "pet-tape, 10 Hz", "corrugated-tube, 10 Hz"}
 SEED = 1
-
-
-class Done:
-    """A test processed once by the command, and its truth."""
-
-    def __init__(self, home: Path, scenario: TensileScenario) -> None:
-        self.lab = make_tensile(home, scenario, SEED)
-        self.before = state(self.lab.home / "raw")
-        self.status = main(["process", str(self.lab.raw), "--no-figures"])
-        self.truth = true_results(scenario, SEED)
-        self.scenario = scenario
-
-
-Make = Callable[[str], Done]
+Make = Callable[[str], TensileLab]
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Make:
-    """Give a test of a kind, each processed once."""
-    return cache(lambda kind: Done(tmp_path_factory.mktemp("lab"), KINDS[kind]))
+    """Give a test of a kind, each processed once by the command."""
+
+    def made(kind: str) -> TensileLab:
+        lab = make_tensile(tmp_path_factory.mktemp("lab"), KINDS[kind], SEED)
+        before = state(lab.home / "raw")
+        assert main(["process", str(lab.raw), "--no-figures"]) == 0
+        assert state(lab.home / "raw") == before
+        return lab
+
+    return cache(made)
 
 
 TOLERANCES = {
@@ -98,56 +92,48 @@ NEAR = {
     [pytest.param(kind, marks=[pytest.mark.slow] if kind in VARIANTS else []) for kind in KINDS],
 )
 def test_every_number_within_a_tolerance(done: Make, kind: str) -> None:
-    test = done(kind)
-    assert test.status == 0
-    assert state(test.lab.home / "raw") == test.before
-    assert {result["status"] for result in test.lab.results.values()} == {"ok"}
-    slipped = kind == "corrugated-tube"
-    assert bool(read_result(test.lab.result).slips) == slipped
-    for name, found in test.lab.results.items():
-        truth, estimate = test.truth[name], found["estimate"]
+    lab, truths = done(kind), true_results(KINDS[kind], SEED)
+    assert {result["status"] for result in lab.results.values()} == {"ok"}
+    assert bool(read_result(lab.result).slips) == (kind == "corrugated-tube")
+    for name, found in lab.results.items():
+        truth, estimate = truths[name], found["estimate"]
         below, above = estimate - found["lower"], found["upper"] - estimate
         assert found["level"] == 0.95
         # A wide net of two half widths: coverage is counted elsewhere, over many seeds.
         assert truth - 2.0 * above <= estimate <= truth + 2.0 * below, name
         if name == "failure_force":  # the sample before the loss, which may have begun in its step
-            assert found["lower"] < test.truth[name] < 1.006 * found["upper"]
+            assert found["lower"] < truth < 1.006 * found["upper"]
         elif name in TOLERANCES:
-            assert found["value"] == pytest.approx(test.truth[name], rel=TOLERANCES[name]), name
+            assert found["value"] == pytest.approx(truth, rel=TOLERANCES[name]), name
         elif name in NEAR:
-            assert abs(found["value"] - test.truth[name]) < NEAR[name], name
+            assert abs(found["value"] - truth) < NEAR[name], name
         else:
             assert name.startswith("slip_drop."), name
-            assert abs(found["value"] - test.truth[name]) < 0.1, name
+            assert abs(found["value"] - truth) < 0.1, name
 
 
 def test_slips_are_in_the_ledger_and_repaired(done: Make) -> None:
-    test = done("corrugated-tube")
-    result = read_result(test.lab.result)
+    lab = done("corrugated-tube")
+    result = read_result(lab.result)
     assert [slip.decision for slip in result.slips] == [SlipDecision.REPAIRED] * 2
     curve, aligned = result.curve, result.aligned
     assert curve is not None
     assert aligned is not None
     added = curve.force - aligned.series["force"].values
-    drops = [slip.drop for slip in result.slips]
-    before, between, behind = (
-        added[: result.slips[0].start],
-        added[result.slips[0].stop : result.slips[1].start],
-        added[result.slips[1].stop :],
-    )
-    np.testing.assert_allclose(before, 0.0)
-    np.testing.assert_allclose(between, drops[0])
-    np.testing.assert_allclose(behind, sum(drops))
-    assert test.lab.notes["slip_repaired"].endswith(": added back to the rest of the curve")
+    first, second = result.slips
+    np.testing.assert_allclose(added[: first.start], 0.0)
+    np.testing.assert_allclose(added[first.stop : second.start], first.drop)
+    np.testing.assert_allclose(added[second.stop :], first.drop + second.drop)
+    assert lab.notes["slip_repaired"].endswith(": added back to the rest of the curve")
 
 
 def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make) -> None:
     """The bar's own stretch is counted in: 3 % of what was found."""
-    found = done("stiff-bar").lab.results["compliance"]["value"]
+    found = done("stiff-bar").results["compliance"]["value"]
     lab = make_tensile(tmp_path, KINDS["twist-tube"], SEED)
     lab.override("curve.compliance", f"{{value: {1e6 * found:.6g} um/N, uncertainty: 5 %}}")
     assert run("process", lab.raw, "--no-figures").status == 0
-    plain, corrected = done("twist-tube").lab.results, lab.results
+    plain, corrected = done("twist-tube").results, lab.results
     truth = lab.truth
     for region in ("first", "second"):
         name = f"stiffness_{region}"
@@ -215,7 +201,7 @@ def test_a_card_of_the_lab(
     (tmp_path / "dialects").mkdir()
     (tmp_path / "dialects" / "acme.toml").write_text(ACME, encoding="utf-8")
     assert run("process", lab.raw, "--no-figures").status == 0
-    usual = done("pet-tape").lab.results
+    usual = done("pet-tape").results
     for name, found in lab.results.items():
         assert found["value"] == pytest.approx(usual[name]["value"], rel=1e-9), name
     key = lab.summary["run"]
@@ -228,29 +214,3 @@ def test_a_card_of_the_lab(
     (tmp_path / "dialects" / "acme.toml").unlink()
     assert run("process", lab.result, "--no-figures").status == 0
     assert lab.summary == changed
-
-
-@pytest.mark.slow
-def test_table_2_3_comes_back(tmp_path: Path, run: Run) -> None:
-    """Stiffness over peak force of all six twist tubes; a gain error cancels."""
-    for number, (sample, (first, second)) in enumerate(TABLE_2_3.items(), start=1):
-        lab = make_tensile(tmp_path, twist_tube(sample, gain_error=0.01), number)
-        assert run("process", lab.raw, "--no-figures").status == 0
-        found = [lab.results[f"stiffness_{each}_per_peak_force"] for each in ("first", "second")]
-        assert found[0]["value"] == pytest.approx(first, rel=0.012), sample
-        assert found[1]["value"] == pytest.approx(second, rel=0.012), sample
-        assert found[0]["unit"] == "1/m"
-
-
-def test_a_quick_pull_at_10_hz(tmp_path: Path) -> None:
-    """Fifty samples, half a millimetre apart: the peak is known to a step, the slopes as ever."""
-    usual = twist_tube("1a")
-    quick = Done(tmp_path, replace(usual, instruments=replace(usual.instruments, rate=10.0)))
-    assert quick.status == 0
-    results = quick.lab.results
-    assert {result["status"] for result in results.values()} == {"ok"}
-    for name in ("peak_force.1", "failure_force", "failure_displacement", "energy_to_break"):
-        assert results[name]["lower"] <= quick.truth[name] <= results[name]["upper"], name
-    for name in ("stiffness_first", "stiffness_second"):
-        assert results[name]["value"] == pytest.approx(quick.truth[name], rel=0.01)
-    assert "over 0.2 s at the start, 3 samples: their noise" in quick.lab.notes["zeroed"]

@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from labpipe.virtual_lab import ChosenTests
-from labpipe.virtual_lab.campaigns import (
-    TapedCampaign,
-    TensileCampaign,
-    WireCampaign,
-    simulate_campaigns,
-)
+from labpipe.virtual_lab.campaigns import TapedCampaign, TensileCampaign, WireCampaign
 from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.virtual_lab.tensile_scenarios import (
-    corrugated_tube,
-    twist_tube,
-)
 
 CAMPAIGNS = (WireCampaign(), TensileCampaign())
-
-
-TUBE, TWIST = corrugated_tube("CT-10-1"), twist_tube("1a")
 
 
 def scenarios(campaign: WireCampaign | TapedCampaign, seed: int = 1) -> list[CantileverScenario]:
@@ -77,13 +63,3 @@ def test_samples_scatter_as_stated_and_share_the_load_cell() -> None:
     cells = [scenarios(WireCampaign(samples=1), seed)[0].load_cell for seed in range(200)]
     errors = np.array([cell.gain_error for cell in cells], dtype=np.float64)
     assert np.std(errors) == pytest.approx(0.002, rel=0.2)
-
-
-def test_on_disk(tmp_path: Path) -> None:
-    names = ["twist-tube-2b", "CT-10-1"]
-    folders = simulate_campaigns([ChosenTests(CAMPAIGNS, tuple(names))], tmp_path, seed=1)
-    assert sorted(folder.name for folder in folders) == sorted(names)
-    for folder in folders:
-        assert {"test.yaml", "truth.json"} <= {path.name for path in folder.iterdir()}
-    assert len(list((tmp_path / "twist-tube-2b").glob("*.txt"))) == 3
-    assert len(list((tmp_path / "CT-10-1").glob("*.xlsx"))) == 1

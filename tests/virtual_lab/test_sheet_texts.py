@@ -33,6 +33,11 @@ def test_values_are_those_of_the_shipped_protocol(repository: Path, name: str) -
         assert str(entry) == value, key
 
 
+def overridden(sheet: dict[str, Any]) -> dict[str, Any]:
+    assert all(entry["because"] for entry in sheet["overrides"].values())
+    return {key: entry["value"] for key, entry in sheet["overrides"].items()}
+
+
 def test_what_differs_is_overridden_with_a_reason() -> None:
     usual = CantileverScenario()
     scenario = replace(
@@ -44,26 +49,20 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
     )
     sheet = yaml.safe_load(write_sheet(scenario))
     assert sheet["specimen"]["length"] == "100 mm"
-    values = {key: entry["value"] for key, entry in sheet["overrides"].items()}
-    assert values == {
+    assert overridden(sheet) == {
         "sources.force.calibration.gain": "0.0411 N/V",
         "rig.crosshead_speed": "2 mm/s",
         "rig.stroke": "40 mm",
         "rig.cycles": 1,
         "markers.pull_offset": "5 mm",
     }
-    assert all(entry["because"] for entry in sheet["overrides"].values())
-
-
-def test_sheet_of_a_case() -> None:
     files = {"force": ["force.mat"], "frame": ["DAQ- Crosshead, … - (Timed).txt"]}
     sheet = yaml.safe_load(write_sheet(conduit_scenario("CWB-2b"), files))
     assert sheet["protocol"] == "conduit-bundle"
     assert sheet["specimen"]["span"] == "152.4 mm"
     assert sheet["specimen"]["bundle"]["taping"] == "coarse"
     assert sheet["files"] == {role: name for role, (name,) in files.items()}
-    values = {key: entry["value"] for key, entry in sheet["overrides"].items()}
-    assert values == {
+    assert overridden(sheet) == {
         "specimen.section.outer_diameter": "10.2 mm",
         "markers.centre_offset": "6.6 mm",
     }

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from labpipe.readers import dspace_mat
 from labpipe.virtual_lab.conduit_scenarios import (
     CONDUIT_TYPES,
-    ConduitClocks,
     ThreePointTest,
     conduit_scenario,
 )
-from labpipe.virtual_lab.observations import observe, simulate_test
 from labpipe.virtual_lab.recorders import plan_conduit, record_conduit_force
 from labpipe.virtual_lab.specimens import ElasticModel
 from labpipe.virtual_lab.three_point_path import ThreePointPath, solve_three_point
@@ -49,11 +45,8 @@ def test_work_is_stored_or_dissipated_in_bending() -> None:
 
 def test_an_elastic_bar_gives_everything_back() -> None:
     path = solve_three_point(ThreePointTest(BAR, friction=0.0))
-    assert path.residual == pytest.approx(0.0, abs=1e-9)
-    down = [half.displacement for half in path.loading]
-    stored = np.trapezoid([half.force for half in path.loading], down)
-    assert abs(outer_work(path)) < 1e-4 * stored  # what the trapezoidal rule leaves
     progress = np.linspace(0.0, 0.0294, 50)
+    assert path.residual == pytest.approx(0.0, abs=1e-9)
     assert path.force(progress) == pytest.approx(path.force(0.0588 - progress), abs=1e-4)
     with pytest.raises(ValueError, match=r"displacement=.*: no equilibrium beyond 0\.0"):
         solve_three_point(ThreePointTest(BAR, stroke=0.3))
@@ -117,15 +110,6 @@ def test_large_deflections_agree_with_shooting(friction: float, displacement: fl
     assert force == pytest.approx(shot(test, displacement), rel=3e-4)
 
 
-def test_small_deflections_are_those_of_the_textbook() -> None:
-    """K = 48 EI / L^3, where the rollers have not yet shortened the span."""
-    test = ThreePointTest(BAR, friction=0.0, stroke=1e-5)
-    last = solve_three_point(test).loading[-1]
-    textbook = 48.0 * 0.1 / test.span**3
-    assert last.force / last.displacement == pytest.approx(textbook, rel=3e-4)
-    assert last.moment[0] == pytest.approx(0.25 * last.force * test.span, rel=1e-3)
-
-
 def test_truth_and_volts_of_a_bundle() -> None:
     usual = conduit_scenario("CWB-1")
     cell = replace(usual.load_cell, noise=0.0, gain_error=0.0)
@@ -143,27 +127,3 @@ def test_truth_and_volts_of_a_bundle() -> None:
     assert force == pytest.approx(expected, abs=0.21082 * 200.0 / 2**16)
     assert np.min(record.volts) < -20.0
     assert list(record.signals) == ["Model Root/Load Cell", "Model Root/Trigger"]
-
-
-def test_force_and_travel_come_back(tmp_path: Path) -> None:
-    scenario = replace(conduit_scenario("CWB-1"), clocks=ConduitClocks(rate=50.0, fps=10.0))
-    folder, observation = simulate_test(scenario, tmp_path / "raw", 5), observe(scenario, 5)
-    recording = dspace_mat.read(folder / "force.mat")
-    volts = next(c for c in recording.channels if c.path == "Model Root/Load Cell/Out1")
-    np.testing.assert_array_equal(volts.values, observation.force_record.volts)
-    gain = observation.force_record.true_gain
-    force = gain * (volts.values - scenario.load_cell.offset)
-    assert np.max(force) == pytest.approx(observation.truth.peak_force, abs=0.05)
-    (file,) = folder.glob("*Timed*.txt")
-    text = file.read_text(encoding="utf-8-sig")
-    assert "SYNTHETIC three-point bending test" in text
-    rows = np.array([[float(n) for n in line.split("\t")] for line in text.splitlines()[8:]])
-    frame = observation.frame_record
-    assert frame is not None
-    np.testing.assert_allclose(1e-3 * rows[:, 0], frame.displacement, atol=1e-8)
-    np.testing.assert_allclose(rows[:, 2], frame.time, rtol=1e-6)
-    assert observation.frame is not None
-    # A last digit that depends on the processor is not recorded.
-    values = observation.frame.channels[0].values
-    np.testing.assert_array_equal(values, values.astype(np.float32))
-    np.testing.assert_allclose(1e-3 * rows[:, 0], values, rtol=1e-14)

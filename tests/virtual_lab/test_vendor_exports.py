@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -14,8 +13,7 @@ from scipy.io import loadmat, whosmat
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.cantilever_path import solve_path
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell
-from labpipe.virtual_lab.observations import Observation, observe
+from labpipe.virtual_lab.observations import Observation
 from labpipe.virtual_lab.recorders import (
     DIRECTION_PATH,
     FREQUENCY_PATH,
@@ -137,10 +135,3 @@ def test_volts_times_true_gain_are_the_tension_and_white_noise(observation: Obse
     assert np.std(noise) == pytest.approx(4e-3, rel=0.01)
     assert abs(np.mean(noise)) < 5e-5
     assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.01
-
-
-def test_converter_saturates() -> None:
-    usual = CantileverScenario(load_cell=LoadCell(gain=0.05))
-    mechanics = replace(usual.mechanics, cycles=1, steps_per_branch=40)
-    scenario = replace(usual, mechanics=mechanics, clocks=replace(usual.clocks, rate=50.0))
-    assert observe(scenario, 1).force_record.volts.max() == 10.0 - 20.0 / 2**16
