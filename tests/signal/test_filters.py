@@ -34,11 +34,6 @@ def by_definition(values: Floats, window: int) -> Floats:
     return means
 
 
-def test_the_documented_example_of_smooth() -> None:
-    smoothed = moving_average(np.array([3.0, 8, 2, 1, 5, 5]), window=5)
-    assert smoothed == pytest.approx([3, 13 / 3, 3.8, 4.2, 11 / 3, 5], abs=1e-12)
-
-
 @given(signals, st.integers(1, 8), st.sets(st.integers(0, 59)))
 def test_nan_a_window_averages_what_is_there(values: Floats, half: int, holes: set[int]) -> None:
     values = values.copy()
