@@ -152,12 +152,9 @@ files: {{frame: x.csv}}
     [
         ("", 0.0, ("markers",)),
         ("", 1e6, ()),
-        ("wire-cantilever", 1e6, ("markers",)),
         ("wire-cantilever wire-cantilever conduit-bundle", 1e6, ("markers",)),
         ("conduit-bundle", 0.0, ()),
-        ("tensile", 0.0, ("markers",)),
         ("tensile", 1e6, ()),
-        ("wire-cantilever conduit-bundle", 0.0, ("markers",)),
         ("wire-cantilever conduit-bundle", 1e6, ()),
     ],
 )

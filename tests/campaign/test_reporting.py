@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,22 +20,17 @@ from labpipe.campaign.reporting import (
     make_campaign,
     report_tests,
 )
-from labpipe.campaign.test_pages import page_of_test, pages_of
 from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Section, SpecimenBlock
-from labpipe.records.group import Campaign, Sample
+from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import Letterhead
-from labpipe.report.page_facts import report_id
 from labpipe.store.read import Drawable, read_result
-from labpipe.store.write import write_result
-from tests.builders.campaigns import build_group
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
-from tests.store.builders_result import build_result
 
 KINDS = {"T-1": ("tube", 5e3), "T-2": ("tube", 5.1e3), "H-1": ("hose", 4e3), "H-2": ("hose", 4.1e3)}
 
@@ -266,16 +260,3 @@ def test_numbers_that_the_rig_sets_and_that_can_be_negative(
     found = number_kinds(load_protocol(known_protocols()[name]))
     assert found.signed == signed
     assert found.set_by_rig == ({"peak_displacement"} if is_set else set())
-
-
-def test_a_page_for_each_test_with_the_id_of_the_report(tmp_path: Path) -> None:
-    file = tmp_path / "result.h5"
-    write_result(replace(build_result(half_cycle=1.0), figures=()), file)
-    sample = sample_of(Drawable(read_result(file), None, None), source=str(file), label="c/<x>")
-    group = replace(build_group("A", []), samples=(sample,))
-    campaign = Campaign("S", (group,), rejected_samples=(replace(sample, label="c/y"),))
-    pages = pages_of(campaign)
-    assert list(pages) == ["tests/c__<x>.html", "tests/c__y.html"]
-    for page in pages.values():
-        assert f"report {report_id(campaign)}" in page.replace("\\20 ", " ")
-    assert f"<h1>{sample.test}</h1>" in page_of_test(file)

@@ -151,18 +151,6 @@ def test_a_test_is_paired_processed_and_judged_once(
     assert "(so far 1); n = 1 so far, too few to judge" in bench.go(3)
 
 
-def test_a_role_that_is_missing_is_said_and_does_not_delay(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
-    put(bench, "A2-085-1", exports, "force.mat")
-    assert bench.go(60) == "A2-085-1: waits for markers"
-    put(bench, "A2-085-1", exports, "take.csv")
-    began = bench.now
-    while not bench.campaign.done:
-        bench.go(0.5)
-    assert bench.now - began <= 3.0
-
-
 @pytest.mark.slow
 def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_can_be(
     bench: Bench, exports: dict[str, bytes]
@@ -246,20 +234,6 @@ def test_a_restart_does_nothing_twice(bench: Bench, exports: dict[str, bytes]) -
     assert sorted(bench.campaign.asked) == ["A2-085-1", "A2-085-2", "A2-085-3"]
     verdicts = [sentence for sentence in bench.said[before:] if "WELL" in sentence]
     assert len(verdicts) == 1
-
-
-def test_what_is_not_used_is_said_once(bench: Bench, exports: dict[str, bytes]) -> None:
-    raw = bench.campaign.raw
-    (raw / "loose.csv").write_bytes(b"x")
-    folder = put(bench, "A2-085-1", exports)
-    (folder / "a\nb\x1b[2J.csv").write_bytes(exports["take.csv"])
-    said = bench.go(200, step=2)
-    assert "loose.csv: not used: it is not in the folder of a test" in said
-    assert "A2-085-1/a\\nb\\x1b[2J.csv: not used: its name has control characters" in said
-    assert "\x1b" not in said
-    assert "A2-085-1: WELL" in said
-    assert bench.go(200, step=2) == ""
-    assert (folder / "a\nb\x1b[2J.csv").read_bytes() == exports["take.csv"]
 
 
 PLAN_OF_ONE = """\

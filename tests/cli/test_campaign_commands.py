@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from tests.builders.harness_files import EXAMPLES, STIFFNESS, arch, pushed, writ
 from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.pulls import broken, pull
 from tests.builders.small_pulls import small_pulls
-from tests.builders.small_tests import Run, make_lab, small_scenario
+from tests.builders.small_tests import Run
 from tests.builders.tensile_tests import TensileLab, write_pull
 
 
@@ -145,39 +145,16 @@ def test_options_of_a_report(run: Run, processed: Path, tmp_path: Path) -> None:
     assert {path.suffix for path in (goal / "figures").iterdir()} == {".svg", ".pdf"}
 
 
-def simulated(make: Callable[[Path], None] | list[Callable[[Path], None]], raw: Path) -> list[Path]:
-    before = set(raw.glob("*/"))
-    for each in make if isinstance(make, list) else [make]:
-        each(raw)
-    return sorted(set(raw.glob("*/")) - before)
-
-
 @pytest.fixture
 def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Two small tests, two pulls and a short line in place of the campaigns and examples."""
+    """Two pulls in place of the first look of the demo."""
 
-    def simulate(folder: Path) -> None:
-        small = small_scenario()
-        straight = replace(small.mechanics, slack=None)
-        for seed, name in enumerate(("T1", "T2"), start=1):
-            home = tmp_path / "made" / name
-            made = make_lab(home, replace(small, mechanics=straight), seed)
-            made.edit("test.yaml", "test: T1", f"test: {name}")
-            shutil.copytree(made.raw, folder / name)
+    def simulated(_: object, raw: Path) -> list[Path]:
+        shutil.copytree(pulls(tmp_path / "pulls"), raw, dirs_exist_ok=True)
+        return sorted(raw.glob("*/"))
 
-    def simulate_tensile(folder: Path) -> None:
-        shutil.copytree(pulls(tmp_path / "pulls"), folder, dirs_exist_ok=True)
-
-    examples = tmp_path / "examples"
-    examples.mkdir()
-    written(examples, pushed(SHEET_WORDS), name="harness-push.yaml")
-    for name, made in {
-        "CAMPAIGNS": {"wires": simulate, "tensile": simulate_tensile},
-        "FIRST_LOOK": (simulate_tensile,),
-        "simulate_campaigns": simulated,
-        "shipped_folder": {"examples": examples}.__getitem__,
-    }.items():
-        monkeypatch.setattr(f"labpipe.cli.demo.{name}", made)
+    monkeypatch.setattr("labpipe.cli.demo.FIRST_LOOK", (None,))
+    monkeypatch.setattr("labpipe.cli.demo.simulate_campaigns", simulated)
 
 
 @pytest.mark.slow

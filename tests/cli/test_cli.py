@@ -70,18 +70,6 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     assert run("new", tmp_path / "raw", "--from", sheet).out.count("kept ") == 2
 
 
-def test_new_sees_what_lies_there(run: Run, lab: Lab) -> None:
-    folder = lab.raw.rename(lab.raw.with_name("A2-085-3"))
-    (folder / "test.yaml").unlink()
-    ran = run("new", folder)
-    assert (ran.status, ran.err) == (DONE, "")
-    assert ran.out.splitlines()[0] == f"wrote {folder / 'test.yaml'}"
-    assert ran.out.splitlines()[-1] == "  to fill in: spool"
-    assert "(specimen.spool): expected text, found nothing." in run("check", folder).err
-    assert run("new", folder, "--spool", "A2-s1", "--overwrite").status == DONE
-    assert run("check", folder).status == DONE
-
-
 @pytest.mark.parametrize("command", ["inspect", "check", "process", "report", "model"])
 def test_a_name_that_the_file_system_refuses(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
@@ -13,7 +11,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Contrast, Group, MeanInterval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
-from labpipe.report.budget_figures import budgets_to_draw, draw_budget, draw_group_budgets
+from labpipe.report.budget_figures import draw_budget, draw_group_budgets
 from labpipe.report.comparison_figures import caption, draw_family, figures_of_families
 from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
@@ -26,7 +24,6 @@ from labpipe.report.comparisons import (
     single_field_pairs,
 )
 from labpipe.report.figure_page import style
-from labpipe.report.page_comparisons import questions
 from labpipe.statistics.groups import build_group
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
@@ -63,38 +60,6 @@ def group_with_budgets(count: int = 6) -> Group:
         for sample in six_samples()[:count]
     ]
     return build_group("tube", "twist-tube", samples)
-
-
-def test_a_group_shows_its_tests_and_its_means() -> None:
-    own = group_with_budgets()
-    count = len(budgets_to_draw(own))
-    assert count >= 3
-    with style():
-        left, right = draw_group_budgets(own).axes
-    assert pieces(left) == [(0.0, 50.0, False), (50.0, 50.0, True)] * count
-    assert len(pieces(right)) == 2 * count
-    assert sum(width for _, width, _ in pieces(right)) == pytest.approx(100.0 * count)
-    assert budgets_to_draw(build_group("tube", "twist-tube", six_samples())) == []
-
-
-def test_groups_that_differ_in_one_field_are_drawn_together() -> None:
-    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
-    campaign = bundle_campaign(samples)
-    stems = {group.name: f"g{at}" for at, group in enumerate(campaign.groups)}
-    (question,) = questions(campaign, stems)
-    assert (question.field, question.name) == ("wire", "Wire")
-    assert [row[0].text for row in question.answers.rows] == ["Wire: B2 against B1"]
-    (comparison,) = question.comparisons
-    means, numbers = comparison.plots
-    assert {line.group for line in means.lines} == {"g0", "g1"}
-    assert [key.label for key in means.keys] == ["B1 (n = 3)", "B2 (n = 3)"]
-    dots = [line for line in numbers.lines if line.look.startswith("dot")]
-    group = campaign.groups[0]
-    mean = next(number.mean for number in group.numbers if number.name == "bending_stiffness")
-    assert mean is not None
-    np.testing.assert_allclose(dots[0].x, 1e6 * mean.chosen.mean)
-    assert [float(line.y[0]) for line in dots] == [0.0, -1.0]
-    assert numbers.y.is_bare
 
 
 def test_figures_of_families(approved: Approve) -> None:

@@ -12,11 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from labpipe.records.arrays import Floats
 from labpipe.report.figure_page import (
-    limit_to_values,
     titled_page,
 )
 from labpipe.report.plot_thinning import extremes, simplify_line, worst
@@ -30,15 +28,6 @@ def drawn(heading: str) -> bytes:
     pixels: Any = FigureCanvasAgg(page)
     pixels.draw()
     return bytes(pixels.buffer_rgba())
-
-
-def test_wide_intervals_are_cut_and_values_are_not() -> None:
-    axes = Figure().subplots()
-    axes.set_xlim(-100.0, 5.0)
-    limit_to_values([1.0, float("nan"), 3.0], axes)
-    assert axes.get_xlim() == (-2.0, 5.0)
-    limit_to_values([1.0], axes)
-    assert axes.get_xlim() == (-2.0, 5.0)
 
 
 @given(

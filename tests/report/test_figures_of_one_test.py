@@ -261,19 +261,3 @@ def test_words_of_markers(result: TestResult, approved: Approve) -> None:
             "no shape": draw_wire_shapes(replace(result, shape=None)),
         }
     approved(all_words(pages))
-
-
-def test_words_on_the_rig(
-    result: TestResult,
-    between_rollers: TestResult,
-    monkeypatch: pytest.MonkeyPatch,
-    approved: Approve,
-) -> None:
-    with style():
-        pages = {"between rollers": draw_wire_shapes(between_rollers)}
-    for offset in (0.0008, 0.0):
-        rig = Rig(centre_offset=offset)
-        monkeypatch.setattr(marker_figures, "rig_of", lambda _, rig=rig: rig)
-        with style():
-            pages[f"markers {offset} m beside the axis"] = draw_wire_shapes(result)
-    approved(all_words(pages))

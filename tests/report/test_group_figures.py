@@ -13,7 +13,7 @@ from labpipe.records.curve import FittedLine
 from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.group import Group, Outlier
 from labpipe.report.figure_page import style
-from labpipe.report.group_dots import MAX_DOT_ROWS, dot_rows, draw_dots, numbers_to_draw
+from labpipe.report.group_dots import dot_rows, draw_dots, numbers_to_draw
 from labpipe.report.group_figures import MAX_SLIP_PANELS, draw_slips, group_drawings, stems
 from labpipe.report.group_plots import (
     draw_curves,
@@ -58,17 +58,6 @@ def test_rows_are_samples_spool_means_and_the_mean() -> None:
     assert math.isnan(rows[5].value)
     assert number.mean is not None
     assert rows[-1].value == number.mean.chosen.mean
-
-
-def test_samples_of_large_groups_share_a_row() -> None:
-    samples = [build_sample(f"s{n % 2}", str(n), seed=n) for n in range(MAX_DOT_ROWS + 2)]
-    group = build_group("A", samples)
-    rows = dot_rows(group, group.numbers[0])
-    half = len(samples) // 2
-    assert {row.label for row in rows[:half]} == {f"{half} samples"}
-    assert all(abs(row.height) < 0.5 and row.interval is None for row in rows[:half])
-    assert rows[half].height == 1.0
-    assert rows[-1].height == 4.0
 
 
 @pytest.fixture(autouse=True)

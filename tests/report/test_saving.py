@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from labpipe.errors import StoreError
+from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import save_calibration_figures
 from labpipe.report.calibration_workbook import save_calibration_workbook
@@ -131,6 +133,7 @@ def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
         with pytest.raises(StoreError) as refusal:
             save(tmp_path / "x")
         messages.append(f"{name}: {re.sub(r'.Errno.*?: ', '', str(refusal.value))}")
+    assert set(FIGURES) == set(get_args(FigureName))
     with pytest.raises(ValueError, match=r"^figures: expected names of .*, found \['pie'\]$"):
         save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()

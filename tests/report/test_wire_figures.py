@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.patches import Annulus, Circle, Rectangle, Wedge
+from matplotlib.patches import Annulus, Circle, Wedge
 from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 from python_calamine import CalamineWorkbook
@@ -21,10 +21,6 @@ from labpipe.report.wire_figures import (
     cantilever_figure,
     comparison_figure,
     moment_figure,
-    plot_cantilever,
-    plot_parts,
-    plot_shares,
-    plot_stiffness,
     stiffness_figure,
 )
 from labpipe.report.wire_sections import plot_section, section_figure, strand_patches
@@ -46,25 +42,6 @@ from tests.report.figure_words import all_words
 def _in_style() -> Iterator[None]:
     with style():
         yield
-
-
-def test_what_is_doubtful_is_lighter() -> None:
-    """White is laid over curves beyond the range of the insulation, and over no others."""
-    table = wire_table("A2")
-    sure = replace(table, doubtful_curvature=float("inf"), doubtful_deflection=float("inf"))
-    for draw, start in (
-        (plot_stiffness, table.doubtful_curvature),
-        (plot_parts, table.doubtful_curvature),
-        (plot_shares, table.doubtful_curvature),
-        (plot_cantilever, 1e3 * table.doubtful_deflection),
-    ):
-        doubtful, plain = Figure().subplots(2)
-        draw(table, doubtful)
-        draw(sure, plain)
-        (cover,) = (patch for patch in doubtful.patches if isinstance(patch, Rectangle))
-        assert cover.get_x() == pytest.approx(start)
-        assert cover.get_facecolor() == (1.0, 1.0, 1.0, 0.6)
-        assert not [patch for patch in plain.patches if isinstance(patch, Rectangle)]
 
 
 def scaled(table: WireTable, factor: float) -> WireTable:

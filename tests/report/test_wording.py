@@ -44,15 +44,10 @@ def test_only_what_cannot_be_shown_is_replaced() -> None:
     ("value", "half", "expected"),
     [
         (52.28, 6.01, "52.3 (46.3 to 58.3)"),
-        (52.28, 65.6, "52 (-13 to 118)"),
-        (430.1, 127.0, "430 (300 to 560)"),
-        (0.0004, 1.0, "0.0 (-1.0 to 1.0)"),
         (-0.00001, 1.0, "0.0 (-1.0 to 1.0)"),
         (12345.0, 567.0, "12340 (11780 to 12910)"),
-        (0.4, 0.0996, "0.40 (0.30 to 0.50)"),
         (9.96, 0.996, "10.0 (9.0 to 11.0)"),
         (5.0, 0.0, "5.000 (5.000 to 5.000)"),
-        (3.0e-5, 2.0e-6, "3.00 \u00d7 10⁻⁵ (2.80 \u00d7 10⁻⁵ to 3.20 \u00d7 10⁻⁵)"),
         (2.1e9, 3.0e7, "2.100 \u00d7 10⁹ (2.070 \u00d7 10⁹ to 2.130 \u00d7 10⁹)"),
         (1.23456, None, "1.235"),
         (0.0, None, "0.0000"),
@@ -106,7 +101,6 @@ def test_results_are_worded_as_their_kinds_say() -> None:
         ("stiffness_third / peak force", "Stiffness third / peak force"),
         ("from peak_force.2.", "from peak force, cycle 2."),
         ("results.stiffness_first.from", "results.stiffness_first.from"),
-        ("raw/peak_force/energy_to_break.csv", "raw/peak_force/energy_to_break.csv"),
         ("its force_below, and slack", "its force_below, and slack"),
     ],
 )
@@ -118,11 +112,8 @@ def test_names_are_worded_and_files_and_keys_are_not(sentence: str, expected: st
     ("value", "ends", "expected"),
     [
         (0.91, (0.83, 0.99), "0.910 ± 0.080"),
-        (1234.0, (802.0, 1666.0), "1230 ± 430"),
         (1.26, (1.15, 1.44), "1.26 (1.15 to 1.44)"),
         (10.0, (9.0, 11.05), "10.0 ± 1.1"),  # one in the last digit is no asymmetry
-        (-3.0, (-3.2, -2.8), "-3.00 ± 0.20"),
-        (5e8, (4e8, 6e8), "(5.0 ± 1.0) \u00d7 10⁸"),
         (2e-6, (1e-6, 3e-6), "(2.0 ± 1.0) \u00d7 10⁻⁶"),
     ],
 )
