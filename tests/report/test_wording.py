@@ -113,6 +113,7 @@ def test_names_are_worded_and_files_and_keys_are_not(sentence: str, expected: st
     [
         (0.91, (0.83, 0.99), "0.910 ± 0.080"),
         (1.26, (1.15, 1.44), "1.26 (1.15 to 1.44)"),
+        (10.0, (9.0, 11.2), "10.0 (9.0 to 11.2)"),
         (10.0, (9.0, 11.05), "10.0 ± 1.1"),  # one in the last digit is no asymmetry
         (2e-6, (1e-6, 3e-6), "(2.0 ± 1.0) \u00d7 10⁻⁶"),
     ],
