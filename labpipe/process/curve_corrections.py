@@ -13,16 +13,6 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.errors import ProcessingError, error_text
-from labpipe.fits.failure_point import (
-    FailurePoint,
-    LossOfForce,
-    final_loss,
-    lost_earlier,
-    slow_loss,
-)
-from labpipe.fits.grip_slips import add_back, find_slips, samples_before
-from labpipe.fits.loops import sense_of_loading
-from labpipe.fits.straight_lines import correct_displacement
 from labpipe.process.motion import Motion
 from labpipe.protocol.schema import CurveBlock, MachineCompliance
 from labpipe.protocol.schema import Slack as SlackBlock
@@ -34,10 +24,18 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, blocking, doubtful, info_note, warning
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
-from labpipe.results.failures import loading_before
+from labpipe.results.failures import (
+    LossOfForce,
+    final_loss,
+    loading_before,
+    lost_earlier,
+    slow_loss,
+)
 from labpipe.results.load_cell_noise import cuts_of
-from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.slack_correction import counted_from_taut, slack_of
+from labpipe.results.reduced_test import FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.slack import counted_from_taut, slack_of
+from labpipe.results.slips import add_back, find_slips, samples_before
+from labpipe.results.stiffness import correct_displacement
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers

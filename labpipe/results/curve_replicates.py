@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import (
     CENTRE,
@@ -30,7 +29,8 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import Curve, Direction, SlipDecision
 from labpipe.records.signals import FilterFunction, Signal
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from labpipe.results.slips import add_back
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import (
     Filter,
@@ -192,8 +192,6 @@ def _displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
 
 def _forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
     """Return the force of the curve, and the unfiltered one with slips added back."""
-    from labpipe.fits.grip_slips import add_back
-
     force = _on_curve(test, unfiltered, curve.time)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     if repaired:

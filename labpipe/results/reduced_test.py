@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.loops import sense_of_loading
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import (
     Aligned,
     Bending,
@@ -30,6 +28,32 @@ from labpipe.uncertainty.replicates import Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
+
+
+@dataclass(frozen=True, slots=True)
+class FailurePoint:
+    """The last sample before the final loss of force.
+
+    Parameters
+    ----------
+    sample : its number; the specimen broke between it and the next one
+    lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
+        specimen that failed in steps; else 0
+    slow_below : for a slow loss, share of the peak that the force finally falls below; None for a
+        sudden loss
+    """
+
+    sample: int
+    lost_before: float = 0.0
+    slow_below: float | None = None
+
+
+def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
+    """Why what counts from a slack is as doubtful as the slack."""
+    return tuple(
+        Reason(reason.code, f"displacement counts from a slack that is doubtful: {reason.message}")
+        for _, reason in measured_slack.doubts
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,3 +321,25 @@ class ReducedTest:
             first, last = (self.clocks.to_curve(at, signals.raw[name].clock) for at in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
+
+
+def sense_of_loading(values: Floats) -> float:
+    """Return the sign of a quantity during loading.
+
+    Parameters
+    ----------
+    values : shape (n,), over the first loading branch; NaN are ignored
+
+    Returns
+    -------
+    -1.0 if it goes further down than up from its first value, else 1.0. If it goes both ways alike,
+    as a force that begins high and is lost, the sign of the larger absolute value.
+    """
+    finite = values[~np.isnan(values)]
+    if not len(finite):
+        return 1.0
+    first = median(finite[: max(1, len(finite) // 100)])
+    up, down = float(finite.max()) - first, first - float(finite.min())
+    if max(up, down) > 2.0 * min(up, down):
+        return 1.0 if up > down else -1.0
+    return 1.0 if finite.max() >= -finite.min() else -1.0

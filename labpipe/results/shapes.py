@@ -11,7 +11,6 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 import numpy as np
 
 from labpipe.bending.law_table import law_points
-from labpipe.fits.loops import secant_stiffness
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
@@ -31,12 +30,54 @@ from labpipe.results.kinds import (
 from labpipe.results.reduced_test import ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
+from labpipe.uncertainty.autocorrelation import long_run_variance
 from labpipe.uncertainty.noise_model import estimate_noise
 from labpipe.uncertainty.replicates import N_REPLICATES, random_stream, smooth_curve
 from labpipe.units import GRAVITY
 
+
+def secant_stiffness(
+    time: Floats, displacement: Floats, force: Floats, chosen: Flags
+) -> Estimate | Failure:
+    """Return the slope of force against displacement over chosen samples.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N
+    chosen : shape (n,); NaN are ignored
+
+    Returns
+    -------
+    N/m, or a failure ``too_few_samples`` or ``no_travel``.
+
+    Notes
+    -----
+    k = sum (t - mean t) F / sum (t - mean t) d: time is the instrument, because ordinary least
+    squares of F on a noisy displacement is too small (by the ratio of noise variance to variance;
+    Fuller, Measurement Error Models, 1987, sec. 1.4). The standard error is from the long-run
+    variance of F - k d less a cubic in time, the shape of the curve.
+    """
+    chosen = chosen & ~np.isnan(displacement) & ~np.isnan(force)
+    count = int(chosen.sum())
+    if count < 8:
+        return Failure("too_few_samples", f"{count} samples in the stretch, 8 are needed")
+    t, d, f = time[chosen], displacement[chosen], force[chosen]
+    weight = t - t.mean()
+    travel = float(weight @ (d - d.mean()))
+    if travel == 0.0:
+        return Failure("no_travel", "the displacement does not change over the stretch")
+    slope = float(weight @ (f - f.mean())) / travel
+    scaled = weight / np.abs(weight).max()
+    left = f - slope * d
+    noise = left - np.polynomial.Polynomial.fit(scaled, left, 3)(scaled)
+    variance = long_run_variance(noise, parameters=4)
+    return Estimate(slope, float(np.sqrt(variance * (weight @ weight)) / abs(travel)), count)
+
+
 _SPAN = "mid_span"
 """Signal of mid-span from cameras, and quantity of numbers from them alone."""
+
+
 _TURN_WINDOW, _MIN_SIDE_FRAMES = 2.0, 5
 """s on each side of a turn for a value there; frames needed on each side."""
 

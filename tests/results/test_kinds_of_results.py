@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Estimate, Failure
@@ -13,7 +12,7 @@ from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtfu
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.kinds import ClockResult, Number, Outcome, blocked_or, to_result
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.reduced_test import FailurePoint, ReducedTest
 
 STIFFNESS = Output("stiffness", "N/m", rests_on=("force", "displacement"))
 

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.grip_slips import add_back
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import (
     CLOCK_DRIFT,
@@ -30,7 +28,8 @@ from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, S
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
 from labpipe.results.load_cell_noise import ForceSamples, PeakSamples, cuts_of
-from labpipe.results.reduced_test import ReducedTest, Setup
+from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
+from labpipe.results.slips import add_back
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import measure
