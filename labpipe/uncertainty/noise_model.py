@@ -349,6 +349,7 @@ def _short_record_noise(
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
         for start, stop, degree in polynomial_pieces(branch)
+        if stop - start > degree + 1
     ]
     span = max(map(_range_of, branches), default=0.0)
     left = sum(float(np.sum((part - basis @ (basis.T @ part)) ** 2)) for part, basis in parts)
