@@ -35,7 +35,6 @@ from labpipe.results.load_cell_noise import cuts_of
 from labpipe.results.reduced_test import FailurePoint, ReducedTest, sense_of_loading
 from labpipe.results.slack import counted_from_taut, slack_of
 from labpipe.results.slips import add_back, find_slips, samples_before
-from labpipe.results.stiffness import correct_displacement
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers
@@ -162,12 +161,11 @@ def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Co
     if curve is None:
         return test, []
     value = compliance.value
-    correct = partial(correct_displacement, force=curve.force, compliance=value)
-    signal = test.displacement.changed(correct)
+    signal = test.displacement.changed(lambda displacement: displacement - value * curve.force)
     _refuse_backwards(test, curve, signal.values, value)
     if compliance.uncertainty:
         higher = value * (1.0 + compliance.uncertainty)
-        other = correct_displacement(curve.displacement, curve.force, compliance=higher)
+        other = curve.displacement - higher * curve.force
         signal = replace(signal, moved={**signal.moved, COMPLIANCE: other})
     largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     message = (
@@ -282,8 +280,8 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
 
 
 def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
-    curve, stretch = test.curve, test.loading_stretch
-    if curve is None or stretch.stop <= stretch.start:
+    curve = test.curve
+    if curve is None or not (stretch := loading_of(traced(test))).stop > stretch.start:
         return test, []
     decision = SlipDecision(block.decision)
     displacement, force = curve.displacement[stretch], curve.force[stretch]

@@ -273,8 +273,7 @@ class BendingStiffness(OfStiffness):
         if isinstance(ratio, Failure):
             return ratio, ""
         decide = combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
-        outcome = test.measure(decide)
-        return outcome if isinstance(outcome, Failure) else outcome[0], remark
+        return test.measure_one(decide), remark
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""

@@ -284,7 +284,7 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Filter) -> Iterator[Input]:
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == SHAPE else "normal"
-        yield Input(cause, partial(_moved_by, by=change), law=law)
+        yield Input(cause, partial(displaced, by=change), law=law)
     for cause, clocks in test.clocks.moved.items():
         time = test.known_curve.time
         later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
@@ -322,7 +322,7 @@ def _drift_inputs(test: ReducedTest, time: Floats) -> Iterator[Input]:
     """Yield the modes of the drift of the zero of the force."""
     by = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
     for number, wave in enumerate(drift_modes(np.abs(time - _zeroed_at(test)), by), start=1):
-        drifted = partial(_drifted, by=wave, compliance=test.compliance)
+        drifted = partial(_raised, by=wave, compliance=test.compliance)
         yield Input(DRIFT_OF_ZERO, drifted, stream=f"{DRIFT_OF_ZERO} {number}")
 
 
@@ -345,15 +345,11 @@ def _gain(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
     return _more_force(trace, x * by * trace.force, compliance)
 
 
-def _raised(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
-    return _more_force(trace, np.full(len(trace.time), x * by), compliance)
-
-
-def _drifted(trace: Trace, x: float, *, by: Floats, compliance: float) -> Trace:
+def _raised(trace: Trace, x: float, *, by: float | Floats, compliance: float) -> Trace:
     return _more_force(trace, x * by, compliance)
 
 
-def _more_force(trace: Trace, more: Floats, compliance: float) -> Trace:
+def _more_force(trace: Trace, more: float | Floats, compliance: float) -> Trace:
     """Add force to a trace, and subtract the displacement of the frame."""
     displacement = trace.displacement - compliance * np.nan_to_num(more)
     return replace(trace, force=trace.force + more, displacement=displacement)
@@ -365,19 +361,15 @@ def _scaled(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
     return replace(trace, displacement=trace.displacement + x * by * measured)
 
 
-def displaced(trace: Trace, x: float, *, by: float) -> Trace:
-    """Shift the displacement of a trace by a share of a length.
+def displaced(trace: Trace, x: float, *, by: float | Floats) -> Trace:
+    """Shift the displacement of a trace by a multiple of a length.
 
     Parameters
     ----------
     trace : the trace
-    x : share
-    by : m
+    x : the multiple
+    by : m, a number or one per sample
     """
-    return replace(trace, displacement=trace.displacement + x * by)
-
-
-def _moved_by(trace: Trace, x: float, *, by: Floats) -> Trace:
     return replace(trace, displacement=trace.displacement + x * by)
 
 

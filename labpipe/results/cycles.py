@@ -19,14 +19,7 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import traced
-from labpipe.results.kinds import (
-    NO_CYCLE,
-    Computed,
-    Errors,
-    Kind,
-    Number,
-    blocked_or,
-)
+from labpipe.results.kinds import Computed, Errors, Kind, Number
 from labpipe.results.least_squares import (
     finite_samples,
     line_in,
@@ -35,9 +28,15 @@ from labpipe.results.least_squares import (
     zero_of_line,
 )
 from labpipe.results.load_cell_noise import ForceSamples, PeakSamples
-from labpipe.results.reduced_test import FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.reduced_test import (
+    NO_LOADING,
+    FailurePoint,
+    ReducedTest,
+    blocked_or,
+    sense_of_loading,
+)
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 
 MIN_LOOP_SAMPLES = 3
 
@@ -397,7 +396,7 @@ class OfCycle(Kind):
     def compute(self, test: ReducedTest) -> Computed:
         """Compute a number per cycle, or one failure without cycles."""
         if not test.cycles:
-            return self.not_available(blocked_or(test, NO_CYCLE), self.method)
+            return self.not_available(blocked_or(test, NO_LOADING), self.method)
         decider = self.decider(test)
         return Computed(tuple(self._of_cycle(test, branches, decider) for branches in test.cycles))
 
@@ -405,13 +404,13 @@ class OfCycle(Kind):
         self, test: ReducedTest, branches: list[Branch], decider: Callable[[int], Decide]
     ) -> Number:
         number = branches[0].cycle
-        outcome = test.measure(decider(number), self.plain(test, branches))
+        outcome = test.measure_one(decider(number), self.plain(test, branches))
         doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
         doubts += self.doubts(test, number)
         if self.gap:
             doubts += gap_at_peak(test, branches, self.gap)
         return self.number(
-            outcome if isinstance(outcome, Failure) else outcome[0],
+            outcome,
             self.method,
             during=_time_of_part(branches, self.reads),
             doubts=doubts,
@@ -434,7 +433,7 @@ def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[R
     """
     curve = test.known_curve
     values = curve.force if what == "force" else curve.displacement
-    over = test.sense_of(values) * values[stretch_of_cycle(test.known_curve, branches)]
+    over = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
     if np.isnan(over).all():
         return ()
     top = int(np.nanargmax(over))
@@ -483,8 +482,8 @@ def cut_short(
 
 def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
     """Return whether the force had fallen below 90 % of its peak when the record ended."""
-    force = test.known_curve.force
-    values = (test.sense_of(force) * force)[part.start : part.stop]
+    curve = test.known_curve
+    values = (sense_of(curve, curve.force) * curve.force)[part.start : part.stop]
     values = values[~np.isnan(values)]
     return len(values) > 0 and bool(values[-3:].max() < 0.9 * values.max())
 
@@ -588,15 +587,11 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
     if len(force) < MIN_LOOP_SAMPLES:
         message = f"{len(force)} samples in the cycle, {MIN_LOOP_SAMPLES} are needed"
         return Failure("too_few_samples", message)
-
-    def numbers(trace: Trace) -> tuple[Floats]:
-        return (energy_of(trace.displacement[..., stretch], trace.force[..., stretch]),)
-
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])
     between = (energy_of(displacement, force) - coarse) / 3.0
-    return Reading(numbers, len(force), between=(float(between),))
+    return Reading(on_part(energy_of, stretch), len(force), between=(float(between),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -638,18 +633,9 @@ class ResidualDisplacement(OfCycle):
             return ending
         part = cycle_of(trace, number)[1]
         branch = slice(part.start, part.stop)
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (ending.of(trace.displacement[..., branch], trace.force[..., branch]),)
-
-        if not isinstance(ending, FollowedToZero):
-            return Reading(numbers, ending.n)
-        followed = ending
-
-        def in_noise(trace: Trace) -> tuple[Floats]:
-            return (followed.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
-
-        return Reading(numbers, ending.n, in_noise)
+        is_followed = isinstance(ending, FollowedToZero)
+        in_noise = on_part(ending.of_each, branch) if is_followed else None
+        return Reading(on_part(ending.of, branch), ending.n, in_noise)
 
     def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded | Failure:
         branches = cycle_of(trace, number)

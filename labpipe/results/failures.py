@@ -18,14 +18,9 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.cycles import sense_of, work_over
-from labpipe.results.kinds import (
-    NO_LOADING,
-    Computed,
-    Kind,
-    blocked_or,
-)
+from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import finite_samples
-from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, blocked_or
 from labpipe.uncertainty.autocorrelation import fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
 
@@ -314,11 +309,11 @@ class EnergyToBreak(Kind):
         failure = _failure(test)
         if isinstance(failure, Failure):
             return self.not_available(failure, method)
-        outcome = test.measure(partial(_work, test))
+        outcome = test.measure_one(partial(_work, test))
         if isinstance(outcome, Failure):
             return self.not_available(outcome, method)
         doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
-        return Computed((self.number(outcome[0], method, during=during, doubts=doubts),))
+        return Computed((self.number(outcome, method, during=during, doubts=doubts),))
 
 
 def _work(test: ReducedTest, trace: Trace) -> Reading | Failure:

@@ -23,17 +23,9 @@ from labpipe.records.quality import Finding, Reason, info_note
 from labpipe.records.result import Result
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import cut_short
-from labpipe.results.kinds import (
-    NO_LOADING,
-    Computed,
-    Kind,
-    Number,
-    blocked_or,
-    marked_slips,
-    to_result,
-)
+from labpipe.results.kinds import Computed, Kind, Number, marked_slips, to_result
 from labpipe.results.least_squares import CommonPath, finite_samples
-from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness, blocked_or
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.replicates import Input, Replicates
@@ -391,7 +383,7 @@ class Plateau(Kind):
         if initial is None:
             missing = Failure("no_stiffness", f"{self.of} is not available")
             return Computed((self.number(blocked_or(test, missing), method),))
-        outcome = test.measure(partial(self._decide_end, initial=initial.decide))
+        outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
         begun = self._begun(traced(test), initial.decide)
         if isinstance(outcome, Failure):
             return Computed((self.number(outcome, method),))
@@ -403,7 +395,7 @@ class Plateau(Kind):
             or cut_short(test, first, CURVE)
             or _missing_end(test, first[0])
         )
-        number = self.number(outcome[0], method, during=test.while_loading(), doubts=doubts)
+        number = self.number(outcome, method, during=test.while_loading(), doubts=doubts)
         onset, findings = self._onset(test, initial, to_result(test, number))
         tangents, (_, f) = begun[0], _loading(traced(test))
         start, stop = tangents.ends
@@ -541,7 +533,7 @@ class Plateau(Kind):
         return measure(more, partial(decide, corner=self._corner(replicates, initial.decide)))
 
     def _no_plateau(self, test: ReducedTest, end: Result) -> Finding:
-        reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))
+        reached = float(np.nanmax(_loading(traced(test))[0]))
         interval = end.interval
         between = (
             f" ({1e2 * interval.lower:.3g} % to {1e2 * interval.upper:.3g} %)" if interval else ""

@@ -48,6 +48,9 @@ class FailurePoint:
     slow_below: float | None = None
 
 
+NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
+
+
 def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
     """Why what counts from a slack is as doubtful as the slack."""
     return tuple(
@@ -224,15 +227,20 @@ class ReducedTest:
         ----------
         decide, values : as `labpipe.uncertainty.intervals.measure` takes them
 
-        Raises
-        ------
-        ValueError
-            If there is no curve.
+        Returns
+        -------
+        The numbers, or a failure, also without a curve.
         """
         if self.replicates is None:
-            message = "expected a curve to be measured, found none"
-            raise ValueError(message)
+            return blocked_or(self, NO_LOADING)
         return measure(self.replicates, decide, values)
+
+    def measure_one(
+        self, decide: Decide, values: Sequence[float] | None = None
+    ) -> Measured | Failure:
+        """Measure the first number of a reading."""
+        outcome = self.measure(decide, values)
+        return outcome if isinstance(outcome, Failure) else outcome[0]
 
     @property
     def cycles(self) -> list[list[Branch]]:
@@ -248,24 +256,9 @@ class ReducedTest:
         return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
 
     @property
-    def loading_stretch(self) -> slice:
-        """Samples of the first loading, up to a failure in it; may be empty."""
-        branch = self.first_loading
-        if branch is None:
-            return slice(0, 0)
-        if isinstance(self.failure, FailurePoint) and self.failure.sample < branch.stop:
-            return slice(branch.start, max(self.failure.sample + 1, branch.start))
-        return slice(branch.start, branch.stop)
-
-    @property
     def slack_error(self) -> float:
         """Standard error of the slack subtracted from the displacement, m; 0 without slack."""
         return self.slack.error if isinstance(self.slack, Measured) else 0.0
-
-    def sense_of(self, values: Floats) -> float:
-        """Return the sign of a quantity of the curve during the first loading."""
-        branch = self.known_curve.branches[0]
-        return sense_of_loading(values[branch.start : branch.stop])
 
     def while_loading(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
         """Return when the first loading went from one displacement to another.
@@ -321,6 +314,12 @@ class ReducedTest:
             first, last = (self.clocks.to_curve(at, signals.raw[name].clock) for at in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
+
+
+def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
+    """Return the failure that stopped the test, or else another one."""
+    blocked = test.findings.blocked
+    return otherwise if blocked is None else Failure(blocked.code, blocked.message)
 
 
 def sense_of_loading(values: Floats) -> float:

@@ -18,16 +18,8 @@ from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason, info_note
 from labpipe.results.cycles import rectangle
-from labpipe.results.kinds import (
-    NO_LOADING,
-    Computed,
-    Errors,
-    Kind,
-    Outcome,
-    blocked_or,
-    force_scale,
-)
-from labpipe.results.reduced_test import ReducedTest, SpanBend
+from labpipe.results.kinds import Computed, Errors, Kind, Outcome, force_scale
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend, blocked_or
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
 from labpipe.uncertainty.autocorrelation import long_run_variance

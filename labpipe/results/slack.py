@@ -13,15 +13,10 @@ from labpipe.records.causes import SLACK
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Failure
 from labpipe.results.curve_replicates import displaced, loading_of
-from labpipe.results.kinds import (
-    NO_LOADING,
-    Computed,
-    Kind,
-    blocked_or,
-)
+from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import finite_samples, zero_of_line
-from labpipe.results.reduced_test import ReducedTest, doubts_of_slack
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, blocked_or, doubts_of_slack
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure
 from labpipe.uncertainty.replicates import Input, Replicates
 
@@ -112,12 +107,8 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading 
     )
     if isinstance(region, Failure):
         return region
-
-    def numbers(trace: Trace) -> tuple[Floats]:
-        d, f = (values[..., stretch][..., region] for values in (trace.displacement, trace.force))
-        return (zero_of_line(d, f),)
-
-    return Reading(numbers, len(trace.force[stretch][region]), is_cut=True)
+    slack = on_part(zero_of_line, (stretch, region))
+    return Reading(slack, len(trace.force[stretch][region]), is_cut=True)
 
 
 def counted_from_taut(

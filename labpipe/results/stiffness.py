@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, ClassVar, Literal
@@ -35,15 +35,7 @@ from labpipe.results.cycles import (
     peak_of,
     sense_of,
 )
-from labpipe.results.kinds import (
-    NO_CYCLE,
-    NO_LOADING,
-    CalibrationFit,
-    Computed,
-    Kind,
-    blocked_or,
-    marked_slips,
-)
+from labpipe.results.kinds import CalibrationFit, Computed, Kind, marked_slips
 from labpipe.results.least_squares import (
     finite_samples,
     line_in,
@@ -51,10 +43,10 @@ from labpipe.results.least_squares import (
     slope_of_line,
     zero_of_line,
 )
-from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness, blocked_or
 from labpipe.signal.filters import moving_average
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine, on_part
 from labpipe.uncertainty.intervals import Measured
 
 _NOISE_DEVIATIONS = 4.0
@@ -569,41 +561,6 @@ def compliance_window(
     return samples_of(inside)
 
 
-def correct_displacement(displacement: Floats, force: Floats, *, compliance: float) -> Floats:
-    """Return the displacement of the specimen alone: d - C F.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N; NaN where either is NaN
-    compliance : m/N, of frame and grips
-
-    Returns
-    -------
-    shape (n,), m
-    """
-    corrected: Floats = displacement - compliance * force
-    return corrected
-
-
-def rectangle_area(width: float, thickness: float) -> float:
-    """Return the area of a rectangle, m^2: width x thickness, both in m."""
-    return width * thickness
-
-
-def annulus_area(outer_diameter: float, inner_diameter: float) -> float:
-    """Return the area of a ring, m^2: pi (OD^2 - ID^2) / 4, diameters in m."""
-    return 0.25 * float(np.pi) * (outer_diameter**2 - inner_diameter**2)
-
-
-def thin_wall_area(outer_diameter: float, wall: float) -> float:
-    """Return the area of a tube of stated wall, m^2: pi (OD - t) t, both in m.
-
-    For a corrugated tube, whose diameters include the height of the folds, this differs from
-    `annulus_area`: a modulus has to state which one it refers to.
-    """
-    return float(np.pi) * (outer_diameter - wall) * wall
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnloadingStiffness(OfCycle):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
@@ -632,11 +589,7 @@ class UnloadingStiffness(OfCycle):
         fit = unloading_slope(trace.time, d, trace.force, branches[1], over=self.over, sense=sense)
         if isinstance(fit, Failure):
             return fit
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (fit.of(trace.displacement, trace.force),)
-
-        return Reading(numbers, fit.slope.n)
+        return Reading(on_part(fit.of, slice(None)), fit.slope.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -692,13 +645,7 @@ class LoadingStiffness(OfCycle):
         if isinstance(fit, Failure):
             return fit
         branch = slice(part.start, part.stop)
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (fit.of(trace.displacement[..., branch], trace.force[..., branch]),)
-
-        def in_noise(trace: Trace) -> tuple[Floats]:
-            return (fit.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
-
+        numbers, in_noise = on_part(fit.of, branch), on_part(fit.of_each, branch)
         return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
 
 
@@ -719,13 +666,13 @@ class Hardening(Kind):
             return self.not_available(blocked_or(test, NO_LOADING), method)
         stiffness, numbers = LoadingStiffness(over=self.over), []
         before = stiffness.decide_cycle(test, 1)
-        first = test.measure(before)
+        first = test.measure_one(before)
         for later in test.cycles[1:]:
             number = later[0].cycle
             after = stiffness.decide_cycle(test, number)
             plain = [stiffness.plain(test, cycle) for cycle in (later, test.cycles[0])]
             values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
-            outcome = test.measure(combine(_hardened, after, partial(_first, before)), values)
+            outcome = test.measure_one(combine(_hardened, after, partial(_first, before)), values)
             numbers.append(
                 self.number(
                     _above_noise(first, outcome),
@@ -752,18 +699,15 @@ def _first(before: Decide, trace: Trace) -> Reading | Failure:
     return reading
 
 
-def _above_noise(
-    first: tuple[Measured, ...] | Failure, outcome: tuple[Measured, ...] | Failure
-) -> Measured | Failure:
+def _above_noise(first: Measured | Failure, outcome: Measured | Failure) -> Measured | Failure:
     """Return a ratio if the stiffness of the first cycle is above noise."""
     if isinstance(outcome, Failure):
         return outcome
     if isinstance(first, Failure):
         return first
-    if first[0].value <= 3.0 * first[0].error:
-        message = f"{first[0].value:.4g} N/m in cycle 1 is no more than noise"
-        return Failure("no_stiffness", message)
-    return outcome[0]
+    if first.value <= 3.0 * first.error:
+        return Failure("no_stiffness", f"{first.value:.4g} N/m in cycle 1 is no more than noise")
+    return outcome
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -807,18 +751,13 @@ def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
     method = (
         f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
     )
-    if not test.cycles:
-        return kind.not_available(blocked_or(test, NO_CYCLE), method)
-
-    def decide(trace: Trace) -> Reading | Failure:
-        return _secant(trace, kind.start, kind.stop)
-
-    outcome = test.measure(decide)
+    decide = partial(_secant, low=kind.start, high=kind.stop)
+    outcome = test.measure_one(decide)
     if isinstance(outcome, Failure):
         return kind.not_available(outcome, method)
     during, window = test.while_loading(kind.start, kind.stop), (kind.start, kind.stop)
-    number = kind.number(outcome[0], method, during=during)
-    return Computed((number,), {name: Stiffness(decide, outcome[0].as_estimate, during, window)})
+    number = kind.number(outcome, method, during=during)
+    return Computed((number,), {name: Stiffness(decide, outcome.as_estimate, during, window)})
 
 
 def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
@@ -828,17 +767,12 @@ def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
     fit = window_slope(time, path, force, path, low=low, high=high)
     if isinstance(fit, Failure):
         return fit
-
-    def numbers(trace: Trace) -> tuple[Floats]:
-        return (fit.of(trace.displacement[..., branch], trace.force[..., branch]),)
-
     middle = path[fit.window].mean()
 
-    def in_noise(trace: Trace) -> tuple[Floats]:
-        path, force = trace.displacement[..., branch], trace.force[..., branch]
-        later = middle - path[..., fit.window].mean(axis=-1)
-        return (fit.of(path, force, later),)
+    def with_own_window(path: Floats, force: Floats) -> Floats:
+        return fit.of(path, force, middle - path[..., fit.window].mean(axis=-1))
 
+    numbers, in_noise = on_part(fit.of, branch), on_part(with_own_window, branch)
     return Reading(numbers, fit.n, in_noise, is_cut=True)
 
 
@@ -869,15 +803,14 @@ class LineStiffness(Window):
         method = (
             f"straight line {self.in_words} of the first loading, interval for correlated noise"
         )
-        if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), method)
-        outcome, curve = test.measure(self.decide), traced(test)
+        slope = test.measure_one(self.decide)
+        if isinstance(slope, Failure):
+            return self.not_available(slope, method)
+        curve = traced(test)
         window = self.samples(curve)
-        if isinstance(outcome, Failure):
-            return self.not_available(outcome, method)
         if isinstance(window, Failure):
             return self.not_available(window, method)
-        slope, d = outcome[0], curve.displacement[window]
+        d = curve.displacement[window]
         low, high = float(d.min()), float(d.max())
         level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
         during, doubts = test.while_loading(low, high), marked_slips(test, (low, high))
@@ -921,12 +854,7 @@ class LineStiffness(Window):
             return Failure("too_few_samples", message)
         if np.ptp(trace.displacement[chosen]) == 0.0:
             return Failure("no_travel", "the displacement does not change over the stretch")
-        part = samples_of(chosen)
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (slope_of_line(trace.displacement[..., part], trace.force[..., part]),)
-
-        return Reading(numbers, len(chosen), is_cut=True)
+        return Reading(on_part(slope_of_line, samples_of(chosen)), len(chosen), is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -972,15 +900,14 @@ def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
         return next(peak for peak in peaks.values() if isinstance(peak, Failure))
     values = {key: float(reading.numbers(trace)[0]) for key, reading in readings.items()}
     largest = max(values, key=lambda key: values[key])
-    outcome = test.measure(lambda trace: peak_of(test, trace, largest))
-    peak = outcome if isinstance(outcome, Failure) else outcome[0]
+    peak = test.measure_one(lambda trace: peak_of(test, trace, largest))
     if isinstance(peak, Failure):
         return peak
     if peak.value <= 3.0 * peak.error:
         return Failure("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
-    share = combine(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
-    ratio = test.measure(share)
-    return ratio if isinstance(ratio, Failure) else ratio[0]
+    return test.measure_one(
+        combine(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
+    )
 
 
 def _quotient(trace: Trace, one: Floats, other: Floats) -> Floats:
@@ -1013,8 +940,7 @@ class Modulus(OfStiffness):
         elif isinstance(area, Failure):
             outcome = area
         else:
-            measured = test.measure(combine(self._modulus, stiffness.decide))
-            outcome = measured if isinstance(measured, Failure) else measured[0]
+            outcome = test.measure_one(combine(self._modulus, stiffness.decide))
         doubts = marked_slips(test, stiffness.bends_with) + _of_the_machine(test, stiffness)
         return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))
 
@@ -1038,20 +964,30 @@ def _of_the_machine(test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ..
     return (Reason("machine_compliance", message),)
 
 
+_AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
+    "stated": (("area",), lambda area: area),
+    "rectangle": (("width", "thickness"), lambda width, thickness: width * thickness),
+    "annulus": (
+        ("outer_diameter", "inner_diameter"),
+        lambda outer, inner: 0.25 * np.pi * (outer**2 - inner**2),
+    ),
+    "thin-wall": (("outer_diameter", "wall"), lambda outer, wall: np.pi * (outer - wall) * wall),
+}
+"""Sizes of a section, m, by the keys of the protocol, and its area, m^2.
+
+The diameters of a corrugated tube include the height of its folds, so that annulus and thin wall
+differ: a modulus has to state which one it refers to.
+"""
+
+
 def _area(kind: str, section: Mapping[str, float]) -> float | Failure:
     """Compute an area from its sizes."""
-    needs = {
-        "stated": ("area",),
-        "rectangle": ("width", "thickness"),
-        "annulus": ("outer_diameter", "inner_diameter"),
-        "thin-wall": ("outer_diameter", "wall"),
-    }[kind]
+    needs, area_of = _AREAS[kind]
     sizes = [section[name] for name in needs if name in section]
     if len(sizes) < len(needs):
-        wanted = " and ".join(f"specimen.section.{name}" for name in needs)
-        return Failure("no_area", f"{wanted} not given")
-    areas = {"rectangle": rectangle_area, "annulus": annulus_area, "thin-wall": thin_wall_area}
-    area = sizes[0] if kind == "stated" else areas[kind](*sizes)
+        missing = " and ".join(f"specimen.section.{name}" for name in needs)
+        return Failure("no_area", f"{missing} not given")
+    area = area_of(*sizes)
     if not area > 0.0:
         return Failure("no_area", f"the {kind} area comes out as {area:.4g} m^2")
     return area
@@ -1072,12 +1008,10 @@ class ComplianceResult(Kind):
             f"displacement against force from {self.start:g} N to {self.stop:g} N, the bar taken "
             "for rigid"
         )
-        if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), method)
-        outcome = test.measure(self.decide)
+        outcome = test.measure_one(self.decide)
         if isinstance(outcome, Failure):
             return self.not_available(outcome, method)
-        return Computed((self.number(outcome[0], method, during=test.while_loading()),))
+        return Computed((self.number(outcome, method, during=test.while_loading()),))
 
     def decide(self, trace: Trace) -> Reading | Failure:
         """Choose the samples for the slope of displacement against force over the window.
@@ -1094,14 +1028,8 @@ class ComplianceResult(Kind):
         slope = float(slope_of_line(f[window], d[window]))
         if slope <= 0.0:
             return Failure("not_positive", f"slope {slope:.4g} m/N")
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            x, y = (
-                values[..., stretch][..., window] for values in (trace.force, trace.displacement)
-            )
-            return (slope_of_line(x, y),)
-
-        return Reading(numbers, len(d[window]), is_cut=True)
+        compliance = on_part(lambda d, f: slope_of_line(f, d), (stretch, window))
+        return Reading(compliance, len(d[window]), is_cut=True)
 
 
 KINDS = (

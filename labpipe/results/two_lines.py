@@ -15,7 +15,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import loading_of, traced
-from labpipe.results.kinds import NO_LOADING, Computed, blocked_or, marked_slips
+from labpipe.results.kinds import Computed, marked_slips
 from labpipe.results.least_squares import CommonPath, finite_samples
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import Window
@@ -407,11 +407,10 @@ class _TwoLines(Window):
         ----------
         test : the test
         """
-        if not test.cycles:
-            return blocked_or(test, NO_LOADING)
-        numbers, places = test.measure(self.decide), self._places(traced(test))
+        numbers = test.measure(self.decide)
         if isinstance(numbers, Failure):
             return numbers
+        places = self._places(traced(test))
         if isinstance(places, Failure):
             return places
         first, second, at, level = numbers
