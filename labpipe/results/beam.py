@@ -22,8 +22,8 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.estimates import Failure
 from labpipe.results.kinds import (
-    CalibrationFit,
     Computed,
+    Outcome,
     marked_slips,
 )
 from labpipe.results.reduced_test import ReducedTest, Stiffness
@@ -250,12 +250,11 @@ class BendingStiffness(OfStiffness):
         key, formula = _FORMULAS[self.support]
         method = f"{self.of} x {formula}, L = specimen.{key}"
         stiffness = test.stiffnesses.get(self.of)
-        length = test.setup.length if key == "length" else test.setup.span
         if stiffness is None:
             return self.not_available(self.missing(test), method)
-        outcome: CalibrationFit
+        outcome: Outcome
         remark = ""
-        if length is None:
+        if key not in test.setup.sizes:
             outcome = Failure(
                 f"no_{key}",
                 f"specimen.{key} is missing: write it into the test sheet, such as "
@@ -267,9 +266,9 @@ class BendingStiffness(OfStiffness):
         number = self.number(outcome, method, during=stiffness.during, doubts=doubts, remark=remark)
         return Computed((number,))
 
-    def _measured(self, test: ReducedTest, stiffness: Stiffness) -> tuple[CalibrationFit, str]:
+    def _measured(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Outcome, str]:
         """Measure, with the effect of each correction in words."""
-        ratio, remark = self._ratio(test.setup.span, test.setup.section, stiffness.window)
+        ratio, remark = self._ratio(test.setup.sizes, stiffness.window)
         if isinstance(ratio, Failure):
             return ratio, ""
         decide = combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
@@ -277,19 +276,20 @@ class BendingStiffness(OfStiffness):
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
-        ratio, _ = self._ratio(trace.sizes.get("span"), trace.sizes, window)
+        ratio, _ = self._ratio(trace.sizes, window)
         length = trace.sizes[_FORMULAS[self.support][0]]
         whole = stiffness * beam_factor(length, self.support)
         return np.asarray(whole / (np.nan if isinstance(ratio, Failure) else ratio))
 
     def _ratio(
-        self, span: float | None, section: Mapping[str, float], window: tuple[float, float]
+        self, sizes: Mapping[str, float], window: tuple[float, float]
     ) -> tuple[float | Failure, str]:
         """Return the effect of the supports on 48 EI / span^3 over the window of the stiffness.
 
         With the effect of each correction in words; a failure if the window is beyond the
         deflection of an elastic beam.
         """
+        span = sizes.get("span")
         if not self.corrections or span is None:
             return 1.0, ""
         ratio, corrections = 1.0, []
@@ -297,7 +297,7 @@ class BendingStiffness(OfStiffness):
             if name not in self.corrections:
                 continue
             taken = [name for name in _ORDER[: number + 1] if name in self.corrections]
-            rollers = self._rollers(taken, span, section.get("outer_diameter", 0.0))
+            rollers = self._rollers(taken, span, sizes.get("outer_diameter", 0.0))
             next_ratio = stiffness_ratio(rollers, low=window[0], high=window[1])
             if isinstance(next_ratio, Failure):
                 return next_ratio, ""

@@ -92,15 +92,14 @@ def traced(test: ReducedTest) -> Trace:
     ----------
     test : with a curve
     """
-    curve, failure, setup = test.known_curve, test.failure, test.setup
-    sizes = {"length": setup.length, "span": setup.span, **setup.section}
+    curve, failure = test.known_curve, test.failure
     return Trace(
         time=curve.time,
         displacement=curve.displacement,
         force=curve.force,
         branches=curve.branches,
         failed_at=failure.sample if isinstance(failure, FailurePoint) else None,
-        sizes={name: size for name, size in sizes.items() if size is not None},
+        sizes=test.setup.sizes,
     )
 
 

@@ -633,8 +633,7 @@ class ResidualDisplacement(OfCycle):
             return ending
         part = cycle_of(trace, number)[1]
         branch = slice(part.start, part.stop)
-        is_followed = isinstance(ending, FollowedToZero)
-        in_noise = on_part(ending.of_each, branch) if is_followed else None
+        in_noise = on_part(ending.of_each, branch) if isinstance(ending, FollowedToZero) else None
         return Reading(on_part(ending.of, branch), ending.n, in_noise)
 
     def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded | Failure:

@@ -25,8 +25,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results.reduced_test import ReducedTest, Stiffness, blocked_or
 from labpipe.uncertainty.intervals import Measured
 
-Outcome: TypeAlias = Estimate | Failure
-CalibrationFit: TypeAlias = Measured | Estimate | Failure
+Outcome: TypeAlias = Measured | Estimate | Failure
 Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
 
@@ -49,7 +48,7 @@ class Number:
     """
 
     output: Output
-    outcome: CalibrationFit
+    outcome: Outcome
     method: str
     errors: Errors = field(default_factory=dict)
     during: Stretch | None = None
@@ -96,7 +95,7 @@ class Kind(ABC):
 
     def number(
         self,
-        outcome: CalibrationFit,
+        outcome: Outcome,
         method: str,
         errors: Errors | None = None,
         *,

@@ -514,8 +514,8 @@ class Plateau(Kind):
         doubts = marked_slips(test, initial.bends_with) or _missing_end(test, test.cycles[0][0])
         during, method = test.while_loading(), f"{method} loading"
         return tuple(
-            self.number(finding, method, output=place, during=during, doubts=doubts)
-            for place, finding in enumerate(outcomes, start=1)
+            self.number(outcome, method, output=place, during=during, doubts=doubts)
+            for place, outcome in enumerate(outcomes, start=1)
         ), ()
 
     def _measured_onset(
@@ -560,7 +560,7 @@ def _shortened(trace: Trace, x: float) -> Trace:
 def _missing_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     """Return a doubt if the force was not recorded up to the end of a loading branch."""
     curve = test.known_curve
-    d, f = (point[branch.start : branch.stop] for point in (curve.displacement, curve.force))
+    d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))
     finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
     if not len(finite) or finite[-1] >= len(d) - 3:  # lost when two clocks are joined
         return ()

@@ -97,11 +97,10 @@ class Setup:
 
     Parameters
     ----------
-    length, span : m, of the specimen, and between its supports; None if not stated
+    sizes : m (the area m^2), stated ones of specimen and rig by the keys of the protocol: length,
+        span between the supports, and those of the cross-section
     mass_per_length : kg/m; None if not stated
-    section : m (the area m^2), sizes of the cross-section by the keys of the protocol
-    uncertainties : m (of the area m^2), standard uncertainties of length, span and section by the
-        keys of the protocol; others are exact
+    uncertainties : m (of the area m^2), standard uncertainties of sizes; others are exact
     string : that loads the specimen, or None
     has_markers : whether the specimen carries markers
     centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
@@ -110,10 +109,8 @@ class Setup:
     limits : of the lab
     """
 
-    length: float | None = None
-    span: float | None = None
+    sizes: Mapping[str, float] = field(default_factory=dict)
     mass_per_length: float | None = None
-    section: Mapping[str, float] = field(default_factory=dict)
     uncertainties: Mapping[str, float] = field(default_factory=dict)
     string: LoadString | None = None
     has_markers: bool = False

@@ -18,7 +18,7 @@ from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason, info_note
 from labpipe.results.cycles import rectangle
-from labpipe.results.kinds import Computed, Errors, Kind, Outcome, force_scale
+from labpipe.results.kinds import Computed, Errors, Kind, force_scale
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend, blocked_or
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
@@ -88,7 +88,7 @@ class TipTravel(Kind):
         return Computed((self.number(_tip_travel(test), method),))
 
 
-def _tip_travel(test: ReducedTest) -> Outcome:
+def _tip_travel(test: ReducedTest) -> Estimate | Failure:
     if test.shape is None:
         return Failure("no_shape", "the protocol fits no shape")
     tip = test.shape.positions[:, -1]
@@ -141,7 +141,7 @@ class MomentCurvature(Kind):
         return Computed((number,))
 
 
-def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Outcome:
+def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate | Failure:
     largest = float(law.curvature[-1])
     if entry.at > largest:
         message = (
@@ -256,10 +256,10 @@ class MidSpan(Window):
             return self.not_available(parts, *methods)
         bend, frames = parts[0], _Frames.of(test, parts)
         outcomes, other = (
-            (self._stiffness(parts, fewer_term), _at_turn(fewer_term, frames, "mid-span curvature"))
-            for fewer_term in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
+            (self._stiffness(parts, curvature), _at_turn(curvature, frames, "mid-span curvature"))
+            for curvature in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
         )
-        errors = [_shape_errors(bend, *finding) for finding in zip(outcomes, other, strict=True)]
+        errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
             errors[0] = {**errors[0], **force_scale(test, outcomes[0])}
         return Computed(
@@ -271,7 +271,7 @@ class MidSpan(Window):
             )
         )
 
-    def _stiffness(self, parts: _Parts, curvature: Floats) -> Outcome:
+    def _stiffness(self, parts: _Parts, curvature: Floats) -> Estimate | Failure:
         bend, curve, branch, time = parts
         inside = (time >= branch.start_time) & (time < branch.stop_time)
         travelled = np.interp(time, curve.time, curve.displacement)
@@ -289,7 +289,7 @@ class MidSpan(Window):
         return secant_stiffness(time, curvature, moment, inside)
 
 
-def _shape_errors(bend: SpanBend, outcome: Outcome, other: Outcome) -> Errors:
+def _shape_errors(bend: SpanBend, outcome: Estimate | Failure, other: Estimate | Failure) -> Errors:
     """Return the changes with fewer terms of the shape, and from the side of the markers."""
     if isinstance(outcome, Failure) or isinstance(other, Failure):
         return {}
@@ -348,7 +348,9 @@ class _Frames:
         return np.concatenate(records).astype(np.float64)
 
 
-def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()) -> Outcome:
+def _at_turn(
+    values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()
+) -> Estimate | Failure:
     """Estimate a quantity at the end of loading, less that at rest.
 
     Its noise is estimated together with that of similar ones.

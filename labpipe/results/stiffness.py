@@ -35,7 +35,7 @@ from labpipe.results.cycles import (
     peak_of,
     sense_of,
 )
-from labpipe.results.kinds import CalibrationFit, Computed, Kind, marked_slips
+from labpipe.results.kinds import Computed, Kind, Outcome, marked_slips
 from labpipe.results.least_squares import (
     finite_samples,
     line_in,
@@ -891,7 +891,7 @@ class NormalisedStiffness(OfStiffness):
         return Computed((self.number(outcome, method, during=during, doubts=doubts),))
 
 
-def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
+def _per_peak(test: ReducedTest, stiffness: Stiffness) -> Outcome:
     """Measure a stiffness over the largest force of all cycles."""
     trace = traced(test)
     peaks = {cycle[0].cycle: peak_of(test, trace, cycle[0].cycle) for cycle in test.cycles}
@@ -931,11 +931,11 @@ class Modulus(OfStiffness):
     def compute(self, test: ReducedTest) -> Computed:
         """Compute the modulus with the uncertainties of stiffness, gauge length and area."""
         method = f"{self.of} x specimen.length / area ({self.area})"
-        stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.section)
+        stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.sizes)
         if stiffness is None:
             return self.not_available(self.missing(test), method)
-        outcome: CalibrationFit
-        if test.setup.length is None:
+        outcome: Outcome
+        if "length" not in test.setup.sizes:
             outcome = Failure("no_length", "specimen.length, the gauge length, is not given")
         elif isinstance(area, Failure):
             outcome = area
@@ -980,10 +980,10 @@ differ: a modulus has to state which one it refers to.
 """
 
 
-def _area(kind: str, section: Mapping[str, float]) -> float | Failure:
+def _area(kind: str, given: Mapping[str, float]) -> float | Failure:
     """Compute an area from its sizes."""
     needs, area_of = _AREAS[kind]
-    sizes = [section[name] for name in needs if name in section]
+    sizes = [given[name] for name in needs if name in given]
     if len(sizes) < len(needs):
         missing = " and ".join(f"specimen.section.{name}" for name in needs)
         return Failure("no_area", f"{missing} not given")

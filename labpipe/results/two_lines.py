@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
-from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import Computed, marked_slips
 from labpipe.results.least_squares import CommonPath, finite_samples
@@ -131,8 +131,7 @@ def _lines(sums: Floats) -> tuple[Floats, Floats]:
         return (sr - slope * sx) / n, slope
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Segments:
+class Segments(NamedTuple):
     """Two lines that meet, for each of many curves.
 
     Parameters
@@ -365,30 +364,25 @@ def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Reason | None:
 
 @dataclass(frozen=True, slots=True)
 class _TwoLineFit:
-    """Two lines of a test, with their uncertainty."""
+    """Two lines of a test: break, slopes and force at the break, as `Segments` has them."""
 
-    first: Measured
-    second: Measured
-    break_point: Measured
-    level: Measured
+    numbers: tuple[Measured, ...]
     hinges: Hinges
-    smooth: Segments
 
     @property
-    def measured(self) -> Segments:
-        """The lines of the curve itself."""
-        return Segments(*(np.asarray(number.value) for number in self._numbers))
+    def doubts_of_break(self) -> tuple[Reason, ...]:
+        """Doubts about the break."""
+        wide = why_break_is_doubtful(self.numbers[0].interval, self.hinges)
+        return () if wide is None else (wide,)
 
-    @property
-    def drawn(self) -> Segments:
-        """The lines of its replicates, around those of the smooth curve."""
-        smooth = self.smooth
-        base = (smooth.break_point, smooth.first, smooth.second, smooth.level)
-        return Segments(*(at + number.off for at, number in zip(base, self._numbers, strict=True)))
-
-    @property
-    def _numbers(self) -> tuple[Measured, ...]:
-        return self.break_point, self.first, self.second, self.level
+    def lines(self, before: str, behind: str) -> tuple[FittedLine, ...]:
+        """Return both lines with their names."""
+        at, first, second, level = (number.value for number in self.numbers)
+        start, stop = self.hinges.ends
+        return (
+            FittedLine(before, first, level - first * (at - start), start, at),
+            FittedLine(behind, second, level, at, stop),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -400,12 +394,17 @@ class _TwoLines(Window):
         """With the range."""
         return f"two segments that meet, {self.in_words}, all breaks tried"
 
-    def fit(self, test: ReducedTest) -> _TwoLineFit | Failure:
+    def fit(
+        self,
+        test: ReducedTest,
+        why_none: Callable[[Segments, Segments, Segments, Hinges], Failure | None],
+    ) -> _TwoLineFit | Failure:
         """Fit two lines to the curve of a test.
 
         Parameters
         ----------
         test : the test
+        why_none : tests whether the curve has such a break, as `why_no_bend`
         """
         numbers = test.measure(self.decide)
         if isinstance(numbers, Failure):
@@ -413,18 +412,14 @@ class _TwoLines(Window):
         places = self._places(traced(test))
         if isinstance(places, Failure):
             return places
-        first, second, at, level = numbers
-        return _TwoLineFit(first, second, at, level, places[1], self._smooth(test, numbers))
-
-    def _smooth(self, test: ReducedTest, numbers: tuple[Measured, ...]) -> Segments:
-        """Return the lines of the smooth curve, or else those of the curve itself."""
-        trace = None if test.replicates is None else test.replicates.smooth
-        reading = None if trace is None else self.decide(trace)
-        if trace is None or not isinstance(reading, Reading):
-            first, second, at, level = (np.asarray(number.value) for number in numbers)
-        else:
-            first, second, at, level = reading.numbers(trace)
-        return Segments(at, first, second, level)
+        measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
+        if test.replicates is not None:
+            reading = self.decide(test.replicates.smooth)
+            if isinstance(reading, Reading):
+                smooth = Segments(*reading.numbers(test.replicates.smooth))
+        drawn = Segments(*(at + number.off for at, number in zip(smooth, numbers, strict=True)))
+        hinges = places[1]
+        return why_none(measured, smooth, drawn, hinges) or _TwoLineFit(numbers, hinges)
 
     def decide(self, trace: Trace) -> Reading | Failure:
         """Choose the places at which the lines may meet.
@@ -435,16 +430,15 @@ class _TwoLines(Window):
 
         Returns
         -------
-        A reading of first and second slope, break, and force there.
+        A reading of the numbers of `Segments`.
         """
         places = self._places(trace)
         if isinstance(places, Failure):
             return places
         part, hinges = places
 
-        def numbers(trace: Trace) -> tuple[Floats, ...]:
-            segments = hinges.fitted(trace.force[..., part], trace.displacement[..., part])
-            return segments.first, segments.second, segments.break_point, segments.level
+        def numbers(trace: Trace) -> Segments:
+            return hinges.fitted(trace.force[..., part], trace.displacement[..., part])
 
         return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
 
@@ -486,48 +480,32 @@ class TwoSegments(_TwoLines):
 
     def compute(self, test: ReducedTest) -> Computed:
         """Fit the best two segments that meet."""
-        fit = self.fit(test)
+        fit = self.fit(test, why_no_bend)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        straight = why_no_bend(fit.measured, fit.smooth, fit.drawn, fit.hinges)
-        if straight is not None:
-            return self.not_available(straight, self.method)
+        place, first, second, _ = fit.numbers
         start, stop = read = fit.hinges.ends
-        at, during = fit.break_point.value, test.while_loading(*read)
-        doubts = marked_slips(test, read)  # one bends both
+        at, during = place.value, test.while_loading(*read)
+        slips = marked_slips(test, read)  # one bends both
         one, other = (output.name for output in self.outputs[:2])
-        level, first, second = fit.level.value, fit.first.value, fit.second.value
-        left = level - first * (at - start)
-        wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
-        all_doubts = (doubts, doubts, doubts if wide is None else (*doubts, wide))
+        numbers = ((first, slips), (second, slips), (place, slips + fit.doubts_of_break))
+        sides = ((one, 1, (max(start, 0.0), at)), (other, 2, (max(at, 0.0), stop)))
         return Computed(
             tuple(
-                self.number(
-                    value, self.method, output=place, during=during, doubts=all_doubts[place]
-                )
-                for place, value in enumerate((fit.first, fit.second, fit.break_point))
+                self.number(number, self.method, output=output, during=during, doubts=doubts)
+                for output, (number, doubts) in enumerate(numbers)
             ),
             {
-                one: self._side(0, fit.first, during, (max(start, 0.0), at), read),
-                other: self._side(1, fit.second, during, (max(at, 0.0), stop), read),
+                name: Stiffness(
+                    partial(self.one_of, number=number),
+                    fit.numbers[number].as_estimate,
+                    during,
+                    window,
+                    read,
+                )
+                for name, number, window in sides
             },
-            (
-                FittedLine(one, first, left, start, at),
-                FittedLine(other, second, level, at, stop),
-            ),
-        )
-
-    def _side(
-        self,
-        number: int,
-        slope: Measured,
-        during: Stretch | None,
-        window: tuple[float, float],
-        read: tuple[float, float],
-    ) -> Stiffness:
-        """Return one of the slopes for later entries."""
-        return Stiffness(
-            partial(self.one_of, number=number), slope.as_estimate, during, window, read
+            fit.lines(one, other),
         )
 
 
@@ -543,27 +521,18 @@ class Kink(_TwoLines):
 
     def compute(self, test: ReducedTest) -> Computed:
         """Find the decrease of the slope of the first loading."""
-        fit = self.fit(test)
+        fit = self.fit(test, why_no_kink)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        none = why_no_kink(fit.measured, fit.smooth, fit.drawn, fit.hinges)
-        if none is not None:
-            return self.not_available(none, self.method)
-        start, stop = fit.hinges.ends
-        at, level, first = fit.break_point.value, fit.level.value, fit.first.value
-        before = level - first * (at - start)
-        wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
-        doubts = (*marked_slips(test, (start, stop)), *([] if wide is None else [wide]))
-        during = test.while_loading(start, stop)
+        place, _, _, level = fit.numbers
+        doubts = marked_slips(test, fit.hinges.ends) + fit.doubts_of_break
+        during = test.while_loading(*fit.hinges.ends)
         return Computed(
             tuple(
-                self.number(value, self.method, output=place, during=during, doubts=doubts)
-                for place, value in enumerate((fit.break_point, fit.level))
+                self.number(number, self.method, output=output, during=during, doubts=doubts)
+                for output, number in enumerate((place, level))
             ),
-            lines=(
-                FittedLine("before_kink", first, before, start, at),
-                FittedLine("behind_kink", fit.second.value, level, at, stop),
-            ),
+            lines=fit.lines("before_kink", "behind_kink"),
         )
 
 

@@ -104,12 +104,12 @@ def fit_linear(
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values
     residuals = values - plain @ basis
-    most = max([count, *(len(floats) for floats in beside)])
+    most = max([count, *map(len, beside)])
     grid = Grid(most, most if weighted else min(most, MAX_COSINES))
     window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
     others = [
-        StretchLikelihood.of(cubic_basis(len(floats)), floats, grid, MAX_COSINES)
-        for floats in beside
+        StretchLikelihood.of(cubic_basis(len(stretch)), stretch, grid, MAX_COSINES)
+        for stretch in beside
     ]
     noise = Noise.of([window, *others], grid)
     if weighted:

@@ -364,9 +364,7 @@ def test_clocks_shift_and_turn_the_force() -> None:
 
 def test_sizes() -> None:
     setup = Setup(
-        length=0.3,
-        span=0.1,
-        section={"width": 2e-3, "thickness": 1e-3},
+        sizes={"length": 0.3, "span": 0.1, "width": 2e-3, "thickness": 1e-3},
         uncertainties={"span": 1e-4, "width": 1e-5, "thickness": 2e-5, "area": 1.0},
     )
     test = replace(straight(), setup=setup)
