@@ -17,7 +17,7 @@ import numpy as np
 import piecewise_regression
 import pwlf
 
-from labpipe.fits.two_segments import Hinges, Segments
+from labpipe.results.two_lines import Hinges, Segments
 
 COUNT = 2000
 RUNS = 5

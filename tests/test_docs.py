@@ -36,7 +36,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *ROOT.glob("*/README.md
 IMAGES = sorted((DOCS / "images").iterdir())
 MOST_BYTES = 200_000
 MEASURING = (
-    *("readers", "signal", "markers", "fits", "bending", "law", "uncertainty", "wire", "results"),
+    *("readers", "signal", "markers", "bending", "law", "uncertainty", "wire", "results"),
     *("process", "campaign", "studies"),
 )
 """Folders whose code makes notes on a test, and reasons of its results."""

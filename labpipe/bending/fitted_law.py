@@ -64,23 +64,8 @@ class LawFit:
         return np.asarray(-np.tensordot(self.sensitivity, movement, axes=2), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RefinedLaw:
-    """A law with as many knots as the markers determine.
-
-    Parameters
-    ----------
-    fit : the law
-    change : shape (knots,), standard error of the compliances from the number of knots, fully
-        correlated
-    """
-
-    fit: LawFit
-    change: Floats
-
-
-def refine_law(loaded: Loaded) -> RefinedLaw:
-    """Fit a law with enough knots.
+def refine_law(loaded: Loaded) -> tuple[LawFit, Floats]:
+    """Fit a law with as many knots as the markers determine.
 
     Parameters
     ----------
@@ -88,7 +73,8 @@ def refine_law(loaded: Loaded) -> RefinedLaw:
 
     Returns
     -------
-    The law, and its change with half as many knots.
+    The law, and the standard error of its compliances from the number of knots, fully correlated:
+    shape (knots,), the change with half as many knots.
 
     Raises
     ------
@@ -109,12 +95,9 @@ def refine_law(loaded: Loaded) -> RefinedLaw:
     better = fine.n * (fit.residual**2 - fine.residual**2)
     if better > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
         coarse, fit = fit, fine
-    return RefinedLaw(fit, RECTANGLE * (_at_knots_of(fit, coarse) - fit.compliance))
-
-
-def _at_knots_of(fine: LawFit, coarse: LawFit) -> Floats:
-    """Return the compliances of a law at finer knots, which include its own."""
-    return np.asarray(coarse.basis.slopes(fine.basis.knots) @ coarse.compliance, dtype=np.float64)
+    # The knots of the coarse law are among those of the fine one.
+    coarse_compliance: Floats = coarse.basis.slopes(fit.basis.knots) @ coarse.compliance
+    return fit, RECTANGLE * (coarse_compliance - fit.compliance)
 
 
 def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:

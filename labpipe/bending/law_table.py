@@ -101,10 +101,10 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
             f"rest, {np.abs(loaded.moment_at_rest).max():.3g} N m"
         )
         raise ValueError(message)
-    refined = refine_law(loaded)
+    fit, change_with_knots = refine_law(loaded)
     return tabulate(
-        refined.fit,
-        [refined.change, *_Shared(test, frames, loaded, refined.fit).changes()],
+        fit,
+        [change_with_knots, *_Shared(test, frames, loaded, fit).changes()],
         scale_error=test.errors.force_scale,
         noise=test.specimen_at_rest.noise / np.sqrt(frames.means.per_mean),
         curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first])),
@@ -145,7 +145,7 @@ class _Shared:
         def change(other: Loaded, share: float = 1.0) -> Floats:
             return share * self.fit.shift(self.movement(other) - before)
 
-        yield change(self.with_reading(frames.means.force + errors.force_zero))
+        yield change(self.with_moments(reading=frames.means.force + errors.force_zero))
         if errors.other_tension_at_rest is not None:
             pull = replace(self.test.pull, tension_at_rest=errors.other_tension_at_rest)
             yield change(self.with_moments(pull=pull), RECTANGLE)
@@ -161,23 +161,24 @@ class _Shared:
         """Return the movement of the markers by the law."""
         return LawShapes.of(loaded, self.fit.basis).movement(self.fit.compliance)
 
-    def with_reading(self, reading: Floats) -> Loaded:
-        """Return the data with another force."""
-        places = self.loaded.line.arc_length
-        moment = self.test.moments(self.frames.coefficients, reading, places)
-        return replace(self.loaded, moment=moment)
-
-    def with_moments(self, *, pull: TipPull | None = None, finer: bool = False) -> Loaded:
-        """Return the data with another pull at the tip, or curves with one more coefficient."""
+    def with_moments(
+        self,
+        *,
+        reading: Floats | None = None,
+        pull: TipPull | None = None,
+        finer: bool = False,
+    ) -> Loaded:
+        """Return the data with another force, pull at the tip, or one more coefficient."""
         test, frames, rest = self.test, self.frames, self.test.specimen_at_rest
         places, no_load = self.loaded.line.arc_length, np.zeros(1)
+        reading = frames.means.force if reading is None else reading
         if finer and frames.finer is not None:
             curves, still = frames.finer, rest.finer
         else:
             curves, still = frames.coefficients, rest.coefficients
         return replace(
             self.loaded,
-            moment=test.moments(curves, frames.means.force, places, pull=pull),
+            moment=test.moments(curves, reading, places, pull=pull),
             moment_at_rest=test.moments(still, no_load, places, pull=pull)[0],
         )
 

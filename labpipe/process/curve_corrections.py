@@ -13,16 +13,6 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.errors import ProcessingError, error_text
-from labpipe.fits.failure_point import (
-    FailurePoint,
-    LossOfForce,
-    final_loss,
-    lost_earlier,
-    slow_loss,
-)
-from labpipe.fits.grip_slips import add_back, find_slips, samples_before
-from labpipe.fits.loops import sense_of_loading
-from labpipe.fits.straight_lines import correct_displacement
 from labpipe.process.motion import Motion
 from labpipe.protocol.schema import CurveBlock, MachineCompliance
 from labpipe.protocol.schema import Slack as SlackBlock
@@ -34,10 +24,17 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, blocking, doubtful, info_note, warning
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
-from labpipe.results.failures import loading_before
+from labpipe.results.failures import (
+    LossOfForce,
+    final_loss,
+    loading_before,
+    lost_earlier,
+    slow_loss,
+)
 from labpipe.results.load_cell_noise import cuts_of
-from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.slack_correction import counted_from_taut, slack_of
+from labpipe.results.reduced_test import FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.slack import counted_from_taut, slack_of
+from labpipe.results.slips import add_back, find_slips, samples_before
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers
@@ -164,12 +161,11 @@ def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Co
     if curve is None:
         return test, []
     value = compliance.value
-    correct = partial(correct_displacement, force=curve.force, compliance=value)
-    signal = test.displacement.changed(correct)
+    signal = test.displacement.changed(lambda displacement: displacement - value * curve.force)
     _refuse_backwards(test, curve, signal.values, value)
     if compliance.uncertainty:
         higher = value * (1.0 + compliance.uncertainty)
-        other = correct_displacement(curve.displacement, curve.force, compliance=higher)
+        other = curve.displacement - higher * curve.force
         signal = replace(signal, moved={**signal.moved, COMPLIANCE: other})
     largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     message = (
@@ -284,8 +280,8 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
 
 
 def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
-    curve, stretch = test.curve, test.loading_stretch
-    if curve is None or stretch.stop <= stretch.start:
+    curve = test.curve
+    if curve is None or not (stretch := loading_of(traced(test))).stop > stretch.start:
         return test, []
     decision = SlipDecision(block.decision)
     displacement, force = curve.displacement[stretch], curve.force[stretch]

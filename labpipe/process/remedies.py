@@ -11,15 +11,15 @@ from math import ceil, floor, log10
 import numpy as np
 
 from labpipe.errors import in_test_sheet
-from labpipe.fits.failure_point import LossOfForce
 from labpipe.process.curve_corrections import find_final_loss, measure_slack
 from labpipe.protocol.schema import CurveBlock, Protocol
 from labpipe.records.estimates import Failure
 from labpipe.records.result import Result, Status
 from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.failures import LossOfForce
 from labpipe.results.kinds import Kind
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.slack_correction import slack_of
+from labpipe.results.slack import slack_of
 from labpipe.results.stiffness import Window
 
 _PERCENTAGES = range(5, 100, 5)

@@ -223,12 +223,11 @@ def _reduced_test(
     prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
 ) -> ReducedTest:
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
-    sizes = {} if specimen.section is None else vars(specimen.section)
+    section = {} if specimen.section is None else vars(specimen.section)
+    sizes = {"length": specimen.length, "span": specimen.span, **section}
     setup = Setup(
-        length=specimen.length,
-        span=specimen.span,
+        sizes={name: size for name, size in sizes.items() if size is not None},
         mass_per_length=specimen.mass_per_length,
-        section={name: size for name, size in sizes.items() if size is not None},
         uncertainties=_uncertainties(protocol),
         string=None
         if string is None

@@ -8,8 +8,6 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.loops import sense_of_loading
 from labpipe.process.motion import Motion
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction, Interval
@@ -17,6 +15,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Finding, Findings, doubtful, info_note
 from labpipe.records.signals import Clocks, Signals, Stretch
+from labpipe.results.reduced_test import FailurePoint, sense_of_loading
 from labpipe.signal.rests_and_jumps import level_jumps, samples_at_rest
 from labpipe.signal.turning_points import noise_level
 from labpipe.uncertainty.autocorrelation import long_run_variance, smooth_stretches

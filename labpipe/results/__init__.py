@@ -6,7 +6,18 @@ module; grammar, checks, JSON Schema, descriptions and reference page derive fro
 
 from __future__ import annotations
 
-from labpipe.results import beam, cycles, failures, kinds, shapes, stiffness, two_lines
+from labpipe.results import (
+    beam,
+    cycles,
+    failures,
+    kinds,
+    plateau,
+    shapes,
+    slack,
+    slips,
+    stiffness,
+    two_lines,
+)
 from labpipe.results.kinds import Kind
 
 KINDS: tuple[type[Kind], ...] = (
@@ -15,6 +26,9 @@ KINDS: tuple[type[Kind], ...] = (
     *two_lines.KINDS,
     *cycles.KINDS,
     *failures.KINDS,
+    *slips.KINDS,
+    *slack.KINDS,
+    *plateau.KINDS,
     *beam.KINDS,
     *shapes.KINDS,
 )

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import (
     CENTRE,
@@ -30,7 +29,8 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import Curve, Direction, SlipDecision
 from labpipe.records.signals import FilterFunction, Signal
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from labpipe.results.slips import add_back
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import (
     Filter,
@@ -92,15 +92,14 @@ def traced(test: ReducedTest) -> Trace:
     ----------
     test : with a curve
     """
-    curve, failure, setup = test.known_curve, test.failure, test.setup
-    sizes = {"length": setup.length, "span": setup.span, **setup.section}
+    curve, failure = test.known_curve, test.failure
     return Trace(
         time=curve.time,
         displacement=curve.displacement,
         force=curve.force,
         branches=curve.branches,
         failed_at=failure.sample if isinstance(failure, FailurePoint) else None,
-        sizes={name: size for name, size in sizes.items() if size is not None},
+        sizes=test.setup.sizes,
     )
 
 
@@ -192,8 +191,6 @@ def _displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
 
 def _forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
     """Return the force of the curve, and the unfiltered one with slips added back."""
-    from labpipe.fits.grip_slips import add_back
-
     force = _on_curve(test, unfiltered, curve.time)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     if repaired:
@@ -286,7 +283,7 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Filter) -> Iterator[Input]:
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == SHAPE else "normal"
-        yield Input(cause, partial(_moved_by, by=change), law=law)
+        yield Input(cause, partial(displaced, by=change), law=law)
     for cause, clocks in test.clocks.moved.items():
         time = test.known_curve.time
         later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
@@ -324,7 +321,7 @@ def _drift_inputs(test: ReducedTest, time: Floats) -> Iterator[Input]:
     """Yield the modes of the drift of the zero of the force."""
     by = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
     for number, wave in enumerate(drift_modes(np.abs(time - _zeroed_at(test)), by), start=1):
-        drifted = partial(_drifted, by=wave, compliance=test.compliance)
+        drifted = partial(_raised, by=wave, compliance=test.compliance)
         yield Input(DRIFT_OF_ZERO, drifted, stream=f"{DRIFT_OF_ZERO} {number}")
 
 
@@ -347,15 +344,11 @@ def _gain(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
     return _more_force(trace, x * by * trace.force, compliance)
 
 
-def _raised(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
-    return _more_force(trace, np.full(len(trace.time), x * by), compliance)
-
-
-def _drifted(trace: Trace, x: float, *, by: Floats, compliance: float) -> Trace:
+def _raised(trace: Trace, x: float, *, by: float | Floats, compliance: float) -> Trace:
     return _more_force(trace, x * by, compliance)
 
 
-def _more_force(trace: Trace, more: Floats, compliance: float) -> Trace:
+def _more_force(trace: Trace, more: float | Floats, compliance: float) -> Trace:
     """Add force to a trace, and subtract the displacement of the frame."""
     displacement = trace.displacement - compliance * np.nan_to_num(more)
     return replace(trace, force=trace.force + more, displacement=displacement)
@@ -367,19 +360,15 @@ def _scaled(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
     return replace(trace, displacement=trace.displacement + x * by * measured)
 
 
-def displaced(trace: Trace, x: float, *, by: float) -> Trace:
-    """Shift the displacement of a trace by a share of a length.
+def displaced(trace: Trace, x: float, *, by: float | Floats) -> Trace:
+    """Shift the displacement of a trace by a multiple of a length.
 
     Parameters
     ----------
     trace : the trace
-    x : share
-    by : m
+    x : the multiple
+    by : m, a number or one per sample
     """
-    return replace(trace, displacement=trace.displacement + x * by)
-
-
-def _moved_by(trace: Trace, x: float, *, by: Floats) -> Trace:
     return replace(trace, displacement=trace.displacement + x * by)
 
 

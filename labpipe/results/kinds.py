@@ -22,15 +22,12 @@ from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
-from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.results.reduced_test import ReducedTest, Stiffness, blocked_or
 from labpipe.uncertainty.intervals import Measured
 
-Outcome: TypeAlias = Estimate | Failure
-CalibrationFit: TypeAlias = Measured | Estimate | Failure
+Outcome: TypeAlias = Measured | Estimate | Failure
 Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
-NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
-NO_CYCLE = Failure("no_cycle", "the motion has no branch")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +48,7 @@ class Number:
     """
 
     output: Output
-    outcome: CalibrationFit
+    outcome: Outcome
     method: str
     errors: Errors = field(default_factory=dict)
     during: Stretch | None = None
@@ -98,7 +95,7 @@ class Kind(ABC):
 
     def number(
         self,
-        outcome: CalibrationFit,
+        outcome: Outcome,
         method: str,
         errors: Errors | None = None,
         *,
@@ -136,12 +133,6 @@ class Kind(ABC):
                 for place, (method, part) in enumerate(zip(all_methods, parts, strict=True))
             )
         )
-
-
-def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
-    """Return the failure that stopped the test, or else another one."""
-    blocked = test.findings.blocked
-    return otherwise if blocked is None else Failure(blocked.code, blocked.message)
 
 
 def force_scale(test: ReducedTest, outcome: Outcome) -> Errors:

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.loops import sense_of_loading
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import (
     Aligned,
     Bending,
@@ -30,6 +28,35 @@ from labpipe.uncertainty.replicates import Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
+
+
+@dataclass(frozen=True, slots=True)
+class FailurePoint:
+    """The last sample before the final loss of force.
+
+    Parameters
+    ----------
+    sample : its number; the specimen broke between it and the next one
+    lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
+        specimen that failed in steps; else 0
+    slow_below : for a slow loss, share of the peak that the force finally falls below; None for a
+        sudden loss
+    """
+
+    sample: int
+    lost_before: float = 0.0
+    slow_below: float | None = None
+
+
+NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
+
+
+def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
+    """Why what counts from a slack is as doubtful as the slack."""
+    return tuple(
+        Reason(reason.code, f"displacement counts from a slack that is doubtful: {reason.message}")
+        for _, reason in measured_slack.doubts
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,11 +97,10 @@ class Setup:
 
     Parameters
     ----------
-    length, span : m, of the specimen, and between its supports; None if not stated
+    sizes : m (the area m^2), stated ones of specimen and rig by the keys of the protocol: length,
+        span between the supports, and those of the cross-section
     mass_per_length : kg/m; None if not stated
-    section : m (the area m^2), sizes of the cross-section by the keys of the protocol
-    uncertainties : m (of the area m^2), standard uncertainties of length, span and section by the
-        keys of the protocol; others are exact
+    uncertainties : m (of the area m^2), standard uncertainties of sizes; others are exact
     string : that loads the specimen, or None
     has_markers : whether the specimen carries markers
     centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
@@ -83,10 +109,8 @@ class Setup:
     limits : of the lab
     """
 
-    length: float | None = None
-    span: float | None = None
+    sizes: Mapping[str, float] = field(default_factory=dict)
     mass_per_length: float | None = None
-    section: Mapping[str, float] = field(default_factory=dict)
     uncertainties: Mapping[str, float] = field(default_factory=dict)
     string: LoadString | None = None
     has_markers: bool = False
@@ -200,15 +224,20 @@ class ReducedTest:
         ----------
         decide, values : as `labpipe.uncertainty.intervals.measure` takes them
 
-        Raises
-        ------
-        ValueError
-            If there is no curve.
+        Returns
+        -------
+        The numbers, or a failure, also without a curve.
         """
         if self.replicates is None:
-            message = "expected a curve to be measured, found none"
-            raise ValueError(message)
+            return blocked_or(self, NO_LOADING)
         return measure(self.replicates, decide, values)
+
+    def measure_one(
+        self, decide: Decide, values: Sequence[float] | None = None
+    ) -> Measured | Failure:
+        """Measure the first number of a reading."""
+        outcome = self.measure(decide, values)
+        return outcome if isinstance(outcome, Failure) else outcome[0]
 
     @property
     def cycles(self) -> list[list[Branch]]:
@@ -224,24 +253,9 @@ class ReducedTest:
         return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
 
     @property
-    def loading_stretch(self) -> slice:
-        """Samples of the first loading, up to a failure in it; may be empty."""
-        branch = self.first_loading
-        if branch is None:
-            return slice(0, 0)
-        if isinstance(self.failure, FailurePoint) and self.failure.sample < branch.stop:
-            return slice(branch.start, max(self.failure.sample + 1, branch.start))
-        return slice(branch.start, branch.stop)
-
-    @property
     def slack_error(self) -> float:
         """Standard error of the slack subtracted from the displacement, m; 0 without slack."""
         return self.slack.error if isinstance(self.slack, Measured) else 0.0
-
-    def sense_of(self, values: Floats) -> float:
-        """Return the sign of a quantity of the curve during the first loading."""
-        branch = self.known_curve.branches[0]
-        return sense_of_loading(values[branch.start : branch.stop])
 
     def while_loading(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
         """Return when the first loading went from one displacement to another.
@@ -297,3 +311,31 @@ class ReducedTest:
             first, last = (self.clocks.to_curve(at, signals.raw[name].clock) for at in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
+
+
+def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
+    """Return the failure that stopped the test, or else another one."""
+    blocked = test.findings.blocked
+    return otherwise if blocked is None else Failure(blocked.code, blocked.message)
+
+
+def sense_of_loading(values: Floats) -> float:
+    """Return the sign of a quantity during loading.
+
+    Parameters
+    ----------
+    values : shape (n,), over the first loading branch; NaN are ignored
+
+    Returns
+    -------
+    -1.0 if it goes further down than up from its first value, else 1.0. If it goes both ways alike,
+    as a force that begins high and is lost, the sign of the larger absolute value.
+    """
+    finite = values[~np.isnan(values)]
+    if not len(finite):
+        return 1.0
+    first = median(finite[: max(1, len(finite) // 100)])
+    up, down = float(finite.max()) - first, first - float(finite.min())
+    if max(up, down) > 2.0 * min(up, down):
+        return 1.0 if up > down else -1.0
+    return 1.0 if finite.max() >= -finite.min() else -1.0

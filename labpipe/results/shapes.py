@@ -11,7 +11,6 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 import numpy as np
 
 from labpipe.bending.law_table import law_points
-from labpipe.fits.loops import secant_stiffness
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
@@ -19,24 +18,58 @@ from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason, info_note
 from labpipe.results.cycles import rectangle
-from labpipe.results.kinds import (
-    NO_LOADING,
-    Computed,
-    Errors,
-    Kind,
-    Outcome,
-    blocked_or,
-    force_scale,
-)
-from labpipe.results.reduced_test import ReducedTest, SpanBend
+from labpipe.results.kinds import Computed, Errors, Kind, force_scale
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend, blocked_or
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
+from labpipe.uncertainty.autocorrelation import long_run_variance
 from labpipe.uncertainty.noise_model import estimate_noise
 from labpipe.uncertainty.replicates import N_REPLICATES, random_stream, smooth_curve
 from labpipe.units import GRAVITY
 
+
+def secant_stiffness(
+    time: Floats, displacement: Floats, force: Floats, chosen: Flags
+) -> Estimate | Failure:
+    """Return the slope of force against displacement over chosen samples.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N
+    chosen : shape (n,); NaN are ignored
+
+    Returns
+    -------
+    N/m, or a failure ``too_few_samples`` or ``no_travel``.
+
+    Notes
+    -----
+    k = sum (t - mean t) F / sum (t - mean t) d: time is the instrument, because ordinary least
+    squares of F on a noisy displacement is too small (by the ratio of noise variance to variance;
+    Fuller, Measurement Error Models, 1987, sec. 1.4). The standard error is from the long-run
+    variance of F - k d less a cubic in time, the shape of the curve.
+    """
+    chosen = chosen & ~np.isnan(displacement) & ~np.isnan(force)
+    count = int(chosen.sum())
+    if count < 8:
+        return Failure("too_few_samples", f"{count} samples in the stretch, 8 are needed")
+    t, d, f = time[chosen], displacement[chosen], force[chosen]
+    weight = t - t.mean()
+    travel = float(weight @ (d - d.mean()))
+    if travel == 0.0:
+        return Failure("no_travel", "the displacement does not change over the stretch")
+    slope = float(weight @ (f - f.mean())) / travel
+    scaled = weight / np.abs(weight).max()
+    left = f - slope * d
+    noise = left - np.polynomial.Polynomial.fit(scaled, left, 3)(scaled)
+    variance = long_run_variance(noise, parameters=4)
+    return Estimate(slope, float(np.sqrt(variance * (weight @ weight)) / abs(travel)), count)
+
+
 _SPAN = "mid_span"
 """Signal of mid-span from cameras, and quantity of numbers from them alone."""
+
+
 _TURN_WINDOW, _MIN_SIDE_FRAMES = 2.0, 5
 """s on each side of a turn for a value there; frames needed on each side."""
 
@@ -55,7 +88,7 @@ class TipTravel(Kind):
         return Computed((self.number(_tip_travel(test), method),))
 
 
-def _tip_travel(test: ReducedTest) -> Outcome:
+def _tip_travel(test: ReducedTest) -> Estimate | Failure:
     if test.shape is None:
         return Failure("no_shape", "the protocol fits no shape")
     tip = test.shape.positions[:, -1]
@@ -108,7 +141,7 @@ class MomentCurvature(Kind):
         return Computed((number,))
 
 
-def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Outcome:
+def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate | Failure:
     largest = float(law.curvature[-1])
     if entry.at > largest:
         message = (
@@ -223,10 +256,10 @@ class MidSpan(Window):
             return self.not_available(parts, *methods)
         bend, frames = parts[0], _Frames.of(test, parts)
         outcomes, other = (
-            (self._stiffness(parts, fewer_term), _at_turn(fewer_term, frames, "mid-span curvature"))
-            for fewer_term in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
+            (self._stiffness(parts, curvature), _at_turn(curvature, frames, "mid-span curvature"))
+            for curvature in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
         )
-        errors = [_shape_errors(bend, *finding) for finding in zip(outcomes, other, strict=True)]
+        errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
             errors[0] = {**errors[0], **force_scale(test, outcomes[0])}
         return Computed(
@@ -238,7 +271,7 @@ class MidSpan(Window):
             )
         )
 
-    def _stiffness(self, parts: _Parts, curvature: Floats) -> Outcome:
+    def _stiffness(self, parts: _Parts, curvature: Floats) -> Estimate | Failure:
         bend, curve, branch, time = parts
         inside = (time >= branch.start_time) & (time < branch.stop_time)
         travelled = np.interp(time, curve.time, curve.displacement)
@@ -256,7 +289,7 @@ class MidSpan(Window):
         return secant_stiffness(time, curvature, moment, inside)
 
 
-def _shape_errors(bend: SpanBend, outcome: Outcome, other: Outcome) -> Errors:
+def _shape_errors(bend: SpanBend, outcome: Estimate | Failure, other: Estimate | Failure) -> Errors:
     """Return the changes with fewer terms of the shape, and from the side of the markers."""
     if isinstance(outcome, Failure) or isinstance(other, Failure):
         return {}
@@ -315,7 +348,9 @@ class _Frames:
         return np.concatenate(records).astype(np.float64)
 
 
-def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()) -> Outcome:
+def _at_turn(
+    values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()
+) -> Estimate | Failure:
     """Estimate a quantity at the end of loading, less that at rest.
 
     Its noise is estimated together with that of similar ones.

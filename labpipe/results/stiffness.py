@@ -2,28 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from labpipe.fits.cycle_stiffness import (
-    LoadingSlope,
-    loading_slope,
-    unloading_slope,
-    window_slope,
-)
-from labpipe.fits.least_squares import slope_of_line
-from labpipe.fits.straight_lines import (
-    MIN_LINE_SAMPLES,
-    annulus_area,
-    compliance_window,
-    rectangle_area,
-    thin_wall_area,
-)
-from labpipe.records.arrays import Floats, Ints, ratio, samples_of
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, part_of, ratio, samples_of
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     CURVE,
@@ -49,18 +35,530 @@ from labpipe.results.cycles import (
     peak_of,
     sense_of,
 )
-from labpipe.results.kinds import (
-    NO_CYCLE,
-    NO_LOADING,
-    CalibrationFit,
-    Computed,
-    Kind,
-    blocked_or,
-    marked_slips,
+from labpipe.results.kinds import Computed, Kind, Outcome, marked_slips
+from labpipe.results.least_squares import (
+    finite_samples,
+    line_in,
+    polynomial_weights,
+    slope_of_line,
+    zero_of_line,
 )
-from labpipe.results.reduced_test import ReducedTest, Stiffness
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness, blocked_or
+from labpipe.signal.filters import moving_average
+from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine, on_part
 from labpipe.uncertainty.intervals import Measured
+
+_NOISE_DEVIATIONS = 4.0
+"""Standard deviations of noise above which a force is not zero."""
+
+
+_FOOT_LIMITS = 5.0
+"""The foot of the force, below this multiple of the limit, is taken as straight."""
+
+
+_MIN_FOOT_SAMPLES = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakeUp:
+    """Samples of a loading branch for the start of its force.
+
+    Parameters
+    ----------
+    samples : of the branch, with a force and a displacement
+    top : number among them of the largest force
+    sample : first one of the branch whose force is not zero
+    foot : samples of the foot of the force
+    is_line : whether the start is the zero of a line through the foot; else it is the first sample
+        of the foot, as no line rises there
+    limit : N, up to which a force counts as zero
+    """
+
+    samples: Samples
+    top: int
+    sample: int
+    foot: Samples
+    is_line: bool
+    limit: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Return the displacement at zero force, m, shape (...); NaN if the line does not rise.
+
+        Parameters
+        ----------
+        displacement, force : shape (..., n), m, N, of the branch
+        """
+        d = displacement[..., self.foot]
+        return zero_of_line(d, force[..., self.foot]) if self.is_line else d[..., 0]
+
+    def of_each(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
+        """Return displacement at zero force and first sample above zero, chosen for each row.
+
+        Parameters
+        ----------
+        displacement, force : shape (rows, n), m, N, of the branch with noise, which hides a
+            part of the foot; NaN in the same samples as the reference branch
+
+        Returns
+        -------
+        Shapes (rows,), m and samples.
+        """
+        displacement, force = displacement[:, self.samples], force[:, self.samples]
+        limit = limits_by_noise(self.limit, force)[:, np.newaxis]
+        within = force[:, : self.top] <= limit
+        first = np.where(within.any(1), self.top - np.argmax(within[:, ::-1], 1), 0)
+        low, count = int(first.min()), force.shape[1]
+        numbers = np.arange(low, count)
+        beyond = (force[:, low:] > _FOOT_LIMITS * limit) & (numbers >= first[:, np.newaxis])
+        last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
+        last = np.maximum(last, first + _MIN_FOOT_SAMPLES)
+        part = slice(low, min(int(last.max()), count))
+        d, f = displacement[:, part], force[:, part]
+        numbers = numbers[: part.stop - low]
+        foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
+        middle, level, slope = line_in(foot, d, f)
+        at = middle - level / np.where(slope > 0.0, slope, np.nan)
+        begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
+        finite = self.samples
+        numbers = first + finite.start if isinstance(finite, slice) else finite[first]
+        return np.where(np.isnan(at), begins, at), numbers
+
+
+def take_up(
+    displacement: Floats, force: Floats, *, limit: float | None = None, steps: int = 1
+) -> TakeUp | Failure:
+    """Choose the samples of a loading branch for the start of its force.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
+        are ignored
+    limit : N, up to which a force counts as zero, for a curve without noise; None for a limit from
+        the noise of the force
+    steps : parts that each sampling step has been divided into
+
+    Returns
+    -------
+    The samples, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` if the branch
+    begins under a force too large for extrapolation, ``no_force`` if its force is never above its
+    noise.
+
+    Notes
+    -----
+    A force within four standard deviations of its fast noise counts as zero. The foot of the force
+    begins after the last sample within that limit before the largest force, and ends at five
+    limits; a straight line through it (at least eight samples) is extrapolated to zero force. If
+    the force comes from below zero, as after bending to the other side, this is its crossing.
+
+    Examples
+    --------
+    >>> d = np.linspace(0.0, 0.01, 400)
+    >>> force = 500.0 * np.maximum(d - 0.002, 0.0)
+    >>> found = take_up(d, force)
+    >>> round(1e3 * float(found.of(d, force)), 6)
+    2.0
+    """
+    max_extrapolation = 0.02  # share of the branch
+    finite = finite_samples(displacement, force)
+    if len(finite) < 2 * _MIN_FOOT_SAMPLES:
+        return Failure(
+            "too_few_samples", f"{len(finite)} samples, {2 * _MIN_FOOT_SAMPLES} are needed"
+        )
+    d, f = displacement[finite], force[finite]
+    limit = _NOISE_DEVIATIONS * float(fast_noise(f)) if limit is None else limit
+    top = int(np.argmax(f))
+    if f[top] <= limit:
+        message = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"
+        return Failure("no_force", message)
+    within = np.flatnonzero(f[:top] <= limit)
+    first = int(within[-1]) + 1 if len(within) else 0
+    beyond = np.flatnonzero(f[first:] > _FOOT_LIMITS * limit)
+    least = steps * _MIN_FOOT_SAMPLES
+    last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
+    at = float(zero_of_line(d[first:last], f[first:last]))
+    is_line = not np.isnan(at)
+    if not len(within) and not (is_line and at >= d[0] - max_extrapolation * float(np.ptp(d))):
+        message = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
+        return Failure("not_unloaded", message)
+    foot = samples_of(finite[first:last])
+    return TakeUp(samples_of(finite), top, int(finite[first]), foot, is_line, limit)
+
+
+_MIN_WINDOW_SAMPLES = 8
+
+
+_START_SHARE, _STEADY_SHARE = 0.02, 0.1
+"""Share of a window that is its start; share up to which the speed of the machine is constant."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowSlope:
+    """Slope of force against displacement over a window of a path, time as instrument.
+
+    Parameters
+    ----------
+    samples : of the branch, with a force and a displacement, m of them
+    time : shape (m,), s
+    path, furthest : shape (m,), m, path along the branch, with little noise, and its largest value
+    so far
+    low, high : m, ends of the window
+    """
+
+    samples: Samples
+    time: Floats
+    path: Floats
+    furthest: Floats
+    low: float
+    high: float
+
+    def inside(self, later: Floats | float = 0.0, since: Ints | int = 0) -> tuple[slice, Flags]:
+        """Return the samples of the window, up to where the path first leaves it.
+
+        Parameters
+        ----------
+        later : m, shape (...), shift of the window along the path
+        since : shape (...), first sample of the branch that it may contain
+
+        Returns
+        -------
+        Range of the samples that contains all windows, and a mask of each window in it, shape (...,
+        range).
+        """
+        low, high = (np.asarray(end + later) for end in (self.low, self.high))
+        start = np.searchsorted(self.furthest, low)
+        stop = np.searchsorted(self.furthest, high, side="right")
+        stretch = slice(int(start.min()), max(int(stop.max()), int(start.min())))
+        numbers = np.arange(stretch.start, stretch.stop)
+        is_in: Flags = self.path[stretch] >= low[..., np.newaxis]
+        is_in &= numbers < stop[..., np.newaxis]
+        if np.any(since):
+            is_in &= self._numbers(stretch) >= np.asarray(since)[..., np.newaxis]
+        return stretch, is_in
+
+    def _numbers(self, stretch: slice) -> Ints:
+        """Return numbers in the branch of a range of the samples."""
+        samples = part_of(self.samples, stretch)
+        return np.arange(samples.start, samples.stop) if isinstance(samples, slice) else samples
+
+    @property
+    def window(self) -> Samples:
+        """Samples of the branch within the window."""
+        stretch, inside = self.inside()
+        return samples_of(self._numbers(stretch)[inside])
+
+    @property
+    def n(self) -> int:
+        """Samples of the window."""
+        return int(self.inside()[1].sum())
+
+    def of(
+        self,
+        displacement: Floats,
+        force: Floats,
+        later: Floats | float = 0.0,
+        since: Ints | int = 0,
+    ) -> Floats:
+        """Return the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
+
+        Parameters
+        ----------
+        displacement, force : shape (..., n), m, N, of the branch
+        later, since : shape (...), as for `inside`
+        """
+        stretch, inside = self.inside(later, since)
+        samples, time = part_of(self.samples, stretch), self.time[stretch]
+        count = inside.sum(axis=-1)
+        enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
+        middle = ratio(np.asarray(inside @ time), enough)
+        weight = np.where(inside, time - middle[..., np.newaxis], 0.0)
+        return ratio(
+            np.vecdot(weight, force[..., samples]), np.vecdot(weight, displacement[..., samples])
+        )
+
+
+def window_slope(
+    time: Floats, displacement: Floats, force: Floats, path: Floats, *, low: float, high: float
+) -> WindowSlope | Failure:
+    """Choose the samples of a branch for a stiffness.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
+    path : shape (n,), m, along the branch
+    low, high : m, of the path
+
+    Returns
+    -------
+    The window, or a failure ``not_reached``, ``too_few_samples`` or ``no_travel``.
+
+    Notes
+    -----
+    The window is cut from the path averaged over 11 samples, and ends where it is first left, so
+    that noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d: time is the
+    instrument, because ordinary least squares of F on a noisy displacement is too small (by the
+    ratio of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4).
+    """
+    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
+    if not (travelled > high).any():
+        reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
+        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is needed")
+    furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
+    samples = samples_of(finite_samples(displacement, force))
+    fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
+    if fit.n < _MIN_WINDOW_SAMPLES:
+        message = f"{fit.n} samples in the stretch, {_MIN_WINDOW_SAMPLES} are needed"
+        return Failure("too_few_samples", message)
+    if np.ptp(displacement[fit.window]) == 0.0:
+        return Failure("no_travel", "the displacement does not change over the stretch")
+    return fit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """Value of a signal at the start of a branch, from a parabola.
+
+    Parameters
+    ----------
+    samples : of the signal
+    weights : shape (samples,), of the samples in the value
+    """
+
+    samples: Samples
+    weights: Floats
+
+    def of(self, values: Floats) -> Floats:
+        """Return the value at the turn, shape (...), of a signal of shape (..., n)."""
+        value: Floats = np.vecdot(values[..., self.samples], self.weights)
+        return value
+
+
+def turn_at(time: Floats, values: Floats, *, at: float, first: int, stop: int) -> Turn:
+    """Choose the samples for the value at the turn at the start of a branch.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s, and any unit; NaN are ignored
+    at : s, of the turn: a branch may contain a part of the wait before it
+    first, stop : samples of the branch
+
+    Returns
+    -------
+    A parabola through the first tenth of the branch after the turn, at most 50 samples; the first
+    sample of the branch if that has fewer than 8.
+    """
+    start = max(first, int(np.searchsorted(time, at)))
+    begin = np.arange(start, start + min(50, (stop - start) // 10))
+    begin = begin[~np.isnan(values[begin])]
+    if len(begin) < _MIN_WINDOW_SAMPLES:
+        return Turn(samples_of(np.array([first])), np.ones(1))
+    return Turn(samples_of(begin), polynomial_weights(time[begin] - at, degree=2)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadingSlope:
+    """Stiffness over a length after the force takes up.
+
+    Parameters
+    ----------
+    take_up : of the branch
+    first : first sample of the branch that counts as taut
+    slope : of the branch from that sample
+    ahead : m, from the take-up to the middle of the window
+    """
+
+    take_up: TakeUp
+    first: int
+    slope: WindowSlope
+    ahead: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Return the stiffness, N/m, shape (...), of a branch of shape (..., n), m, N, or NaN.
+
+        The window begins where the force of each row takes up.
+        """
+        taut = displacement[..., self.first :]
+        begins = self.take_up.of(displacement, force) + self.ahead
+        later = begins - taut[..., self.slope.window].mean(axis=-1)
+        return self.slope.of(taut, force[..., self.first :], later)
+
+    @property
+    def share_at_rest(self) -> float:
+        """Share of the samples of the window in its first fiftieth.
+
+        It is large if the motion rests there, with a force above its noise.
+        """
+        stretch, inside = self.slope.inside()
+        path = self.slope.path[stretch][inside]
+        near = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
+        return float(near.mean())
+
+    def of_each(self, displacement: Floats, force: Floats) -> Floats:
+        """Return the stiffness of branches with noise, each with its own take-up.
+
+        Parameters
+        ----------
+        displacement, force : shape (rows, n), m, N
+
+        Returns
+        -------
+        Shape (rows,), N/m, or NaN.
+        """
+        taut = displacement[:, self.first :]
+        begins, first = self.take_up.of_each(displacement, force)
+        later = begins + self.ahead - taut[:, self.slope.window].mean(axis=-1)
+        since = np.maximum(first - self.first, 0)
+        return self.slope.of(taut, force[:, self.first :], later, since)
+
+
+def loading_slope(
+    time: Floats,
+    displacement: Floats,
+    force: Floats,
+    *,
+    over: float,
+    like: LoadingSlope | None = None,
+    steps: int = 1,
+) -> LoadingSlope | Failure:
+    """Choose the samples for the stiffness of a loading branch.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
+    over : m, the length after the take-up
+    like : the choice on the measured branch, for a curve without noise
+    steps : parts that each sampling step has been divided into
+
+    Returns
+    -------
+    The samples, or a failure of `take_up` or `window_slope`.
+
+    Notes
+    -----
+    A branch counts as taut from the first sample whose force is above its noise; without noise,
+    from the zero of the line through the foot of the force. The difference is an effect of noise.
+    Between samples it is not before the machine moves: samples at rest with a force above its noise
+    would shift the line.
+    """
+    limit = None if like is None else like.take_up.limit
+    begin = take_up(displacement, force, limit=limit, steps=steps)
+    if isinstance(begin, Failure):
+        return begin
+    start, first = float(begin.of(displacement, force)), begin.sample
+    if like is not None and begin.is_line:
+        at = float(zero_of_line(time[begin.foot], force[begin.foot]))
+        first = min(int(np.searchsorted(time, at)), first)
+    if steps > 1:
+        first = max(first, _start_of_motion(time, displacement, start, over))
+    taut = slice(first, None)
+    path = displacement[taut]
+    slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + over)
+    if isinstance(slope, Failure):
+        return slope
+    return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
+
+
+def _start_of_motion(time: Floats, displacement: Floats, start: float, over: float) -> int:
+    """Return the sample at which a machine of constant speed passed a place; 0 if unknown."""
+    ahead = displacement - start
+    part = np.flatnonzero((ahead >= _START_SHARE * over) & (ahead <= _STEADY_SHARE * over))
+    at = float(zero_of_line(time[part], ahead[part])) if len(part) > 1 else np.nan
+    return 0 if np.isnan(at) else int(np.searchsorted(time, at))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnloadingSlope:
+    """Stiffness over a length after a turn.
+
+    Parameters
+    ----------
+    turn : of the curve
+    branch : samples of the curve
+    slope : of the branch
+    sense : 1 if loading increases the displacement, else -1
+    ahead : m, from the displacement at the turn to that in the middle of the window
+    """
+
+    turn: Turn
+    branch: slice
+    slope: WindowSlope
+    sense: float
+    ahead: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Return the stiffness, N/m, shape (...), of a curve of shape (..., n), m, N, or NaN.
+
+        The window has the same distance from the turn of each row.
+        """
+        d, f = displacement[..., self.branch], force[..., self.branch]
+        middle = d[..., self.slope.window].mean(axis=-1)
+        later = self.sense * (middle - self.turn.of(displacement) - self.ahead)
+        return self.slope.of(d, f, later)
+
+
+def unloading_slope(
+    time: Floats, displacement: Floats, force: Floats, part: Branch, *, over: float, sense: float
+) -> UnloadingSlope | Failure:
+    """Choose the samples for the stiffness after a turn.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N, of the curve; NaN where unknown
+    part : the branch that begins with the turn
+    over : m, the length after the turn; its first tenth, where the motion turns, is excluded
+    sense : 1 if loading increases the displacement, else -1
+
+    Returns
+    -------
+    The samples, or a failure as `window_slope` has it.
+    """
+    turn = turn_at(time, displacement, at=part.start_time, first=part.start, stop=part.stop)
+    start, branch = float(turn.of(displacement)), slice(part.start, part.stop)
+    off = sense * (start - displacement[branch])
+    slope = window_slope(
+        time[branch], displacement[branch], force[branch], off, low=0.1 * over, high=over
+    )
+    if isinstance(slope, Failure):
+        return slope
+    ahead = float(displacement[branch][slope.window].mean()) - start
+    return UnloadingSlope(turn, branch, slope, sense, ahead)
+
+
+MIN_LINE_SAMPLES = 5
+
+
+def compliance_window(
+    displacement: Floats, force: Floats, *, start: float, stop: float
+) -> Samples | Failure:
+    """Find the samples over which the force first rises from one value to another.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN
+        are ignored
+    start, stop : N, force window; below it grips and joints settle
+
+    Returns
+    -------
+    The samples, or a failure: ``too_few_samples``, ``no_travel`` if the force is constant,
+    ``not_reached`` if it does not reach `stop`.
+    """
+    finite = finite_samples(displacement, force)
+    f = force[finite]
+    if len(f) == 0 or float(f.max()) < stop:
+        most = float(f.max()) if len(f) else 0.0
+        return Failure(
+            "not_reached", f"the force reaches {most:.4g} N, the window ends at {stop:.4g} N"
+        )
+    last = int(np.argmax(f >= stop))
+    below = np.flatnonzero(f[:last] < start)
+    inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
+    if len(inside) < MIN_LINE_SAMPLES:
+        message = f"{len(inside)} samples in the stretch, {MIN_LINE_SAMPLES} are needed"
+        return Failure("too_few_samples", message)
+    if np.ptp(force[inside]) == 0.0:
+        return Failure("no_travel", "the force does not change over the stretch")
+    return samples_of(inside)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +589,7 @@ class UnloadingStiffness(OfCycle):
         fit = unloading_slope(trace.time, d, trace.force, branches[1], over=self.over, sense=sense)
         if isinstance(fit, Failure):
             return fit
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (fit.of(trace.displacement, trace.force),)
-
-        return Reading(numbers, fit.slope.n)
+        return Reading(on_part(fit.of, slice(None)), fit.slope.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,13 +645,7 @@ class LoadingStiffness(OfCycle):
         if isinstance(fit, Failure):
             return fit
         branch = slice(part.start, part.stop)
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (fit.of(trace.displacement[..., branch], trace.force[..., branch]),)
-
-        def in_noise(trace: Trace) -> tuple[Floats]:
-            return (fit.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
-
+        numbers, in_noise = on_part(fit.of, branch), on_part(fit.of_each, branch)
         return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
 
 
@@ -178,13 +666,13 @@ class Hardening(Kind):
             return self.not_available(blocked_or(test, NO_LOADING), method)
         stiffness, numbers = LoadingStiffness(over=self.over), []
         before = stiffness.decide_cycle(test, 1)
-        first = test.measure(before)
+        first = test.measure_one(before)
         for later in test.cycles[1:]:
             number = later[0].cycle
             after = stiffness.decide_cycle(test, number)
             plain = [stiffness.plain(test, cycle) for cycle in (later, test.cycles[0])]
             values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
-            outcome = test.measure(combine(_hardened, after, partial(_first, before)), values)
+            outcome = test.measure_one(combine(_hardened, after, partial(_first, before)), values)
             numbers.append(
                 self.number(
                     _above_noise(first, outcome),
@@ -211,18 +699,15 @@ def _first(before: Decide, trace: Trace) -> Reading | Failure:
     return reading
 
 
-def _above_noise(
-    first: tuple[Measured, ...] | Failure, outcome: tuple[Measured, ...] | Failure
-) -> Measured | Failure:
+def _above_noise(first: Measured | Failure, outcome: Measured | Failure) -> Measured | Failure:
     """Return a ratio if the stiffness of the first cycle is above noise."""
     if isinstance(outcome, Failure):
         return outcome
     if isinstance(first, Failure):
         return first
-    if first[0].value <= 3.0 * first[0].error:
-        message = f"{first[0].value:.4g} N/m in cycle 1 is no more than noise"
-        return Failure("no_stiffness", message)
-    return outcome[0]
+    if first.value <= 3.0 * first.error:
+        return Failure("no_stiffness", f"{first.value:.4g} N/m in cycle 1 is no more than noise")
+    return outcome
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,18 +751,13 @@ def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
     method = (
         f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
     )
-    if not test.cycles:
-        return kind.not_available(blocked_or(test, NO_CYCLE), method)
-
-    def decide(trace: Trace) -> Reading | Failure:
-        return _secant(trace, kind.start, kind.stop)
-
-    outcome = test.measure(decide)
+    decide = partial(_secant, low=kind.start, high=kind.stop)
+    outcome = test.measure_one(decide)
     if isinstance(outcome, Failure):
         return kind.not_available(outcome, method)
     during, window = test.while_loading(kind.start, kind.stop), (kind.start, kind.stop)
-    number = kind.number(outcome[0], method, during=during)
-    return Computed((number,), {name: Stiffness(decide, outcome[0].as_estimate, during, window)})
+    number = kind.number(outcome, method, during=during)
+    return Computed((number,), {name: Stiffness(decide, outcome.as_estimate, during, window)})
 
 
 def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
@@ -287,17 +767,12 @@ def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
     fit = window_slope(time, path, force, path, low=low, high=high)
     if isinstance(fit, Failure):
         return fit
-
-    def numbers(trace: Trace) -> tuple[Floats]:
-        return (fit.of(trace.displacement[..., branch], trace.force[..., branch]),)
-
     middle = path[fit.window].mean()
 
-    def in_noise(trace: Trace) -> tuple[Floats]:
-        path, force = trace.displacement[..., branch], trace.force[..., branch]
-        later = middle - path[..., fit.window].mean(axis=-1)
-        return (fit.of(path, force, later),)
+    def with_own_window(path: Floats, force: Floats) -> Floats:
+        return fit.of(path, force, middle - path[..., fit.window].mean(axis=-1))
 
+    numbers, in_noise = on_part(fit.of, branch), on_part(with_own_window, branch)
     return Reading(numbers, fit.n, in_noise, is_cut=True)
 
 
@@ -328,15 +803,14 @@ class LineStiffness(Window):
         method = (
             f"straight line {self.in_words} of the first loading, interval for correlated noise"
         )
-        if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), method)
-        outcome, curve = test.measure(self.decide), traced(test)
+        slope = test.measure_one(self.decide)
+        if isinstance(slope, Failure):
+            return self.not_available(slope, method)
+        curve = traced(test)
         window = self.samples(curve)
-        if isinstance(outcome, Failure):
-            return self.not_available(outcome, method)
         if isinstance(window, Failure):
             return self.not_available(window, method)
-        slope, d = outcome[0], curve.displacement[window]
+        d = curve.displacement[window]
         low, high = float(d.min()), float(d.max())
         level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
         during, doubts = test.while_loading(low, high), marked_slips(test, (low, high))
@@ -380,12 +854,7 @@ class LineStiffness(Window):
             return Failure("too_few_samples", message)
         if np.ptp(trace.displacement[chosen]) == 0.0:
             return Failure("no_travel", "the displacement does not change over the stretch")
-        part = samples_of(chosen)
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            return (slope_of_line(trace.displacement[..., part], trace.force[..., part]),)
-
-        return Reading(numbers, len(chosen), is_cut=True)
+        return Reading(on_part(slope_of_line, samples_of(chosen)), len(chosen), is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -422,7 +891,7 @@ class NormalisedStiffness(OfStiffness):
         return Computed((self.number(outcome, method, during=during, doubts=doubts),))
 
 
-def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
+def _per_peak(test: ReducedTest, stiffness: Stiffness) -> Outcome:
     """Measure a stiffness over the largest force of all cycles."""
     trace = traced(test)
     peaks = {cycle[0].cycle: peak_of(test, trace, cycle[0].cycle) for cycle in test.cycles}
@@ -431,15 +900,14 @@ def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
         return next(peak for peak in peaks.values() if isinstance(peak, Failure))
     values = {key: float(reading.numbers(trace)[0]) for key, reading in readings.items()}
     largest = max(values, key=lambda key: values[key])
-    outcome = test.measure(lambda trace: peak_of(test, trace, largest))
-    peak = outcome if isinstance(outcome, Failure) else outcome[0]
+    peak = test.measure_one(lambda trace: peak_of(test, trace, largest))
     if isinstance(peak, Failure):
         return peak
     if peak.value <= 3.0 * peak.error:
         return Failure("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
-    share = combine(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
-    ratio = test.measure(share)
-    return ratio if isinstance(ratio, Failure) else ratio[0]
+    return test.measure_one(
+        combine(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
+    )
 
 
 def _quotient(trace: Trace, one: Floats, other: Floats) -> Floats:
@@ -463,17 +931,16 @@ class Modulus(OfStiffness):
     def compute(self, test: ReducedTest) -> Computed:
         """Compute the modulus with the uncertainties of stiffness, gauge length and area."""
         method = f"{self.of} x specimen.length / area ({self.area})"
-        stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.section)
+        stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.sizes)
         if stiffness is None:
             return self.not_available(self.missing(test), method)
-        outcome: CalibrationFit
-        if test.setup.length is None:
+        outcome: Outcome
+        if "length" not in test.setup.sizes:
             outcome = Failure("no_length", "specimen.length, the gauge length, is not given")
         elif isinstance(area, Failure):
             outcome = area
         else:
-            measured = test.measure(combine(self._modulus, stiffness.decide))
-            outcome = measured if isinstance(measured, Failure) else measured[0]
+            outcome = test.measure_one(combine(self._modulus, stiffness.decide))
         doubts = marked_slips(test, stiffness.bends_with) + _of_the_machine(test, stiffness)
         return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))
 
@@ -497,20 +964,30 @@ def _of_the_machine(test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ..
     return (Reason("machine_compliance", message),)
 
 
-def _area(kind: str, section: Mapping[str, float]) -> float | Failure:
+_AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
+    "stated": (("area",), lambda area: area),
+    "rectangle": (("width", "thickness"), lambda width, thickness: width * thickness),
+    "annulus": (
+        ("outer_diameter", "inner_diameter"),
+        lambda outer, inner: 0.25 * np.pi * (outer**2 - inner**2),
+    ),
+    "thin-wall": (("outer_diameter", "wall"), lambda outer, wall: np.pi * (outer - wall) * wall),
+}
+"""Sizes of a section, m, by the keys of the protocol, and its area, m^2.
+
+The diameters of a corrugated tube include the height of its folds, so that annulus and thin wall
+differ: a modulus has to state which one it refers to.
+"""
+
+
+def _area(kind: str, given: Mapping[str, float]) -> float | Failure:
     """Compute an area from its sizes."""
-    needs = {
-        "stated": ("area",),
-        "rectangle": ("width", "thickness"),
-        "annulus": ("outer_diameter", "inner_diameter"),
-        "thin-wall": ("outer_diameter", "wall"),
-    }[kind]
-    sizes = [section[name] for name in needs if name in section]
+    needs, area_of = _AREAS[kind]
+    sizes = [given[name] for name in needs if name in given]
     if len(sizes) < len(needs):
-        wanted = " and ".join(f"specimen.section.{name}" for name in needs)
-        return Failure("no_area", f"{wanted} not given")
-    areas = {"rectangle": rectangle_area, "annulus": annulus_area, "thin-wall": thin_wall_area}
-    area = sizes[0] if kind == "stated" else areas[kind](*sizes)
+        missing = " and ".join(f"specimen.section.{name}" for name in needs)
+        return Failure("no_area", f"{missing} not given")
+    area = area_of(*sizes)
     if not area > 0.0:
         return Failure("no_area", f"the {kind} area comes out as {area:.4g} m^2")
     return area
@@ -531,12 +1008,10 @@ class ComplianceResult(Kind):
             f"displacement against force from {self.start:g} N to {self.stop:g} N, the bar taken "
             "for rigid"
         )
-        if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), method)
-        outcome = test.measure(self.decide)
+        outcome = test.measure_one(self.decide)
         if isinstance(outcome, Failure):
             return self.not_available(outcome, method)
-        return Computed((self.number(outcome[0], method, during=test.while_loading()),))
+        return Computed((self.number(outcome, method, during=test.while_loading()),))
 
     def decide(self, trace: Trace) -> Reading | Failure:
         """Choose the samples for the slope of displacement against force over the window.
@@ -553,14 +1028,8 @@ class ComplianceResult(Kind):
         slope = float(slope_of_line(f[window], d[window]))
         if slope <= 0.0:
             return Failure("not_positive", f"slope {slope:.4g} m/N")
-
-        def numbers(trace: Trace) -> tuple[Floats]:
-            x, y = (
-                values[..., stretch][..., window] for values in (trace.force, trace.displacement)
-            )
-            return (slope_of_line(x, y),)
-
-        return Reading(numbers, len(d[window]), is_cut=True)
+        compliance = on_part(lambda d, f: slope_of_line(f, d), (stretch, window))
+        return Reading(compliance, len(d[window]), is_cut=True)
 
 
 KINDS = (

@@ -2,58 +2,387 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
-from labpipe.fits.two_segments import (
-    Hinges,
-    Segments,
-    why_break_is_doubtful,
-    why_no_bend,
-    why_no_kink,
-)
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import FittedLine
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Failure
-from labpipe.records.signals import Stretch
+from labpipe.records.quality import Reason
 from labpipe.results.curve_replicates import loading_of, traced
-from labpipe.results.kinds import NO_LOADING, Computed, blocked_or, marked_slips
+from labpipe.results.kinds import Computed, marked_slips
+from labpipe.results.least_squares import CommonPath, finite_samples
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
 
+_Place = TypeVar("_Place", float, Floats)
+
+
+_MIN_SIDE_SAMPLES = 4
+
+
+def _sort_samples(displacement: Floats, finite: Ints) -> Ints | Failure:
+    """Sort the samples of a stretch of increasing displacement."""
+    min_samples = 16
+    d = displacement[finite]
+    if len(d) < min_samples:
+        return Failure(
+            "too_few_samples", f"{len(d)} samples in the stretch, {min_samples} are needed"
+        )
+    if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
+        message = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
+        return Failure("not_increasing", message)
+    return finite[np.argsort(d, kind="stable")]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scan:
+    """Sums of squares of all two-segment lines through sorted samples, from running sums.
+
+    d, y : shape (n,), as measured; x : d centred and scaled; r : residuals of one straight line, so
+    that the sums do not cancel; sums : shape (5, n + 1), running sums of 1, x, x^2, r, x r.
+    """
+
+    d: Floats
+    y: Floats
+    x: Floats
+    r: Floats
+    sums: Floats
+
+    @classmethod
+    def of(cls, d: Floats, y: Floats) -> _Scan:
+        x = (d - 0.5 * (d[0] + d[-1])) * (2.0 / (d[-1] - d[0]))
+        lever = x - x.mean()
+        r = y - y.mean() - lever * ((lever @ y) / (lever @ lever))
+        sums = np.zeros((5, len(x) + 1))
+        np.cumsum([np.ones_like(x), x, x * x, r, x * r], axis=1, out=sums[:, 1:])
+        return cls(d, y, x, r, sums)
+
+    def d_of(self, x: _Place) -> _Place:
+        """Return the displacement of a scaled place, m."""
+        first, last = float(self.d[0]), float(self.d[-1])
+        return 0.5 * (first + last) + 0.5 * (last - first) * x
+
+    def squares_at(self, at: Floats) -> Floats:
+        """Return the smallest sum of squares for given breaks, shape of `at`."""
+        _, _, _, sr, sxr = self._above(at)
+        _, _, left = self.hinges(at)
+        shr = sxr - at * sr
+        gain = np.where(left > 0.0, shr * shr / np.where(left > 0.0, left, 1.0), 0.0)
+        rest: Floats = float(self.r @ self.r) - gain
+        return rest
+
+    def _above(self, at: Floats) -> Floats:
+        """Return sums over the samples beyond each place, shape (5, ...)."""
+        above: Floats = self.sums[:, -1:] - self.sums[:, np.searchsorted(self.x, at, "right")]
+        return above
+
+    def hinges(self, at: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return sums of h = max(x - at, 0) at each place.
+
+        Returns
+        -------
+        Sum of h; sum of h (x - mean x); sum of squares of h less its straight line, 0 within
+        rounding.
+        """
+        n, sx, sxx, _, _ = self._above(at)
+        count, mx, mxx = self.sums[0, -1], *self.spread
+        sh, sxh, shh = sx - at * n, sxx - at * sx, sxx - 2.0 * at * sx + at * at * n
+        cross = sxh - mx * sh
+        left = shh - sh * sh / count - cross * cross / mxx
+        return sh, cross, np.where(left > 1e-14 * count, left, 0.0)
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Mean of x, and sum of squares about it."""
+        count, sx, sxx = self.sums[:3, -1]
+        return float(sx / count), float(sxx - sx * sx / count)
+
+    def crossings(self) -> Floats:
+        """Return where separate lines before and after a gap between samples meet inside it."""
+        below = self.sums[:, _MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        first, second = _lines(below), _lines(self.sums[:, -1:] - below)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            meet = (second[0] - first[0]) / (first[1] - second[1])
+        low = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES]
+        high = self.x[_MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        crossings: Floats = meet[(meet >= low) & (meet <= high)]
+        return crossings
+
+    def best(self) -> float:
+        """Return the break of the global optimum."""
+        inside = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        places = np.concatenate([inside, self.crossings()])
+        return float(places[int(np.argmin(self.squares_at(places)))])
+
+
+def _lines(sums: Floats) -> tuple[Floats, Floats]:
+    """Return level and slope of the least-squares line of each column of sums."""
+    n, sx, sxx, sr, sxr = sums
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = (n * sxr - sx * sr) / (n * sxx - sx * sx)
+        return (sr - slope * sx) / n, slope
+
+
+class Segments(NamedTuple):
+    """Two lines that meet, for each of many curves.
+
+    Parameters
+    ----------
+    break_point : shape (...), m
+    first, second : shape (...), N/m, slopes before and after it
+    level : shape (...), N, force at the break
+    """
+
+    break_point: Floats
+    first: Floats
+    second: Floats
+    level: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hinges:
+    """Places at which two lines may meet, chosen on one curve.
+
+    Parameters
+    ----------
+    path : of the samples with both quantities, sorted by displacement
+    scan : of the reference curve
+    places : shape (300,), on the scale of the scan
+    moved : on that scale, from the optimum over the places to the global optimum of that curve
+    """
+
+    path: CommonPath
+    scan: _Scan
+    places: Floats
+    moved: float = 0.0
+
+    @classmethod
+    def of(cls, displacement: Floats, force: Floats) -> Hinges | Failure:
+        """Choose the places between which a curve may bend.
+
+        Parameters
+        ----------
+        displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time; NaN
+            are ignored
+
+        Returns
+        -------
+        Equidistant places, the first and the last with eight samples beyond (an eighth of fewer
+        than 64 samples, at least four), or a failure: ``too_few_samples`` (fewer than 16),
+        ``not_increasing`` if the displacement does not increase over the stretch.
+        """
+        order = _sort_samples(displacement, finite_samples(displacement, force))
+        if isinstance(order, Failure):
+            return order
+        scan = _Scan.of(displacement[order], force[order])
+        beside = min(8, max(_MIN_SIDE_SAMPLES, len(order) // 8)) - 1
+        places = np.linspace(scan.x[beside], scan.x[-1 - beside], 300)
+        hinges = cls(CommonPath.of(displacement, force, order), scan, places)
+        return replace(hinges, moved=scan.best() - float(hinges._best(scan.y[None])[0]))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last sample of the stretch, m."""
+        return float(self.scan.d[0]), float(self.scan.d[-1])
+
+    def fitted(self, force: Floats, displacement: Floats | None = None) -> Segments:
+        """Fit two lines that meet to each of many curves.
+
+        Parameters
+        ----------
+        force : shape (..., n), N, with the samples of the reference curve
+        displacement : shape (..., n), m; None for that of the reference curve
+
+        Returns
+        -------
+        Numbers of shape (...); NaN for a curve with NaN among these samples.
+
+        Notes
+        -----
+        For the reference curve it is the global least-squares optimum over all breaks, from a scan
+        of all gaps between samples (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). For all others 300
+        places are tried. A hinge max(x - c, 0) reduces the sum of squares about one straight line
+        by (y'u)^2, with u the hinge less its own line, of length 1; the largest is refined by the
+        parabola through it and its neighbours, and shifted by the error of that for the reference
+        curve. The lines are the least-squares ones with this break. Products with hinges are exact,
+        from sums of y and x y between places. Noise of the displacement counts as noise of the
+        force (`CommonPath`).
+        """
+        y = self.path.force(force, displacement)
+        shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
+        scan, (mean, spread) = self.scan, self.scan.spread
+        inside = scan.x[_MIN_SIDE_SAMPLES - 1], scan.x[-_MIN_SIDE_SAMPLES]
+        at = np.clip(self._best(y) + self.moved, *inside)
+        sh, cross, left = scan.hinges(at)
+        level, along = y.mean(axis=1), y @ (scan.x - mean)
+        product = np.einsum("rn,rn->r", y, np.maximum(scan.x - at[:, None], 0.0))
+        left = np.where(left > 0.0, left, np.nan)
+        bend = (product - sh * level - cross * along / spread) / left
+        slope = (along - bend * cross) / spread
+        level += slope * (at - mean) - bend * sh / y.shape[1]
+        scale = 2.0 / (scan.d[-1] - scan.d[0])
+        numbers = (scan.d_of(at), scale * slope, scale * (slope + bend), level)
+        return Segments(*(number.reshape(shape) for number in numbers))
+
+    @property
+    def straight_line(self) -> str:
+        """Residual of one straight line for the reference curve, in words."""
+        left = float(np.sqrt(self.scan.r @ self.scan.r / (len(self.scan.r) - 2)))
+        start, stop = self.ends
+        return (
+            f"one straight line does as well, to within {left:.3g} N from {1e3 * start:.4g} to "
+            f"{1e3 * stop:.4g} mm"
+        )
+
+    def _best(self, y: Floats) -> Floats:
+        """Return the breaks (R,) from the places and the parabola, of sorted curves (R, k)."""
+        x, places, (mean, spread) = self.scan.x, self.places, self.scan.spread
+        starts = np.concatenate([[0], np.searchsorted(x, places)])
+        is_empty = np.diff(starts, append=len(x)) == 0
+        beyond = []
+        for values in (y, y * x):
+            between = np.add.reduceat(values, starts, axis=1)
+            between[:, is_empty] = 0.0  # `reduceat` returns the first sample of an empty stretch
+            beyond.append(np.cumsum(between[:, :0:-1], axis=1)[:, ::-1])
+        sh, cross, left = self.scan.hinges(places)
+        product = beyond[1] - places * beyond[0]
+        product -= np.outer(y.mean(axis=1), sh) + np.outer(y @ (x - mean), cross / spread)
+        gain = product**2 / np.where(left > 0.0, left, np.inf)
+        top = np.clip(np.argmax(gain, axis=1), 1, len(places) - 2)
+        before, at, behind = np.take_along_axis(gain, top[:, None] + [-1, 0, 1], axis=1).T
+        bent = 2.0 * at - before - behind
+        off = 0.5 * (behind - before) / np.where(bent > 0.0, bent, np.inf)
+        best: Floats = places[top] + np.clip(off, -1.0, 1.0) * (places[1] - places[0])
+        return best
+
+
+def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
+    """Test whether a curve bends, by its replicates.
+
+    Parameters
+    ----------
+    fit : of the curve itself, shape ()
+    smooth : of the smooth curve of the replicates, shape ()
+    drawn : of the replicates, shape (R,); NaN for those without a number
+    hinges : of the curve itself
+
+    Returns
+    -------
+    ``no_bend`` if the slopes differ by at most four standard errors, or if 2.5 % of the replicates
+    have their break within two places of an end, or the interval of the break has an end there;
+    None if the curve bends.
+
+    Notes
+    -----
+    The break was chosen for the largest difference of the slopes, so a straight line exceeds two
+    standard errors by chance far more often than once in twenty. The standard error is that of the
+    replicates that bend less than the median one, from their 2.5 % quantile: those whose break
+    moves towards an end have steeper slopes beyond it, which is no evidence against a bend.
+    """
+    min_bend_errors = 4.0
+    first, second = float(fit.first), float(fit.second)
+    bend, bends = second - first, drawn.second - drawn.first
+    middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
+    error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
+    if not abs(bend) > min_bend_errors * error:
+        return Failure(
+            "no_bend",
+            f"slopes {first:.6g} and {second:.6g} N/m differ by {abs(bend):.3g} N/m, "
+            f"{min_bend_errors} standard errors of {error:.3g} N/m are needed",
+        )
+    low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
+    at = drawn.break_point[~np.isnan(drawn.break_point)]
+    likely = fit.break_point - (at - smooth.break_point)
+    for breaks in (at, likely):
+        if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
+            start, stop = hinges.ends
+            ends = f"{start:.6g} to {stop:.6g} m"
+            return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
+    return None
+
+
+def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
+    """Test whether the slope of a curve decreases at a kink, by its replicates.
+
+    Parameters
+    ----------
+    fit, smooth, drawn, hinges : as `why_no_bend` takes them
+
+    Returns
+    -------
+    ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet in
+    the first or the last twentieth of the stretch; None for a kink.
+    """
+    straight = why_no_bend(fit, smooth, drawn, hinges)
+    if straight is not None:
+        return Failure("no_kink", f"{hinges.straight_line}: {straight.message}")
+    first, second, at = float(fit.first), float(fit.second), float(fit.break_point)
+    if second >= first:
+        rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
+        return Failure("no_kink", f"{rises} at {1e3 * at:.4g} mm")
+    start, stop = hinges.ends
+    margin = 0.05 * (stop - start)
+    if start + margin <= at <= stop - margin:
+        return None
+    return Failure(
+        "kink_at_end",
+        f"the slope falls at {1e3 * at:.4g} mm, next to an end of the stretch from "
+        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm",
+    )
+
+
+def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Reason | None:
+    """Test whether the interval of a break is short enough.
+
+    Parameters
+    ----------
+    interval : m, of the break
+    hinges : of its fit
+
+    Returns
+    -------
+    ``wide_break`` if the interval is longer than a quarter of the stretch, else None.
+    """
+    start, stop = hinges.ends
+    width = interval.upper - interval.lower
+    if width <= 0.25 * (stop - start):
+        return None
+    return Reason(
+        "wide_break",
+        f"the break lies within {1e3 * width:.3g} mm, more than a quarter of the stretch from "
+        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm",
+    )
+
 
 @dataclass(frozen=True, slots=True)
 class _TwoLineFit:
-    """Two lines of a test, with their uncertainty."""
+    """Two lines of a test: break, slopes and force at the break, as `Segments` has them."""
 
-    first: Measured
-    second: Measured
-    break_point: Measured
-    level: Measured
+    numbers: tuple[Measured, ...]
     hinges: Hinges
-    smooth: Segments
 
     @property
-    def measured(self) -> Segments:
-        """The lines of the curve itself."""
-        return Segments(*(np.asarray(number.value) for number in self._numbers))
+    def doubts_of_break(self) -> tuple[Reason, ...]:
+        """Doubts about the break."""
+        wide = why_break_is_doubtful(self.numbers[0].interval, self.hinges)
+        return () if wide is None else (wide,)
 
-    @property
-    def drawn(self) -> Segments:
-        """The lines of its replicates, around those of the smooth curve."""
-        smooth = self.smooth
-        base = (smooth.break_point, smooth.first, smooth.second, smooth.level)
-        return Segments(*(at + number.off for at, number in zip(base, self._numbers, strict=True)))
-
-    @property
-    def _numbers(self) -> tuple[Measured, ...]:
-        return self.break_point, self.first, self.second, self.level
+    def lines(self, before: str, behind: str) -> tuple[FittedLine, ...]:
+        """Return both lines with their names."""
+        at, first, second, level = (number.value for number in self.numbers)
+        start, stop = self.hinges.ends
+        return (
+            FittedLine(before, first, level - first * (at - start), start, at),
+            FittedLine(behind, second, level, at, stop),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,32 +394,32 @@ class _TwoLines(Window):
         """With the range."""
         return f"two segments that meet, {self.in_words}, all breaks tried"
 
-    def fit(self, test: ReducedTest) -> _TwoLineFit | Failure:
+    def fit(
+        self,
+        test: ReducedTest,
+        why_none: Callable[[Segments, Segments, Segments, Hinges], Failure | None],
+    ) -> _TwoLineFit | Failure:
         """Fit two lines to the curve of a test.
 
         Parameters
         ----------
         test : the test
+        why_none : tests whether the curve has such a break, as `why_no_bend`
         """
-        if not test.cycles:
-            return blocked_or(test, NO_LOADING)
-        numbers, places = test.measure(self.decide), self._places(traced(test))
+        numbers = test.measure(self.decide)
         if isinstance(numbers, Failure):
             return numbers
+        places = self._places(traced(test))
         if isinstance(places, Failure):
             return places
-        first, second, at, level = numbers
-        return _TwoLineFit(first, second, at, level, places[1], self._smooth(test, numbers))
-
-    def _smooth(self, test: ReducedTest, numbers: tuple[Measured, ...]) -> Segments:
-        """Return the lines of the smooth curve, or else those of the curve itself."""
-        trace = None if test.replicates is None else test.replicates.smooth
-        reading = None if trace is None else self.decide(trace)
-        if trace is None or not isinstance(reading, Reading):
-            first, second, at, level = (np.asarray(number.value) for number in numbers)
-        else:
-            first, second, at, level = reading.numbers(trace)
-        return Segments(at, first, second, level)
+        measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
+        if test.replicates is not None:
+            reading = self.decide(test.replicates.smooth)
+            if isinstance(reading, Reading):
+                smooth = Segments(*reading.numbers(test.replicates.smooth))
+        drawn = Segments(*(at + number.off for at, number in zip(smooth, numbers, strict=True)))
+        hinges = places[1]
+        return why_none(measured, smooth, drawn, hinges) or _TwoLineFit(numbers, hinges)
 
     def decide(self, trace: Trace) -> Reading | Failure:
         """Choose the places at which the lines may meet.
@@ -101,16 +430,15 @@ class _TwoLines(Window):
 
         Returns
         -------
-        A reading of first and second slope, break, and force there.
+        A reading of the numbers of `Segments`.
         """
         places = self._places(trace)
         if isinstance(places, Failure):
             return places
         part, hinges = places
 
-        def numbers(trace: Trace) -> tuple[Floats, ...]:
-            segments = hinges.fitted(trace.force[..., part], trace.displacement[..., part])
-            return segments.first, segments.second, segments.break_point, segments.level
+        def numbers(trace: Trace) -> Segments:
+            return hinges.fitted(trace.force[..., part], trace.displacement[..., part])
 
         return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
 
@@ -152,48 +480,32 @@ class TwoSegments(_TwoLines):
 
     def compute(self, test: ReducedTest) -> Computed:
         """Fit the best two segments that meet."""
-        fit = self.fit(test)
+        fit = self.fit(test, why_no_bend)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        straight = why_no_bend(fit.measured, fit.smooth, fit.drawn, fit.hinges)
-        if straight is not None:
-            return self.not_available(straight, self.method)
+        place, first, second, _ = fit.numbers
         start, stop = read = fit.hinges.ends
-        at, during = fit.break_point.value, test.while_loading(*read)
-        doubts = marked_slips(test, read)  # one bends both
+        at, during = place.value, test.while_loading(*read)
+        slips = marked_slips(test, read)  # one bends both
         one, other = (output.name for output in self.outputs[:2])
-        level, first, second = fit.level.value, fit.first.value, fit.second.value
-        left = level - first * (at - start)
-        wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
-        all_doubts = (doubts, doubts, doubts if wide is None else (*doubts, wide))
+        numbers = ((first, slips), (second, slips), (place, slips + fit.doubts_of_break))
+        sides = ((one, 1, (max(start, 0.0), at)), (other, 2, (max(at, 0.0), stop)))
         return Computed(
             tuple(
-                self.number(
-                    value, self.method, output=place, during=during, doubts=all_doubts[place]
-                )
-                for place, value in enumerate((fit.first, fit.second, fit.break_point))
+                self.number(number, self.method, output=output, during=during, doubts=doubts)
+                for output, (number, doubts) in enumerate(numbers)
             ),
             {
-                one: self._side(0, fit.first, during, (max(start, 0.0), at), read),
-                other: self._side(1, fit.second, during, (max(at, 0.0), stop), read),
+                name: Stiffness(
+                    partial(self.one_of, number=number),
+                    fit.numbers[number].as_estimate,
+                    during,
+                    window,
+                    read,
+                )
+                for name, number, window in sides
             },
-            (
-                FittedLine(one, first, left, start, at),
-                FittedLine(other, second, level, at, stop),
-            ),
-        )
-
-    def _side(
-        self,
-        number: int,
-        slope: Measured,
-        during: Stretch | None,
-        window: tuple[float, float],
-        read: tuple[float, float],
-    ) -> Stiffness:
-        """Return one of the slopes for later entries."""
-        return Stiffness(
-            partial(self.one_of, number=number), slope.as_estimate, during, window, read
+            fit.lines(one, other),
         )
 
 
@@ -209,27 +521,18 @@ class Kink(_TwoLines):
 
     def compute(self, test: ReducedTest) -> Computed:
         """Find the decrease of the slope of the first loading."""
-        fit = self.fit(test)
+        fit = self.fit(test, why_no_kink)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        none = why_no_kink(fit.measured, fit.smooth, fit.drawn, fit.hinges)
-        if none is not None:
-            return self.not_available(none, self.method)
-        start, stop = fit.hinges.ends
-        at, level, first = fit.break_point.value, fit.level.value, fit.first.value
-        before = level - first * (at - start)
-        wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
-        doubts = (*marked_slips(test, (start, stop)), *([] if wide is None else [wide]))
-        during = test.while_loading(start, stop)
+        place, _, _, level = fit.numbers
+        doubts = marked_slips(test, fit.hinges.ends) + fit.doubts_of_break
+        during = test.while_loading(*fit.hinges.ends)
         return Computed(
             tuple(
-                self.number(value, self.method, output=place, during=during, doubts=doubts)
-                for place, value in enumerate((fit.break_point, fit.level))
+                self.number(number, self.method, output=output, during=during, doubts=doubts)
+                for output, number in enumerate((place, level))
             ),
-            lines=(
-                FittedLine("before_kink", first, before, start, at),
-                FittedLine("behind_kink", fit.second.value, level, at, stop),
-            ),
+            lines=fit.lines("before_kink", "behind_kink"),
         )
 
 

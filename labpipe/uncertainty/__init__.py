@@ -1,1 +1,1 @@
-"""How uncertain a fitted number is: noise that remembers, and linear fits that know it."""
+"""Uncertainty of numbers: noise models, replicates of curves, intervals, and linear fits."""

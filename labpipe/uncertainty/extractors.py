@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Singles
+from labpipe.records.arrays import Floats, Samples, Singles
 from labpipe.records.curve import Branch
 from labpipe.records.estimates import Failure
 
@@ -107,6 +107,27 @@ class Reading:
 
 Decide: TypeAlias = Callable[[Trace], Reading | Failure]
 """Chooses, on one curve, the samples that numbers are read from; or says why there are none."""
+
+
+def on_part(
+    function: Callable[[Floats, Floats], Floats], part: Samples | tuple[slice, Samples]
+) -> Callable[[Trace], tuple[Floats]]:
+    """Return a number of traces from displacement and force of a part of them.
+
+    Parameters
+    ----------
+    function : of displacement and force, shape (..., m), m, N
+    part : samples of the trace, or a stretch of it and samples of that
+    """
+    parts = part if isinstance(part, tuple) else (part,)
+
+    def numbers(trace: Trace) -> tuple[Floats]:
+        displacement, force = trace.displacement, trace.force
+        for samples in parts:
+            displacement, force = displacement[..., samples], force[..., samples]
+        return (function(displacement, force),)
+
+    return numbers
 
 
 def combine(function: Callable[..., Floats], *parts: Decide) -> Decide:

@@ -30,7 +30,7 @@ class LinearFit:
     coefficients : shape (p,)
     covariance : shape (p, p), averaged over the correlation times by their probability
     half_widths : shape (p,), of the 95 % intervals
-    unit_errors : shape (p,), standard errors in independent noise of variance 1
+    classical_errors : shape (p,), standard errors as if the residuals were independent
     residual_deviation : residual standard deviation, n - p degrees of freedom
     n : number of samples
     """
@@ -38,7 +38,7 @@ class LinearFit:
     coefficients: Floats
     covariance: Floats
     half_widths: Floats
-    unit_errors: Floats
+    classical_errors: Floats
     residual_deviation: float
     n: int
 
@@ -47,11 +47,6 @@ class LinearFit:
         value, half = float(self.coefficients[number]), float(self.half_widths[number])
         error = float(np.sqrt(self.covariance[number, number]))
         return Estimate(value, error, self.n, Interval(value - half, value + half))
-
-    @property
-    def classical_errors(self) -> Floats:
-        """Standard errors (p,) as if the residuals were independent."""
-        return self.residual_deviation * self.unit_errors
 
 
 def fit_linear(
@@ -104,12 +99,12 @@ def fit_linear(
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values
     residuals = values - plain @ basis
-    most = max([count, *(len(floats) for floats in beside)])
+    most = max([count, *map(len, beside)])
     grid = Grid(most, most if weighted else min(most, MAX_COSINES))
     window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
     others = [
-        StretchLikelihood.of(cubic_basis(len(floats)), floats, grid, MAX_COSINES)
-        for floats in beside
+        StretchLikelihood.of(cubic_basis(len(stretch)), stretch, grid, MAX_COSINES)
+        for stretch in beside
     ]
     noise = Noise.of([window, *others], grid)
     if weighted:
@@ -126,7 +121,7 @@ def fit_linear(
         coefficients=to_coefficients @ (plain + shift),
         covariance=np.tensordot(noise.chances, covariances, axes=1) + spread,
         half_widths=_half_widths(noise, np.diagonal(covariances, axis1=1, axis2=2), offsets),
-        unit_errors=np.asarray(np.linalg.norm(to_coefficients, axis=1), dtype=np.float64),
+        classical_errors=deviation * np.linalg.norm(to_coefficients, axis=1),
         residual_deviation=deviation,
         n=count,
     )

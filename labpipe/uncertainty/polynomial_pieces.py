@@ -81,10 +81,9 @@ def _best_cuts(squares: list[Floats], count: int) -> tuple[float, tuple[int, ...
 
 def _sums_of_squares(values: Floats, degree: int) -> Floats:
     """Return residual sums of squares of samples [i, j), shape (n + 1, n + 1); inf if too few."""
-    min_free_samples = 0
     count = len(values)
     sums = np.full((count + 1, count + 1), np.inf)
-    for length in range(degree + 1 + min_free_samples, count + 1):
+    for length in range(degree + 1, count + 1):
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         explained = windows @ _slopes(length, degree)

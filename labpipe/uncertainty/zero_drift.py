@@ -30,12 +30,4 @@ def drift_modes(away: Floats, by: float) -> list[Floats]:
         return []
     places = np.pi * (np.arange(MODES) + 0.5)
     scale = by / float(np.sqrt(np.sum(places**-2.0)))
-    most, modes = away.max(), list[Floats]()
-    for place in places.tolist():
-        wave = place * away
-        wave /= most
-        np.sin(wave, out=wave)
-        wave *= scale
-        wave /= place
-        modes.append(wave)
-    return modes
+    return [np.sin(place * away / away.max()) * scale / place for place in places.tolist()]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 LAYERS = (
-    *("results", "fits", "bending", "signal", "markers"),
+    *("results", "bending", "signal", "markers"),
     *("statistics", "wire", "uncertainty", "law"),
 )
 SEED, COUNT = 20261122, 400

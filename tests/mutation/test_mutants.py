@@ -66,13 +66,13 @@ def test_the_sample_is_the_same_each_time_and_each_mutant_has_tests(repository: 
 
 @pytest.mark.slow
 def test_a_trial_tells_the_test_that_fails(tmp_path: Path, repository: Path) -> None:
-    module, beside = "fits/straight_lines.py", "tests/fits/test_straight_lines_areas.py"
+    module, beside = "results/least_squares.py", "tests/results/test_slack.py"
     source = (repository / "labpipe" / module).read_text(encoding="utf-8")
     mutants = {mutant.function: mutant for mutant in mutants_of(module, source)}
     nothing = Demo.followed(tmp_path / "no demo")
-    noticed = noticed_by(mutants["rectangle_area"], [[beside]], nothing)
+    noticed = noticed_by(mutants["zero_of_line"], [[beside]], nothing)
     assert noticed.startswith(f"{beside}::test_")
-    assert not noticed_by(mutants["correct_displacement"], [[beside]], nothing)
+    assert not noticed_by(mutants["polynomial_weights"], [[beside]], nothing)
 
 
 def test_the_score() -> None:

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtful
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.kinds import ClockResult, Number, Outcome, blocked_or, to_result
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.kinds import ClockResult, Number, Outcome, to_result
+from labpipe.results.reduced_test import FailurePoint, ReducedTest, blocked_or
 
 STIFFNESS = Output("stiffness", "N/m", rests_on=("force", "displacement"))
 
@@ -173,10 +173,10 @@ def test_branches_by_cycle() -> None:
     test = evidence_of(*BRANCHES)
     assert test.cycles == [list(BRANCHES[:2]), [BRANCHES[2]]]
     assert test.first_loading is BRANCHES[0]
-    assert test.loading_stretch == slice(0, 2)
+    assert loading_of(traced(test)) == slice(0, 2)
     for sample, stop in ((0, 1), (1, 2), (2, 2)):
         failed = evidence_of(*BRANCHES, failure=FailurePoint(sample))
-        assert failed.loading_stretch == slice(0, stop)
+        assert loading_of(traced(failed)) == slice(0, stop)
     assert evidence_of(BRANCHES[1]).first_loading is None
 
 
@@ -184,7 +184,6 @@ def test_without_a_curve() -> None:
     test = ReducedTest(Signals())
     assert test.cycles == []
     assert test.first_loading is None
-    assert test.loading_stretch == slice(0, 0)
     assert test.while_loading() is None
     with pytest.raises(ValueError, match="found none"):
         _ = test.known_curve

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.grip_slips import add_back
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import (
     CLOCK_DRIFT,
@@ -30,7 +28,8 @@ from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, S
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
 from labpipe.results.load_cell_noise import ForceSamples, PeakSamples, cuts_of
-from labpipe.results.reduced_test import ReducedTest, Setup
+from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
+from labpipe.results.slips import add_back
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import measure
@@ -365,9 +364,7 @@ def test_clocks_shift_and_turn_the_force() -> None:
 
 def test_sizes() -> None:
     setup = Setup(
-        length=0.3,
-        span=0.1,
-        section={"width": 2e-3, "thickness": 1e-3},
+        sizes={"length": 0.3, "span": 0.1, "width": 2e-3, "thickness": 1e-3},
         uncertainties={"span": 1e-4, "width": 1e-5, "thickness": 2e-5, "area": 1.0},
     )
     test = replace(straight(), setup=setup)

@@ -15,10 +15,10 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Signals
 from labpipe.results.cycles import PeakDisplacement
-from labpipe.results.kinds import CalibrationFit
+from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import TipTravel, _at_turn, _Frames
-from labpipe.results.slack_correction import counted_from_taut, slack_of
+from labpipe.results.slack import counted_from_taut, slack_of
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
 from tests.builders.pulls import NOISE, pull, pulled
@@ -48,7 +48,7 @@ def swung() -> Shape:
     return shape(positions + np.random.default_rng(4).normal(0.0, 1e-5, positions.shape))
 
 
-def travel(seen: Shape | None) -> CalibrationFit:
+def travel(seen: Shape | None) -> Outcome:
     (number,) = TipTravel().compute(ReducedTest(Signals(), shape=seen)).numbers
     return number.outcome
 

@@ -16,9 +16,9 @@ from scipy.optimize import fsolve
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
-from labpipe.fits.beam_stiffness import Rollers, path_of_load
-from labpipe.fits.two_segments import Hinges, Segments
 from labpipe.records.arrays import Floats
+from labpipe.results.beam import Rollers, path_of_load
+from labpipe.results.two_lines import Hinges, Segments
 from labpipe.uncertainty.linear_fits import fit_linear
 from tests.builders.pulls import pulled
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.fits.least_squares import slope_of_line, zero_of_line
 from labpipe.records.arrays import Floats
+from labpipe.results.least_squares import slope_of_line, zero_of_line
 from labpipe.statistics.means import mean_interval, nested_mean
 from labpipe.statistics.outliers import find_suspects
 from labpipe.statistics.two_groups import contrast_of, difference_of_means, equivalence_p

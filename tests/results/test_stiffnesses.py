@@ -5,24 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.fits.beam_stiffness import Rollers, beam_factor, path_of_load, stiffness_ratio
-from labpipe.fits.cycle_stiffness import (
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Direction
+from labpipe.records.estimates import Failure
+from labpipe.results.beam import Rollers, beam_factor, path_of_load, stiffness_ratio
+from labpipe.results.least_squares import polynomial_weights, slope_of_line, zero_of_line
+from labpipe.results.stiffness import (
     LoadingSlope,
+    TakeUp,
     UnloadingSlope,
     WindowSlope,
+    compliance_window,
     loading_slope,
+    take_up,
     turn_at,
     unloading_slope,
     window_slope,
 )
-from labpipe.fits.least_squares import polynomial_weights, slope_of_line, zero_of_line
-from labpipe.fits.slack import TakeUp, take_up
-from labpipe.fits.straight_lines import (
-    compliance_window,
-)
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Direction
-from labpipe.records.estimates import Failure
 from tests.builders.noise_rows import noise_rows
 
 TIME = np.arange(0.0, 40.0, 0.05)

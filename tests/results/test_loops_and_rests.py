@@ -3,17 +3,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.common_path import CommonPath, finite_samples
-from labpipe.fits.loops import energy_of, secant_stiffness, sense_of_loading
-from labpipe.fits.residual_displacement import (
+from labpipe.records.arrays import Floats
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.results.cycles import (
     AtRest,
     FollowedToZero,
     ThroughZero,
     Unloaded,
+    energy_of,
     unloaded,
 )
-from labpipe.records.arrays import Floats
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.results.least_squares import CommonPath, finite_samples
+from labpipe.results.reduced_test import sense_of_loading
+from labpipe.results.shapes import secant_stiffness
 from tests.builders.noise_rows import KINDS, noise_rows
 
 STIFFNESS = 20.0

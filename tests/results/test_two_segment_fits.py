@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from labpipe.fits.two_segments import (
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+from labpipe.records.estimates import Failure
+from labpipe.results.two_lines import (
     Hinges,
     Segments,
     why_break_is_doubtful,
     why_no_bend,
     why_no_kink,
 )
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import Interval
-from labpipe.records.estimates import Failure
 
 D = np.linspace(0.002, 0.02, 181)
 F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)

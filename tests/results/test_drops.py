@@ -7,17 +7,20 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
-from labpipe.fits.failure_point import (
-    LossOfForce,
-    final_loss,
-    lost_earlier,
-    slow_loss,
-)
-from labpipe.fits.grip_slips import _block_size, _is_outlier, add_back, find_slips, samples_before
-from labpipe.fits.load_drops import LoadDrop, PullCurve, fit_load_drop
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
+from labpipe.results.failures import LossOfForce, final_loss, lost_earlier, slow_loss
+from labpipe.results.slips import (
+    LoadDrop,
+    PullCurve,
+    _block_size,
+    _is_outlier,
+    add_back,
+    find_slips,
+    fit_load_drop,
+    samples_before,
+)
 
 RULE: Final = LossOfForce(force_below=0.5, loss=0.1, within=0.05)
 

@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.least_squares import zero_of_line
-from labpipe.fits.slack import TakeUp, take_up, toe_line
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
+from labpipe.results.least_squares import zero_of_line
+from labpipe.results.slack import toe_line
+from labpipe.results.stiffness import TakeUp, take_up
 from labpipe.uncertainty.autocorrelation import limits_by_noise
 from tests.builders.noise_rows import KINDS, noise_rows
 

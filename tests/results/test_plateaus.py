@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.plateau import Tangents
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
+from labpipe.results.plateau import Tangents
 
 OVER = 5e-3
 

@@ -1,0 +1,575 @@
+"""Where a loading curve levels off: slope at its end, and onset of its plateau."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.causes import TANGENT
+from labpipe.records.curve import Branch, FittedLine
+from labpipe.records.declarations import (
+    CURVE,
+    Length,
+    Output,
+    Share,
+    StiffnessName,
+)
+from labpipe.records.estimates import Failure
+from labpipe.records.quality import Finding, Reason, info_note
+from labpipe.records.result import Result
+from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.cycles import cut_short
+from labpipe.results.kinds import Computed, Kind, Number, marked_slips, to_result
+from labpipe.results.least_squares import CommonPath, finite_samples
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness, blocked_or
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.replicates import Input, Replicates
+
+_TANGENTS_PER_LENGTH = 8
+"""Tangents per length of a tangent."""
+
+
+_MIN_TANGENT_SAMPLES = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tangents:
+    """Tangents of a loading curve from its end backwards, with samples chosen on one curve.
+
+    Parameters
+    ----------
+    path : of the samples with both quantities, in order of time
+    over : m, length of a tangent
+    places : shape (p,), m, middles of the tangents, an eighth of `over` apart, from the end
+        backwards
+    rows : shape (p, k), 1/m, weights of the forces in each slope
+    first : shape (k,), weights of the forces in the level of the first tangent in its middle
+    last : shape (m,), numbers of the samples of the first tangent
+    """
+
+    path: CommonPath
+    over: float
+    places: Floats
+    rows: Floats
+    first: Floats
+    last: Ints
+
+    @classmethod
+    def of(cls, displacement: Floats, force: Floats, *, over: float) -> Tangents | Failure:
+        """Choose the samples of the tangents of a curve.
+
+        Parameters
+        ----------
+        displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled;
+            NaN are ignored
+        over : m, length of a tangent
+
+        Returns
+        -------
+        Tangents up to the first place without one, or a failure of the one at the end:
+        ``not_reached`` (the curve is shorter than two of them), ``too_few_samples`` (8),
+        ``no_travel``.
+
+        Notes
+        -----
+        The slope of a tangent is that of a least-squares parabola in the middle of its stretch, so
+        that the bend of the curve is not noise. A stretch contains the samples from when the curve
+        first reached its start to when it first reached its end.
+        """
+        samples = finite_samples(displacement, force)
+        d = displacement[samples]
+        if not len(d) or np.ptp(d) < 2.0 * over:
+            reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
+            message = f"the branch is {reached:.4g} mm long, twice {1e3 * over:.4g} mm is needed"
+            return Failure("not_reached", message)
+        low, high = float(d.min()) + 0.5 * over, float(d.max()) - 0.5 * over
+        stretches = _Stretches.of(d, np.arange(high, low, -over / _TANGENTS_PER_LENGTH), over)
+        if stretches.failure is not None:
+            return stretches.failure
+        there = slice(int(np.argmin([*stretches.is_enough, False])))
+        levels, slopes = (stretches.spread(weight)[there] for weight in stretches.weights())
+        path = CommonPath.of(displacement, force, samples)
+        last = stretches.samples[0][stretches.samples[0] < len(d)]
+        return cls(path, over, stretches.at[there], slopes, levels[0], last)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest displacement over the last stretch, m."""
+        d = self.path.displacement[self.last]
+        return float(d.min()), float(d.max())
+
+    def slope_at_end(self, force: Floats, displacement: Floats | None = None) -> Floats:
+        """Return the slope over the last stretch of each curve.
+
+        Parameters
+        ----------
+        force : shape (..., n), N, with the samples of the reference curve
+        displacement : shape (..., n), m; None for that of the reference curve
+
+        Returns
+        -------
+        N/m, shape (...).
+        """
+        slope: Floats = self.path.force(force, displacement) @ self.rows[0]
+        return slope
+
+    def level_at(self, place: float, force: Floats) -> float:
+        """Return the force of the tangent over the last stretch at a place, N.
+
+        Parameters
+        ----------
+        place : m
+        force : shape (n,), N
+        """
+        path_force = self.path.force(force)
+        return float(path_force @ self.first + path_force @ self.rows[0] * (place - self.places[0]))
+
+    def onset(
+        self,
+        force: Floats,
+        initial: Floats,
+        displacement: Floats | None = None,
+        *,
+        slope_below: float,
+    ) -> tuple[Floats, Floats]:
+        """Find the place beyond which tangents stay below a share of the initial slope.
+
+        Parameters
+        ----------
+        force, displacement : as `slope_at_end` takes them
+        initial : shape (...), N/m, slope at the start of each curve
+        slope_below : share of `initial`
+
+        Returns
+        -------
+        m, N, each of shape (...): from the end backwards, where the tangent first reaches the
+        share, interpolated. NaN for a curve that is never so steep. The force is that of the
+        parabola over half of `over` around the place: a parabola cuts a corner in proportion to its
+        length.
+
+        Examples
+        --------
+        >>> d = np.linspace(0.0, 0.05, 501)
+        >>> f = np.where(d < 0.03, 400.0 * d - 6500.0 * d**2, 6.15)
+        >>> tangents = Tangents.of(d, f, over=2e-3)
+        >>> place, force = tangents.onset(f, np.array(400.0), slope_below=0.1)
+        >>> round(1e3 * float(place), 1), round(float(force), 2)
+        (27.7, 6.09)
+        """
+        f = self.path.force(force, displacement)
+        shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
+        share = slope_below * np.broadcast_to(initial, shape).reshape(-1)
+        place = _first_place_with(self.places, f @ self.rows.T, share)
+        levels = _levels(self.path.displacement, f, place, 0.5 * self.over)
+        return place.reshape(shape), levels.reshape(shape)
+
+    def corners(
+        self,
+        force: Floats,
+        at: Floats | float,
+        slope: Floats | float,
+        displacement: Floats | None = None,
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the changes of an onset with tangents of half the length, for each curve.
+
+        Parameters
+        ----------
+        force, displacement : as `slope_at_end` takes them
+        at : shape (...), m, the onset
+        slope : shape (...), N/m, of the tangent there
+
+        Returns
+        -------
+        Each of shape (...): change of the place, m, and of the force there, N; and the slope half a
+        tangent beyond the place, N/m. A tangent smears a corner over its length, which moves the
+        onset; the parabola for the force cuts it.
+        """
+        f = self.path.force(force, displacement)
+        shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
+        at, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (at, slope))
+        # One place for all curves: noise moves it by a small part of a tangent.
+        d, half, middle = self.path.displacement, 0.5 * self.over, float(np.nanmean(at))
+        near = middle + self.over * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
+        is_inside = (near <= d.max() - 0.5 * half) & (near >= d.min() + 0.5 * half)
+        stretches = _Stretches.of(d, near[is_inside], half)
+        there = stretches.is_enough
+        rows = stretches.spread(stretches.weights()[1])[there]
+        reached = _first_place_with(stretches.at[there], f @ rows.T, slope)
+        whole, short = (_levels_at(d, f, middle, over) for over in (self.over, half))
+        places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
+        beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
+        moved = np.where(np.isnan(reached), 0.0, reached - at)
+        return moved.reshape(shape), (short - whole).reshape(shape), beyond.reshape(shape)
+
+
+def _first_place_with(places: Floats, slopes: Floats, wanted: Floats) -> Floats:
+    """Return the first place (p,) at which slopes (R, p) reach wanted ones (R,), or NaN."""
+    is_steep = slopes >= wanted[:, None]
+    number, rows = np.argmax(is_steep, axis=1), np.arange(len(slopes))
+    ahead = np.maximum(number - 1, 0)
+    rise = slopes[rows, number] - slopes[rows, ahead]
+    share = (wanted - slopes[rows, ahead]) / np.where(number > 0, rise, np.inf)
+    place = places[ahead] + share * (places[number] - places[ahead])
+    reached: Floats = np.where(is_steep[rows, number], place, np.nan)
+    return reached
+
+
+def _levels(d: Floats, f: Floats, places: Floats, over: float) -> Floats:
+    """Return forces of curves (R, k) at places (R,), from parabolas around them."""
+    is_finite = np.isfinite(places)
+    levels = np.full(len(places), np.nan)
+    if is_finite.any():
+        stretches = _Stretches.of(d, places[is_finite], over)
+        inside = np.minimum(stretches.samples, len(d) - 1)  # padding has zero weight
+        weights, _ = stretches.weights()
+        taken = np.take_along_axis(f[is_finite], inside, axis=1)
+        level = np.einsum("rm,rm->r", weights, taken)
+        levels[is_finite] = np.where(stretches.is_enough, level, np.nan)
+    return levels
+
+
+def _levels_at(d: Floats, f: Floats, place: float, over: float) -> Floats:
+    """Return forces of curves (R, k) at one place, from a parabola around it."""
+    stretch = _Stretches.of(d, np.array([place]), over)
+    level, _ = stretch.weights()
+    levels: Floats = f @ stretch.spread(level)[0]
+    return levels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stretches:
+    """Samples of a path around places, with powers of their distances.
+
+    Parameters
+    ----------
+    at : shape (p,), m
+    over : m
+    samples : shape (p, m), padded with the number of all samples
+    count : of all samples
+    powers : shape (p, 3, m), of the distance from the place over `over`; 0 where padded
+    products : shape (p, 3, 3), of the powers with one another
+    is_enough : shape (p,), whether they determine a parabola
+    """
+
+    at: Floats
+    over: float
+    samples: Ints
+    count: int
+    powers: Floats
+    products: Floats
+    is_enough: Flags
+
+    @classmethod
+    def of(cls, d: Floats, at: Floats, over: float) -> _Stretches:
+        edge_share = 1e-9  # a sample this close to an end counts as on it, despite rounding
+        # Of the products of 1, x, x^2 per sample: rounding for samples at two places; 5e-4 for
+        # evenly spaced samples.
+        min_determinant = 1e-9
+        reached = np.maximum.accumulate(d)
+        begin, end = at - (0.5 + edge_share) * over, at + (0.5 - edge_share) * over
+        start = np.searchsorted(reached, begin)
+        stop = np.minimum(np.searchsorted(reached, end) + 1, len(d))
+        samples = start[:, None] + np.arange(int((stop - start).max()))
+        is_inside = samples < stop[:, None]
+        samples = np.where(is_inside, samples, len(d))
+        x = np.where(is_inside, (np.append(d, 0.0)[samples] - at[:, None]) / over, 0.0)
+        travel = np.ptp(np.where(is_inside, x, x[:, :1]), axis=1)
+        powers = np.stack([is_inside * x**power for power in range(3)], axis=1)
+        products = powers @ powers.transpose(0, 2, 1)
+        count = products[:, 0, 0]
+        is_wide = (travel >= 0.5) & (np.linalg.det(products) > min_determinant * count**3)
+        return cls(
+            at, over, samples, len(d), powers, products, (count >= _MIN_TANGENT_SAMPLES) & is_wide
+        )
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why the first of them have no parabola, or None."""
+        if self.is_enough[0]:
+            return None
+        count = int(self.products[0, 0, 0])
+        if count < _MIN_TANGENT_SAMPLES:
+            return Failure(
+                "too_few_samples",
+                f"{count} samples in the stretch, {_MIN_TANGENT_SAMPLES} are needed",
+            )
+        return Failure("no_travel", "the displacement jumps over the stretch")
+
+    def spread(self, weights: Floats) -> Floats:
+        """Expand weights (p, m) of the samples of each stretch to all samples (p, k)."""
+        columns = np.zeros((len(self.at), self.count + 1))
+        np.put_along_axis(columns, self.samples, weights, axis=1)
+        return columns[:, :-1]
+
+    def weights(self) -> tuple[Floats, Floats]:
+        """Return the weights of forces in level and slope of the parabolas, shapes (p, m)."""
+        products = np.where(self.is_enough[:, None, None], self.products, np.eye(3))
+        level, slope, _ = np.moveaxis(np.linalg.solve(products, self.powers), 1, 0)
+        return level, slope / self.over
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Corner:
+    """Change with shorter tangents, and its noise.
+
+    Half of it is in the estimate, so half of its noise is in the interval.
+
+    Parameters
+    ----------
+    size : shape (2,), m and N, less noise
+    share : shape (2,), of the observed change
+    base : shape (2,), of the smooth curve, plus the mean effect of noise
+    """
+
+    size: Floats
+    share: Floats
+    base: Floats
+
+    @classmethod
+    def none(cls) -> _Corner:
+        """Return no corner."""
+        return cls(np.zeros(2), np.zeros(2), np.zeros(2))
+
+    @classmethod
+    def of(cls, seen: Floats, base: Floats, noise: Floats) -> _Corner:
+        """Remove noise from a corner.
+
+        Parameters
+        ----------
+        seen, base : shape (2,), of the measured and of the smooth curve
+        noise : shape (2, replicates), effect of noise on it
+
+        Notes
+        -----
+        On average noise adds its variance to the square of a corner, which is subtracted: a share
+        s = sqrt(1 - v / c^2) of a corner c remains, or none if noise explains all of it.
+        """
+        average, variance = np.nanmean(noise, axis=1), np.nanvar(noise, axis=1)
+        clear = seen - average
+        by_noise = np.divide(variance, clear**2, out=np.ones(2), where=clear != 0.0)
+        share = np.sqrt(np.maximum(1.0 - by_noise, 0.0))
+        return cls(share * clear, share, base + average)
+
+    def in_noise(self, corners: Floats) -> Floats:
+        """Return the effect of noise on the estimate through the corner, shape (2, ...)."""
+        return 0.5 * self.share[:, None] * (corners - self.base[:, None])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plateau(Kind):
+    """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force``: where it levels off."""
+
+    result: ClassVar = "plateau"
+    outputs: ClassVar = (
+        Output("end_slope", "1", "End slope", can_be_negative=True),
+        Output("plateau_displacement", "m", "Displacement at the plateau"),
+        Output("plateau_force", "N", "Plateau force"),
+    )
+    slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
+    of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
+        "initial_stiffness"
+    )
+    over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
+
+    def compute(self, test: ReducedTest) -> Computed:
+        """Compute the slope at the end of the first loading, and the onset of a plateau."""
+        initial = test.stiffnesses.get(self.of)
+        method = f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
+        if initial is None:
+            missing = Failure("no_stiffness", f"{self.of} is not available")
+            return Computed((self.number(blocked_or(test, missing), method),))
+        outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
+        begun = self._begun(traced(test), initial.decide)
+        if isinstance(outcome, Failure):
+            return Computed((self.number(outcome, method),))
+        if isinstance(begun, Failure):
+            return Computed((self.number(begun, method),))
+        first = test.cycles[0][:1]
+        doubts = (
+            marked_slips(test, initial.bends_with)
+            or cut_short(test, first, CURVE)
+            or _missing_end(test, first[0])
+        )
+        number = self.number(outcome, method, during=test.while_loading(), doubts=doubts)
+        onset, findings = self._onset(test, initial, to_result(test, number))
+        tangents, (_, f) = begun[0], _loading(traced(test))
+        start, stop = tangents.ends
+        slope, level = float(tangents.slope_at_end(f)), tangents.level_at(start, f)
+        line = FittedLine("slope_at_end", slope, level, start, stop)
+        return Computed((number, *onset), lines=(line,), findings=findings)
+
+    def _begun(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading] | Failure:
+        """Return the tangents of the first loading, and the slope at its start."""
+        slope = initial(trace)
+        if isinstance(slope, Failure):
+            return slope
+        value = float(slope.numbers(trace)[0])
+        if value <= 0.0:
+            return Failure("no_stiffness", f"the slope at the start is {value:.4g} N/m")
+        tangents = Tangents.of(*_loading(trace), over=self.over)
+        return tangents if isinstance(tangents, Failure) else (tangents, slope)
+
+    def _decide_end(self, trace: Trace, *, initial: Decide) -> Reading | Failure:
+        """Choose the samples for the slope at the end over that at the start."""
+        begun = self._begun(trace, initial)
+        if isinstance(begun, Failure):
+            return begun
+        tangents, slope = begun
+        steeper = self._one_step_on(trace, tangents)
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.beyond * steeper
+            return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
+
+        return Reading(numbers, len(tangents.last), is_cut=slope.is_cut)
+
+    def _one_step_on(self, trace: Trace, tangents: Tangents) -> float:
+        """Return the change of the slope at the end with one more sampling step, N/m.
+
+        From the step before: the machine turned somewhere between two samples.
+        """
+        d, f = _loading(trace)
+        before = Tangents.of(d[:-1], f[:-1], over=self.over)
+        if isinstance(before, Failure):
+            return 0.0
+        return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
+
+    def _decide_onset(
+        self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
+    ) -> Reading | Failure:
+        """Choose the samples for the onset of the plateau and its force.
+
+        With the error from the length of the tangents.
+        """
+        begun = self._begun(trace, initial)
+        if isinstance(begun, Failure):
+            return begun
+        tangents, slope = begun
+
+        def plain(trace: Trace) -> tuple[Floats, Floats]:
+            (d, f), begin = _loading(trace), slope.numbers(trace)[0]
+            return tangents.onset(f, begin, d, slope_below=self.slope_below)
+
+        if np.isnan(plain(trace)[1]):
+            return Failure("no_plateau", "never steeper, or too few samples around the onset")
+        if corner is None:
+            return Reading(plain, len(tangents.last))
+
+        def numbers(trace: Trace) -> tuple[Floats, Floats]:
+            (place, level), shorter = plain(trace), trace.sizes.get(TANGENT, 0.0)
+            return place + shorter * corner.size[0], level + shorter * corner.size[1]
+
+        def in_noise(trace: Trace) -> tuple[Floats, Floats]:
+            by = corner.in_noise(self._corners(trace, begun))
+            return tuple(value + more for value, more in zip(plain(trace), by, strict=True))
+
+        return Reading(numbers, len(tangents.last), in_noise)
+
+    def _corners(self, trace: Trace, begun: tuple[Tangents, Reading]) -> Floats:
+        """Return the largest error of the onset from the length of tangents, m and N, (2, ...)."""
+        # In multiples of the change with tangents of half the length. A corner is smeared in
+        # proportion to the length, so it is twice that change away; a smooth bend in proportion to
+        # its square, so it is 4/3 of it away.
+        smearing_factor = 3.0
+        cut_factor = 2.0  # the force from half the length loses once or a third of its change
+        (tangents, slope), (d, f) = begun, _loading(trace)
+        initial = slope.numbers(trace)[0]
+        place, _ = tangents.onset(f, initial, d, slope_below=self.slope_below)
+        smeared, cut, beyond = tangents.corners(f, place, self.slope_below * initial, d)
+        moved = smearing_factor * smeared
+        return np.stack([moved, cut_factor * cut + moved * beyond])
+
+    def _corner(self, replicates: Replicates, initial: Decide) -> _Corner:
+        """Return that error for the measured curve, less noise.
+
+        The smooth curve may have no corners of this size.
+        """
+        begun, smooth = (
+            self._begun(curve, initial) for curve in (replicates.measured, replicates.smooth)
+        )
+        if isinstance(begun, Failure):
+            return _Corner.none()
+        seen = self._corners(replicates.measured, begun)
+        if isinstance(smooth, Failure):
+            return _Corner(seen, np.zeros(2), np.zeros(2))
+        base = self._corners(replicates.smooth, smooth)
+        noise = [self._corners(trace, smooth) - base[:, None] for trace in replicates.traces()]
+        return _Corner.of(seen, base, np.concatenate(noise, axis=1))
+
+    def _onset(
+        self, test: ReducedTest, initial: Stiffness, end: Result
+    ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
+        """Return the onset of the plateau, or a note if there is none, which is not a failure."""
+        surely = end.interval is not None and end.interval.upper < self.slope_below
+        outcomes = self._measured_onset(test, initial) if surely else None
+        if outcomes is None or isinstance(outcomes, Failure):
+            return (), (self._no_plateau(test, end),)
+        below = f"{1e2 * self.slope_below:g} % of {self.of}"
+        method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
+        doubts = marked_slips(test, initial.bends_with) or _missing_end(test, test.cycles[0][0])
+        during, method = test.while_loading(), f"{method} loading"
+        return tuple(
+            self.number(outcome, method, output=place, during=during, doubts=doubts)
+            for place, outcome in enumerate(outcomes, start=1)
+        ), ()
+
+    def _measured_onset(
+        self, test: ReducedTest, initial: Stiffness
+    ) -> tuple[Measured, ...] | Failure:
+        """Measure the onset, with the length of the tangents as a further input."""
+        replicates = test.replicates
+        if replicates is None:
+            return NO_LOADING
+        length = Input(TANGENT, _shortened, law="step")
+        more = replace(replicates, inputs=(*replicates.inputs, length))
+        decide = partial(self._decide_onset, initial=initial.decide)
+        if isinstance(failed := decide(replicates.measured), Failure):
+            return failed
+        return measure(more, partial(decide, corner=self._corner(replicates, initial.decide)))
+
+    def _no_plateau(self, test: ReducedTest, end: Result) -> Finding:
+        reached = float(np.nanmax(_loading(traced(test))[0]))
+        interval = end.interval
+        between = (
+            f" ({1e2 * interval.lower:.3g} % to {1e2 * interval.upper:.3g} %)" if interval else ""
+        )
+        message = (
+            f"the slope over the last {1e3 * self.over:g} mm is {1e2 * (end.value or 0.0):.3g} % "
+            f"of {self.of}{between}, not surely below {1e2 * self.slope_below:g} %: no plateau up "
+            f"to {1e3 * reached:.4g} mm"
+        )
+        return info_note("no_plateau", test.signals.force, message)
+
+
+def _loading(trace: Trace) -> tuple[Floats, Floats]:
+    """Return displacement and force of the first loading."""
+    stretch = loading_of(trace)
+    return trace.displacement[..., stretch], trace.force[..., stretch]
+
+
+def _shortened(trace: Trace, x: float) -> Trace:
+    """Mark a trace for tangents shorter by a share of their length."""
+    return replace(trace, sizes={**trace.sizes, TANGENT: x})
+
+
+def _missing_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
+    """Return a doubt if the force was not recorded up to the end of a loading branch."""
+    curve = test.known_curve
+    d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))
+    finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
+    if not len(finite) or finite[-1] >= len(d) - 3:  # lost when two clocks are joined
+        return ()
+    end = 1e3 * float(d[finite[-1]])
+    message = (
+        f"force and displacement are known up to {end:.4g} mm of the first loading alone, "
+        f"{len(d) - 1 - finite[-1]} samples before its end"
+    )
+    return (Reason("gap", message),)
+
+
+KINDS = (Plateau,)
