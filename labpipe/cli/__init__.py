@@ -198,6 +198,13 @@ def _figures(parser: argparse.ArgumentParser) -> None:
     figures.add_argument("--png", action="store_true", help="also draw figures as PNG")
 
 
+def _study_results(parser: argparse.ArgumentParser, default: str) -> None:
+    where = f"folder of the results (default: {default})"
+    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
+    _figures(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
+
+
 def _follow_links(parser: argparse.ArgumentParser) -> None:
     what = "read exports that are links to files outside the test folder"
     parser.add_argument("--follow-links", action="store_true", help=what)
@@ -364,10 +371,7 @@ _CAMPAIGN_ARGUMENTS = {
 def _model(parser: argparse.ArgumentParser) -> None:
     what = "wire sheet, xlsx or csv: one row per wire"
     parser.add_argument("sheet", type=_path, metavar="WIRES", help=what)
-    where = "folder of the results (default: processed/<name of the sheet>)"
-    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    _figures(parser)
-    parser.add_argument("--json", action="store_true", help="print the tables as JSON, in SI units")
+    _study_results(parser, "processed/<name of the sheet>")
 
 
 def _bundle(parser: argparse.ArgumentParser) -> None:
@@ -383,10 +387,7 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
         'inner diameter of a conduit, such as "10.7 mm"; may be repeated: the best filled is used'
     )
     parser.add_argument("--bore", action="append", default=[], metavar="LENGTH", help=bore)
-    where = "folder of the results (default: processed/bundles/<name>)"
-    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    _figures(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
+    _study_results(parser, "processed/bundles/<name>")
 
 
 def _harness(parser: argparse.ArgumentParser) -> None:
@@ -394,10 +395,7 @@ def _harness(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", type=_path, metavar="HARNESS", help=what)
     sheet = "wire sheet, instead of the one named in the file"
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
-    where = "folder of the results (default: processed/harness/<name of the file>)"
-    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    _figures(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
+    _study_results(parser, "processed/harness/<name of the file>")
 
 
 def _calibrate(parser: argparse.ArgumentParser) -> None:
@@ -409,10 +407,7 @@ def _calibrate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
     plan = "calibration YAML: wire; free, fixed and prior parameters (default: all free)"
     parser.add_argument("--plan", type=_path, metavar="FILE", help=plan)
-    where = "folder of the results (default: calibration, beside the tests)"
-    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    _figures(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
+    _study_results(parser, "calibration, beside the tests")
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
