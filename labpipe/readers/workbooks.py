@@ -12,7 +12,6 @@ import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -75,22 +74,6 @@ def _password_error(path: Path) -> ReadError:
     return unreadable(path, "", "a workbook that opens", "one with a password", remedy)
 
 
-def begin_sheets(path: Path) -> None:
-    """Start parsing a file in the background, if it is a workbook.
-
-    Parameters
-    ----------
-    path : the file
-
-    Raises
-    ------
-    ReadError
-        If the file is empty or not readable. `open_sheets` reports all other faults.
-    """
-    if path.is_file() and is_workbook(path):
-        _start_parsing(path)
-
-
 def open_sheets(path: Path) -> Sheets:
     """Read the cells of all sheets.
 
@@ -112,25 +95,25 @@ def open_sheets(path: Path) -> Sheets:
     Recognition and reading need the same workbook; the last one is cached until `forget_sheets`,
     as parsing takes most of the time.
     """
-    return _start_parsing(path).result()
+    about = path.stat()
+    sheets = _parsed(path, about.st_mtime_ns, about.st_size)
+    if isinstance(sheets, ReadError):
+        raise sheets
+    return sheets
 
 
 def forget_sheets() -> None:
     """Clear the cached workbook."""
-    _parsing.cache_clear()
-
-
-def _start_parsing(path: Path) -> Future[Sheets]:
-    about = path.stat()
-    return _parsing(path, about.st_mtime_ns, about.st_size)
+    _parsed.cache_clear()
 
 
 @lru_cache(maxsize=1)
-def _parsing(path: Path, mtime: int, size: int) -> Future[Sheets]:  # noqa: ARG001  versions
-    pool = ThreadPoolExecutor(max_workers=1)
-    parsing = pool.submit(_sheets, path)
-    pool.shutdown(wait=False)
-    return parsing
+def _parsed(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
+    """Return the cells of a workbook, or the fault that all who recognise formats will meet."""
+    try:
+        return _sheets(path)
+    except ReadError as error:
+        return error
 
 
 def _sheets(path: Path) -> Sheets:

@@ -26,7 +26,6 @@ from labpipe.readers.sheet_cells import (
 )
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.readers.workbooks import (
-    begin_sheets,
     cells_of,
     forget_sheets,
     is_workbook,
@@ -55,14 +54,12 @@ def forgotten() -> Iterator[None]:
 def test_a_workbook_is_parsed_once(tmp_path: Path) -> None:
     file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", ROWS)})
     assert is_workbook(file)
-    begin_sheets(file)
     assert open_sheets(file) is open_sheets(file)
     assert gc.isenabled()
     first = open_sheets(file)
     workbook(file, {"v": specimen_sheet("B", [*ROWS, ROWS[0]])})
     assert len(open_sheets(file)["v"]) == len(first["v"]) + 1
     file.write_bytes(file.read_bytes()[:-300])
-    begin_sheets(file)
     for _ in range(2):
         with pytest.raises(ReadError, match=r"a\.xlsx: expected a whole workbook, found a damaged"):
             open_sheets(file)
