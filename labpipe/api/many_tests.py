@@ -166,21 +166,15 @@ def _fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _result(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """An entry of a summary; one of an earlier version says some things in other words."""
-    reasons = entry.get("reasons", [])
-    numbers = {name: entry.get(name) for name in _NUMBERS}
-    numbers["estimate"] = entry.get("estimate", entry["value"])
+    """Return an entry of a summary as the cells of a row."""
+    numbers = {name: entry[name] for name in _NUMBERS}
     return {
         "result": str(entry["name"]),
         **{name: np.nan if number is None else float(number) for name, number in numbers.items()},
         "unit": str(entry["unit"]),
         "status": str(entry["status"]),
-        "code": entry.get("code", ", ".join(dict.fromkeys(reason["code"] for reason in reasons))),
-        "reason": str(
-            entry.get(
-                "reason", "; ".join(f"{reason['code']}: {reason['message']}" for reason in reasons)
-            )
-        ),
+        "code": str(entry["code"]),
+        "reason": str(entry["reason"]),
     }
 
 

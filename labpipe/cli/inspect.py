@@ -5,12 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 
-from labpipe.readers.workbooks import begin_sheets
-
 
 def run(options: argparse.Namespace) -> int:
     """Print what an export contains."""
-    begin_sheets(options.file)  # parsed in the background during the imports
     from labpipe.process.inspection import as_json, as_text, inspect_export
 
     inspection = inspect_export(options.file)

@@ -41,7 +41,7 @@ from labpipe.readers.raw_files import DAMAGE_ERRORS, read_head, reading, unreada
 from labpipe.readers.table_body import Body
 from labpipe.readers.time_axes import clock_notes
 from labpipe.readers.tracking import track_notes
-from labpipe.readers.workbooks import is_workbook, open_workbook
+from labpipe.readers.workbooks import forget_sheets, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock, MarkerTracks, Recording
 
@@ -182,13 +182,12 @@ def _without_infinities(columns: Columns) -> tuple[Columns, list[QualityNote]]:
     return {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}, [note]
 
 
-def _find_sheet(path: Path) -> tuple[str, list[list[object]]]:
+def _find_sheet(path: Path) -> tuple[str, Sequence[Sequence[object]]]:
     """Return name and cells of the first sheet that begins with a Motive header."""
-    with open_workbook(path, "a whole xlsx workbook") as book:
-        for name in book.sheet_names:
-            rows = book.get_sheet_by_name(name).to_python(skip_empty_area=False)
-            if rows and rows[0] and rows[0][0] == "Format Version":
-                return name, [list[object](row) for row in rows]
+    for name, rows in open_sheets(path).items():
+        if rows and rows[0] and rows[0][0] == "Format Version":
+            forget_sheets()
+            return name, rows
     remedy = "Save the sheet of the take alone as xlsx."
     expected = "a sheet whose first cell is Format Version"
     raise unreadable(path, "", expected, "none", remedy)

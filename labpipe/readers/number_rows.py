@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -133,11 +132,8 @@ def _parse_columns(extent: Extent, path: Path) -> tuple[dict[int, Floats], list[
     body = extent.body
     extra = range(len(body.names), extent.width)  # blank cells after the last separator
     wanted = [*body.columns, *extra]
-    if _can_read_file(extent):
-        with suppress(ValueError, OverflowError):  # possibly in a column that is not wanted
-            return _to_arrays(_read_csv(extent, path, body.first_line - 1, None)), []
     try:
-        columns, notes = _parse_memory(extent, wanted)
+        columns, notes = _parse_rows(extent, wanted)
     except (ValueError, OverflowError) as error:
         raise ReadError(first_error(extent, path)) from error
     if any(not np.isnan(columns[column]).all() for column in extra):
@@ -145,7 +141,7 @@ def _parse_columns(extent: Extent, path: Path) -> tuple[dict[int, Floats], list[
     return columns, notes
 
 
-def _parse_memory(extent: Extent, wanted: list[int]) -> tuple[dict[int, Floats], list[QualityNote]]:
+def _parse_rows(extent: Extent, wanted: list[int]) -> tuple[dict[int, Floats], list[QualityNote]]:
     """Read the rows; refuse rows with more cells, which pandas would omit."""
     data = extent.data
     starts, counts = extent.separators
@@ -155,18 +151,18 @@ def _parse_memory(extent: Extent, wanted: list[int]) -> tuple[dict[int, Floats],
             message = "a line has more cells than the first one"
             raise ValueError(message)
     try:
-        return _to_arrays(_read_csv(extent, io.BytesIO(data), 0, wanted)), []
+        return _to_arrays(_read_csv(extent, wanted)), []
     except (ValueError, OverflowError):
         missing, notes = _missing_words(extent)
         if not missing:
             raise
-        return _to_arrays(_read_csv(extent, io.BytesIO(data), 0, wanted, missing)), notes
+        return _to_arrays(_read_csv(extent, wanted, missing)), notes
 
 
 def _missing_words(extent: Extent) -> tuple[list[str], list[QualityNote]]:
     """Return the words for missing values in the columns, as written."""
     body = extent.body
-    texts = _read_csv(extent, io.BytesIO(extent.data), 0, list(body.columns), None)
+    texts = _read_csv(extent, body.columns, None)
     all_missing, notes = list[str](), []
     for column in body.columns:
         counts = texts[column].value_counts()
@@ -183,23 +179,18 @@ def _to_arrays(table: pd.DataFrame) -> dict[int, Floats]:
 
 
 def _read_csv(
-    extent: Extent,
-    source: Path | io.BytesIO,
-    skip: int,
-    wanted: list[int] | None,
-    missing: Sequence[str] | None = (),
+    extent: Extent, wanted: Sequence[int], missing: Sequence[str] | None = ()
 ) -> pd.DataFrame:
     """Read cells as numbers, with these words for missing values; as text if None."""
     import pandas as pd
 
     return pd.read_csv(
-        source,
-        skiprows=skip,
+        io.BytesIO(extent.data),
         sep=r"\s+" if extent.body.separator == " " else extent.body.separator,
         decimal=extent.decimal,
         header=None,
         names=list(range(extent.width)),
-        usecols=wanted,
+        usecols=list(wanted),
         dtype=str if missing is None else np.float64,
         na_values=["", *(missing or ()), *(_NAN_WORDS if extent.body.as_exported else ())],
         keep_default_na=False,
@@ -207,23 +198,6 @@ def _read_csv(
         skipinitialspace=not extent.body.as_exported,
         encoding_errors="replace",
     )
-
-
-def _can_read_file(extent: Extent) -> bool:
-    """Return whether pandas can read the file directly, with several threads.
-
-    Not if a column contains words, the last line was omitted, or quotes above the samples could
-    change how pandas counts lines. Small files are not faster.
-    """
-    # Pandas reads smaller files faster from memory.
-    min_bytes = 4_000_000
-    body = extent.body
-    is_whole = not body.data[extent.end :].strip()
-    known = len(body.columns) == len(body.names) or body.others_numeric
-    worth = extent.end - body.start > min_bytes
-    if not (body.as_in_file and is_whole and known and worth):
-        return False
-    return not any(line.count(b'"') % 2 for line in body.data[: body.start].split(b"\n"))
 
 
 def filled_rows(columns: Mapping[int, Floats]) -> int:

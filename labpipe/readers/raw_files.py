@@ -142,13 +142,11 @@ class Content:
     data : without byte order mark, line ends ``\r`` replaced by ``\n``
     encoding : encoding of `data` if the file states it, else empty
     written_in : encoding of the file if it states it, for messages
-    as_in_file : whether these are the bytes of the file, apart from a byte order mark of UTF-8
     """
 
     data: bytes
     encoding: str = ""
     written_in: str = ""
-    as_in_file: bool = False
 
 
 def read_content(path: Path) -> Content:
@@ -188,13 +186,12 @@ def as_content(data: bytes) -> Content:
     mark, encoding = next(((m, e) for m, e in _BYTE_ORDER_MARKS if data.startswith(m)), (b"", ""))
     rest = data[len(mark) :]
     encoding = encoding or _utf16(rest[:HEAD_BYTES])
-    is_unchanged = not encoding.startswith("utf-16")
     if encoding.startswith("utf-16"):
         even = rest[: len(rest) // 2 * 2]
         rest = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
     if b"\n" not in rest[:HEAD_BYTES] and b"\r" in rest[:HEAD_BYTES]:
-        rest, is_unchanged = rest.replace(b"\r", b"\n"), False
-    return Content(rest, "utf-8" if encoding else "", encoding, is_unchanged)
+        rest = rest.replace(b"\r", b"\n")
+    return Content(rest, "utf-8" if encoding else "", encoding)
 
 
 def _utf16(head: bytes) -> str:

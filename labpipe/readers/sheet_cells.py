@@ -10,7 +10,6 @@ import csv
 import io
 import re
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from math import isfinite
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias
+from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
@@ -34,13 +34,10 @@ from labpipe.readers.text_cells import (
     lost_decimals_text,
     thousandfold_jump,
 )
-from labpipe.readers.workbooks import column_letters, is_workbook, open_workbook
+from labpipe.readers.workbooks import column_letters, is_workbook, open_sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
-_XLSX = "an xlsx workbook"
-_MAX_CELLS = 1_000_000
-"""Cells of a table, filled or not."""
 _SEPARATORS = ",;\t"
 _NUMBER_STARTS = re.compile(r"[-+]?\.?\d")
 _NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
@@ -103,20 +100,24 @@ def sheets_of(path: Path) -> dict[str, bool]:
     ReadError
         If the workbook is damaged.
     """
-    from python_calamine import SheetVisibleEnum
+    from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
 
-    with open_workbook(path, _XLSX, max_cells=_MAX_CELLS) as book:
+    open_sheets(path)  # raises if it cannot be opened safely
+    with (
+        reading(path, "a whole workbook", also=(CalamineError,)),
+        CalamineWorkbook.from_path(path) as book,
+    ):
         return {
             sheet.name: sheet.visible == SheetVisibleEnum.Visible for sheet in book.sheets_metadata
         }
 
 
 def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
-    """Return all cells of a sheet; an additional last row has those that cannot be read.
+    """Return the filled rows of a sheet; an additional last one has cells that cannot be read.
 
     Parameters
     ----------
-    path : the workbook
+    path : the workbook, xlsx
     sheet : its name; the first one if empty
     where : prefix of the places of its cells
 
@@ -125,17 +126,21 @@ def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Ce
     ReadError
         If the workbook is damaged.
     """
-    with open_workbook(path, _XLSX, max_cells=_MAX_CELLS) as book:
-        page = book.get_sheet_by_name(sheet) if sheet else book.get_sheet_by_index(0)
-        rows = page.to_python(skip_empty_area=False)
-        before = f"{where}, " if where else ""
-        unread = _unread_cells(path, page.name, before)
+    sheets = open_sheets(path)
+    if not is_zipfile(path):
+        remedy = "Save it as xlsx in the spreadsheet program."
+        raise unreadable(path, "", "an xlsx workbook", "an old workbook (xls)", remedy)
+    name = sheet or next(iter(sheets))
+    before = f"{where}, " if where else ""
+    with reading(path, "a whole workbook"):
+        unread = _unread_cells(path, name, before)
     shown = [
         [
             Cell(_cell_text(value), f"{before}cell {column_letters(column)}{line}")
             for column, value in enumerate(row, start=1)
         ]
-        for line, row in enumerate(rows, start=1)
+        for line, row in enumerate(sheets[name], start=1)
+        if any(value != "" for value in row)
     ]
     return [*shown, unread] if unread else shown
 
@@ -164,7 +169,7 @@ def _unread_cells(path: Path, name: str, before: str) -> list[Cell]:
 
 
 def _has_formulas(path: Path) -> bool:
-    with zipfile.ZipFile(path) as parts:
+    with ZipFile(path) as parts:
         names = [name for name in parts.namelist() if name.startswith("xl/worksheets/")]
         texts = [parts.read(name) for name in names]
     return any(b"<f" in text or b't="e"' in text for text in texts)

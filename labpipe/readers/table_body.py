@@ -27,7 +27,6 @@ class Body:
     columns : indices of the columns of numbers, ascending
     first_line : line number of the first row
     start : offset of the first row in `data`
-    as_in_file : whether these are the bytes of the file, apart from a byte order mark
     others_numeric : whether the other columns also contain numbers, but are not wanted
     separator : between cells, a blank for any number of blanks
     decimal : decimal sign, or ``auto``
@@ -43,7 +42,6 @@ class Body:
     separator: str
     decimal: str = "auto"
     start: int = 0
-    as_in_file: bool = False
     others_numeric: bool = False
     stated_rows: int | None = None
     as_exported: bool = False
@@ -130,7 +128,7 @@ def without_summary(body: Body) -> tuple[Body, list[QualityNote]]:
         return body, []
     line = body.first_line + data.count(b"\n", body.start, cut)
     note = summary_note(firsts, f"line {line}")
-    return replace(body, data=data[:cut], as_in_file=False), [note]
+    return replace(body, data=data[:cut]), [note]
 
 
 def summary_note(firsts: Sequence[str], place: str) -> QualityNote:

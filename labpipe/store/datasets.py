@@ -331,7 +331,7 @@ def _check_schema(path: Path, root: Any) -> None:
     if schema > layout.SCHEMA:
         found = f"a file made by a newer labpipe, schema {schema}"
         raise _fault(path, place, expected, found, "Update labpipe.")
-    if schema < 1:
+    if schema != layout.SCHEMA:
         raise _fault(path, place, expected, f"schema {schema}", _REMEDY)
 
 
@@ -374,7 +374,7 @@ def strings(group: Any, name: str, axis: str) -> tuple[str, ...]:
 
 
 def rows(parent: Any, name: str, kind: Table, unit: str | None = None) -> list[Mapping[str, Any]]:
-    """Read a table, also in the old format of one compound dataset.
+    """Read a table.
 
     Parameters
     ----------
@@ -385,17 +385,17 @@ def rows(parent: Any, name: str, kind: Table, unit: str | None = None) -> list[M
 
     Returns
     -------
-    Cells by column, texts as bytes; none if there is no such table.
+    Cells by column; none if there is no such table.
     """
     if name not in parent:
         return []
     table = parent[name]
-    if isinstance(table, h5py.Dataset):
-        return list(array(parent, name, Field((kind.axis,), None, "table")))
     if all(table[column].shape == (0,) for column in kind.columns):
         return []
-    columns = {
-        column: array(table, column, field_ if field_.unit else replace(field_, unit=unit)).tolist()
+    columns: dict[str, Sequence[Any]] = {
+        column: strings(table, column, kind.axis)
+        if field_.dtype == "text"
+        else array(table, column, field_ if field_.unit else replace(field_, unit=unit)).tolist()
         for column, field_ in kind.columns.items()
     }
     cells = zip(*columns.values(), strict=True)
@@ -434,7 +434,7 @@ def _checked_dataset(group: Any, name: str, kind: Field) -> Any:
     for label, expected in (("axes", ", ".join(kind.axes)), ("unit", kind.unit)):
         if expected is not None:
             _check(dataset, label, expected, _label(dataset, label))
-    if kind.dtype not in {"table", "text"}:
+    if kind.dtype != "text":
         _check(dataset, "number type", kind.dtype, str(dataset.dtype))
     _check_storage(dataset)
     return dataset

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 SCHEMA: Final = 2
-"""Version of the layout; version 1 is also read, higher versions are refused."""
+"""Version of the layout; other versions are refused."""
 
 NO_UNIT: Final = "unknown"
 """Unit of channels for which neither the export nor the protocol states one."""

@@ -38,7 +38,6 @@ from labpipe.store import layout
 from labpipe.store.datasets import array, array_rows, arrays, opened, rows, strings, text, texts
 from labpipe.store.hdf5_objects import get_number, has_attribute
 from labpipe.store.stored_parts import (
-    method_parts,
     read_bending,
     read_notes,
     read_reasons,
@@ -259,11 +258,7 @@ def read_run(path: Path) -> str:
         As `read_result`.
     """
     with opened(path) as root:
-        return _run(root)
-
-
-def _run(root: Any) -> str:
-    return text(root, layout.RUN) if layout.RUN in root.attrs else ""
+        return text(root, layout.RUN)
 
 
 def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
@@ -286,7 +281,7 @@ def _outcome(root: Any) -> dict[str, Any]:
         "results": _results(root),
         "quality": read_notes(root[layout.QUALITY]),
         "display": {str(key): str(unit) for key, unit in display.items()},
-        "run": _run(root),
+        "run": text(root, layout.RUN),
         "figures": texts(root, layout.FIGURES),
         "slips": _records(Slip, rows(curve or {}, layout.SLIPS, layout.SLIP_TABLE)),
         "lines": _records(FittedLine, rows(curve or {}, layout.LINES, layout.LINE_TABLE)),
@@ -295,11 +290,11 @@ def _outcome(root: Any) -> dict[str, Any]:
 
 
 def _circumstances(root: Any) -> dict[str, Any]:
-    """Read operator, date and instruments of the test, which old files do not have."""
-    day = text(root, layout.DATE) if layout.DATE in root.attrs else ""
+    """Read operator, date and instruments of the test."""
+    day = text(root, layout.DATE)
     return {
         "date": date.fromisoformat(day) if day else None,
-        "operator": text(root, layout.OPERATOR) if layout.OPERATOR in root.attrs else "",
+        "operator": text(root, layout.OPERATOR),
         "instruments": tuple(
             _instrument(row) for row in rows(root, layout.INSTRUMENTS, layout.INSTRUMENT_TABLE)
         ),
@@ -307,13 +302,12 @@ def _circumstances(root: Any) -> dict[str, Any]:
 
 
 def _instrument(row: Mapping[str, Any]) -> Instrument:
-    cells = {name: cell.decode() for name, cell in row.items() if isinstance(cell, bytes)}
     return Instrument(
-        channel=cells["channel"],
-        measures=tuple(cells["measures"].split(", ")),
-        certificate=cells["certificate"],
-        calibrated=date.fromisoformat(cells["calibrated"]),
-        due=date.fromisoformat(cells["due"]) if cells["due"] else None,
+        channel=row["channel"],
+        measures=tuple(row["measures"].split(", ")),
+        certificate=row["certificate"],
+        calibrated=date.fromisoformat(row["calibrated"]),
+        due=date.fromisoformat(row["due"]) if row["due"] else None,
         uncertainty=None if isnan(row["uncertainty"]) else row["uncertainty"],
         k=row["k"],
     )
@@ -384,8 +378,8 @@ def _cell(row: Any, name: str, kind: Any) -> object:
     """Return one field of a record; ``drop_interval`` is in ``drop_lower`` and ``drop_upper``."""
     if kind is Interval:
         ends = (f"{name.removesuffix('_interval')}_{end}" for end in ("lower", "upper"))
-        return Interval(*(float(row[end]) for end in ends))
-    return kind(row[name].decode() if isinstance(row[name], bytes) else row[name])
+        return Interval(*(row[end] for end in ends))
+    return kind(row[name])
 
 
 def _shape(group: Any) -> Shape:
@@ -398,28 +392,22 @@ def _shape(group: Any) -> Shape:
 
 def _results(root: Any) -> tuple[Result, ...]:
     group, budgets = root[layout.RESULTS], _budgets(root)
-    names = texts(group, "order")
     return tuple(
-        _result(name, group[name], {*names} - {name}, tuple(budgets.get(name, ())))
-        for name in names
+        _result(name, group[name], tuple(budgets.get(name, ()))) for name in texts(group, "order")
     )
 
 
 def _budgets(root: Any) -> dict[str, list[Contribution]]:
-    """Return the rows of the budgets by result; old files have none."""
+    """Return the rows of the budgets by result."""
     budgets: dict[str, list[Contribution]] = {}
     for row in rows(root, layout.BUDGETS, layout.BUDGET_TABLE):
-        cause, change = row["cause"].decode(), float(row["change"])
-        contribution = Contribution(cause, change, bool(row["is_common"]))
-        budgets.setdefault(row["result"].decode(), []).append(contribution)
+        contribution = Contribution(row["cause"], row["change"], bool(row["is_common"]))
+        budgets.setdefault(row["result"], []).append(contribution)
     return budgets
 
 
-def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution, ...]) -> Result:
-    status, method = Status(text(group, "status")), text(group, "method")
-    is_new = has_attribute(group, "made_of")
-    parts: dict[str, Any] = {"method": method}
-    parts |= {key: text(group, key) for key in ("made_of", "remark")} if is_new else {}
+def _result(name: str, group: Any, budget: tuple[Contribution, ...]) -> Result:
+    status = Status(text(group, "status"))
     result = Result(
         name=name,
         value=None if status is Status.FAILED else get_number(group, "value"),
@@ -432,9 +420,11 @@ def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution,
         if has_attribute(group, layout.ESTIMATE)
         else None,
         budget=budget,
-        **(parts if is_new else method_parts(method, others)),
+        method=text(group, "method"),
+        made_of=text(group, "made_of"),
+        remark=text(group, "remark"),
     )
-    if has_attribute(group, "seal") and text(group, "seal") != result.seal:
+    if text(group, "seal") != result.seal:
         message = f"results/{name}: its numbers were changed after they were written"
         raise ValueError(message)
     return result

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from math import isnan, nan
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -17,44 +16,8 @@ from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, R
 from labpipe.records.result import Specimen
 from labpipe.store import layout
 from labpipe.store.datasets import Target, array, arrays, strings, text, texts
-from labpipe.store.hdf5_objects import has_attribute, set_text
+from labpipe.store.hdf5_objects import set_text
 from labpipe.store.layout import link_name
-
-_SINGLE_WORD_CODES: Final = "cut|drift|gap|saturation|truncated"
-_REASON_START: Final = re.compile(rf"; (?=(?:[a-z0-9]+(?:_[a-z0-9]+)+|{_SINGLE_WORD_CODES}): )")
-"""Separator before the next reason: a code and a colon."""
-_REMARK: Final = re.compile(r"(.*); ([^;]* of slips added back)")
-
-
-def reasons_in(glued: str) -> tuple[Reason, ...]:
-    """Split the text of all reasons; empty if there are none.
-
-    Examples
-    --------
-    >>> reasons_in("drift: the zero drifts; at last; gap: 4 samples are missing")[1]
-    Reason(code='gap', message='4 samples are missing')
-    """
-    parts = (part.partition(": ") for part in _REASON_START.split(glued) if part)
-    return tuple(Reason(code, message) for code, _, message in parts)
-
-
-def method_parts(method: str, results: Collection[str]) -> dict[str, str]:
-    """Split a method text into method, remark, and the result from which it is computed.
-
-    Parameters
-    ----------
-    method : of a result
-    results : names of the other results of the test
-
-    Examples
-    --------
-    >>> method_parts("stiffness x length; 3 N of slips added back", ["stiffness"])
-    {'method': 'stiffness x length', 'made_of': 'stiffness', 'remark': '3 N of slips added back'}
-    """
-    match = _REMARK.fullmatch(method)
-    main, remark = match.groups() if match else (method, "")
-    made_of = next((name for name in re.findall(r"[\w.]+", main) if name in results), "")
-    return {"method": main, "made_of": made_of, "remark": remark}
 
 
 def write_reasons(target: Target, reasons: Iterable[Reason]) -> None:
@@ -75,10 +38,8 @@ def read_reasons(group: Any) -> tuple[Reason, ...]:
 
     Parameters
     ----------
-    group : open HDF5 group that `write_reasons` wrote to, or one of schema 1
+    group : open HDF5 group that `write_reasons` wrote to
     """
-    if not has_attribute(group, layout.REASON_CODES):
-        return reasons_in(text(group, "reason"))
     codes, messages = (texts(group, name) for name in (layout.REASON_CODES, layout.REASON_MESSAGES))
     return tuple(Reason(*code) for code in zip(codes, messages, strict=True))
 
@@ -121,7 +82,7 @@ def read_specimen(root: Any) -> Specimen:
 
     Parameters
     ----------
-    root : open result file; old ones have no bundles and labels
+    root : open result file
 
     Returns
     -------

@@ -170,7 +170,7 @@ def check_summary(result: TestResult, path: Path) -> None:
         return
     seals = {entry.name: entry.seal for entry in result.results}
     for entry in read_summary(path)["results"]:
-        if "seal" in entry and not entry["seal"] == sealed(entry) == seals.get(entry["name"]):
+        if not entry["seal"] == sealed(entry) == seals.get(entry["name"]):
             raise StoreError(
                 error_text(
                     path,
@@ -208,12 +208,12 @@ def read_summary(path: Path) -> dict[str, Any]:
 
     Returns
     -------
-    Its content; some keys are missing in schema 1.
+    Its content.
 
     Raises
     ------
     StoreError
-        If it cannot be read, is not a summary of labpipe, or is of a newer schema.
+        If it cannot be read, is not a summary of labpipe, or is of another schema.
     """
     # A summary of a test of a hundred cycles has a hundredth of it.
     max_bytes = 1 << 26
@@ -228,6 +228,8 @@ def read_summary(path: Path) -> dict[str, Any]:
         raise _no_summary(path, "something else")
     if schema > SUMMARY_SCHEMA:
         raise _no_summary(path, f"one of a newer labpipe, schema {schema}", "Update labpipe.")
+    if schema != SUMMARY_SCHEMA:
+        raise _no_summary(path, f"one of schema {schema}")
     return content
 
 

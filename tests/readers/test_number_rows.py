@@ -163,20 +163,6 @@ def test_a_cut_anywhere_loses_only_the_last_line(cut: int) -> None:
     np.testing.assert_array_equal(values, np.arange(lines) + 0.25)
 
 
-@pytest.mark.slow
-def test_a_large_file_is_read_straight(tmp_path: Path) -> None:
-    """A bad cell in a column that nobody asked for does no harm there either."""
-    text = "".join(f"{i}.25,{i}.5\n" for i in range(300_000)) + "1,O\n"
-    file = tmp_path / "a.csv"
-    file.write_text("Time,Load\ns,N\n" + text, encoding="utf-8")
-    data = file.read_bytes()
-    large = Body(data, NAMES, (0,), 3, ",", start=14, as_in_file=True, others_numeric=True)
-    columns, _ = read_columns(large, file)
-    np.testing.assert_array_equal(columns[0], [*(np.arange(300_000) + 0.25), 1.0])
-    with pytest.raises(ReadError, match=r"line 300003, column 'Load': .* found 'O'"):
-        read_columns(Body(data, NAMES, (0, 1), 3, ",", start=14, as_in_file=True), file)
-
-
 def is_whole(text: str) -> bool:
     data = text.encode()
     end, notes = whole_lines(Body(data, ("Time", "Load"), (0, 1), 3, ","))

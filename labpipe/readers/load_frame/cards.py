@@ -11,7 +11,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Annotated, Any, Final, get_origin, get_type_hints
 
 from labpipe.errors import ReadError, nearest
 from labpipe.readers.raw_files import reading, unreadable
@@ -28,157 +28,6 @@ _FIX = "Correct the card."
 _Check = Callable[[object, str, object], object]
 LAB_FOLDER = "dialects"
 """Folder of a lab's own cards, in the working folder beside ``protocols``."""
-
-
-@dataclass(frozen=True, slots=True)
-class Card:
-    """A dialect: rules to recognise and read the export of one program.
-
-    Parameters
-    ----------
-    name : as in protocols; the name of the card's file
-    about : one-sentence description
-    program : program that wrote the export, empty in a fallback card
-    kind : ``text`` or ``workbook`` (xlsx, xls)
-    recognise : patterns that must all be found in the head of the text, or of one sheet whose
-        cells are separated by tabs
-    fallback : whether it is tried only if no other card recognises the export
-    blank : whether a file with only a byte order mark is an export without samples
-    version, model : patterns whose group is the version, or follows the program's name
-    encodings : tried in order without a byte order mark; ``detect`` detects the encoding
-    separators : between cells, the first one that fits; ``blanks`` for any number of blanks
-    decimal : decimal sign, or ``auto``
-    decimal_pattern : pattern whose group is the decimal sign; replaces `decimal`
-    names : location of the names of the columns; see docs/how-to/new-dialect.md
-    brackets : around units
-    name_starts : pattern at which a name begins, if blanks separate names that contain blanks
-    header_words : first cells of the row of names, if there is no row of units
-    listed : pattern of the line of one column, whose group is the name with the unit
-    start : pattern of the line after which the samples begin
-    units : units by name, where the export does not state them
-    time : patterns of the name of the time column, preferred first
-    time_unit : unit of time if the export does not state it
-    variable_rate : whether the program samples at a variable rate: long steps are no losses
-    words : names of columns of text
-    missing : numbers for a missing value
-    last_zeros : columns that are zero in a last row that is not a sample
-    last_code : columns and their values in such a row
-    stated_rows, stated_columns : keys of the preamble that state the numbers of samples and columns
-    layout : arrangement of specimens and blocks
-    source : file of the card, for messages
-    """
-
-    name: str
-    about: str
-    recognise: tuple[Pattern, ...]
-    time: tuple[Pattern, ...]
-    names: str
-    program: str = ""
-    kind: str = "text"
-    fallback: bool = False
-    blank: bool = False
-    version: Pattern | None = None
-    model: Pattern | None = None
-    encodings: tuple[str, ...] = ("utf-8", "cp1252")
-    separators: tuple[str, ...] = ("\t", ";", ",")
-    decimal: str = "auto"
-    decimal_pattern: Pattern | None = None
-    brackets: str = ""
-    name_starts: Pattern | None = None
-    header_words: tuple[str, ...] = ()
-    listed: Pattern | None = None
-    start: Pattern | None = None
-    units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    time_unit: str = ""
-    variable_rate: bool = False
-    words: tuple[str, ...] = ()
-    missing: tuple[float, ...] = ()
-    last_zeros: tuple[str, ...] = ()
-    last_code: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    stated_rows: str = ""
-    stated_columns: str = ""
-    layout: str = "one"
-    source: str = ""
-
-
-def parse_card(text: str, *, name: str, source: object) -> Card:
-    """Read the text of a card.
-
-    Parameters
-    ----------
-    text : TOML
-    name : of the dialect: small letters, digits and hyphens
-    source : file of the card, for messages
-
-    Returns
-    -------
-    The card.
-
-    Raises
-    ------
-    ReadError
-        If the text is not TOML, keys are unknown, missing or of the wrong type (all are
-        reported at once), or keys contradict each other.
-    """
-    if not _NAME.fullmatch(name):
-        expected = "a name of small letters, digits and hyphens"
-        raise _error(source, "", expected, f"'{name}'", "Rename the file of the card.")
-    try:
-        keys = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and huge numbers
-        remedy = "Correct the line named there."
-        raise _error(
-            source, "", "a card in TOML", f"text that is none ({error})", remedy
-        ) from error
-    return _card(keys, name, source)
-
-
-def _card(keys: Mapping[str, object], name: str, source: object) -> Card:
-    values, messages = _check_keys(keys, source)
-    if messages:
-        raise ReadError("\n".join(messages))
-    card = Card(name=name, source=str(source), **values)
-    _check_combinations(card, source)
-    return card
-
-
-def _check_keys(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any], list[str]]:
-    """Return the values of the keys, and messages on wrong ones."""
-    values: dict[str, Any] = {}
-    messages = []
-    for key, value in keys.items():
-        try:
-            values[key] = _CHECKS.get(key, _unknown)(value, key, source)
-        except ReadError as fault:
-            messages.append(str(fault))
-    for needed in fields(Card):
-        must = needed.default is MISSING and needed.default_factory is MISSING
-        if must and needed.name not in keys and needed.name != "name":
-            messages.append(
-                str(_error(source, needed.name, "this key", "none", "Add it to the card."))
-            )
-    return values, messages
-
-
-def _unknown(value: object, key: str, source: object) -> object:  # noqa: ARG001
-    close = ", ".join(nearest(key, list(_CHECKS), most=3))
-    raise _error(source, key, "a key of a card", "none", f"Nearest: {close}.")
-
-
-def _check_combinations(card: Card, source: object) -> None:
-    needs = {
-        "alone": ("header_words", bool(card.header_words)),
-        "listed": ("listed", card.listed is not None and card.start is not None),
-        "with units": ("brackets", bool(card.brackets)),
-    }
-    key, has = needs.get(card.names, ("", True))
-    if not has:
-        also = " (and `start`)" if key == "listed" else ""
-        expected = f"this key{also}, as names = '{card.names}'"
-        raise _error(source, key, expected, "none", "Add it to the card.")
-    if not card.recognise and not card.blank:
-        remedy = "Give text that every export of the program contains."
-        raise _error(source, "recognise", "at least one pattern", "none", remedy)
 
 
 def _error(source: object, key: str, expected: str, found: str, remedy: str) -> ReadError:
@@ -272,38 +121,167 @@ def _table_of(check: _Check) -> _Check:
     return check_items
 
 
-_CHECKS: Final[dict[str, _Check]] = {
-    "program": _text,
-    "about": _text,
-    "kind": _one_of(KINDS),
-    "recognise": _list_of(_pattern),
-    "fallback": _flag,
-    "blank": _flag,
-    "version": _group,
-    "model": _group,
-    "encodings": _list_of(_encoding),
-    "separators": _list_of(_separator),
-    "decimal": _one_of(DECIMALS),
-    "decimal_pattern": _group,
-    "names": _one_of(NAMES),
-    "brackets": _one_of(BRACKETS),
-    "name_starts": _pattern,
-    "header_words": _list_of(_text),
-    "listed": _group,
-    "start": _pattern,
-    "units": _table_of(_text),
-    "time": _list_of(_name_pattern),
-    "time_unit": _text,
-    "variable_rate": _flag,
-    "words": _list_of(_text),
-    "missing": _list_of(_number),
-    "last_zeros": _list_of(_text),
-    "last_code": _table_of(_number),
-    "stated_rows": _text,
-    "stated_columns": _text,
-    "layout": _one_of(LAYOUTS),
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A dialect: rules to recognise and read the export of one program.
+
+    Parameters
+    ----------
+    name : as in protocols; the name of the card's file
+    about : one-sentence description
+    program : program that wrote the export, empty in a fallback card
+    kind : ``text`` or ``workbook`` (xlsx, xls)
+    recognise : patterns that must all be found in the head of the text, or of one sheet whose
+        cells are separated by tabs
+    fallback : whether it is tried only if no other card recognises the export
+    blank : whether a file with only a byte order mark is an export without samples
+    version, model : patterns whose group is the version, or follows the program's name
+    encodings : tried in order without a byte order mark; ``detect`` detects the encoding
+    separators : between cells, the first one that fits; ``blanks`` for any number of blanks
+    decimal : decimal sign, or ``auto``
+    decimal_pattern : pattern whose group is the decimal sign; replaces `decimal`
+    names : location of the names of the columns; see docs/how-to/new-dialect.md
+    brackets : around units
+    name_starts : pattern at which a name begins, if blanks separate names that contain blanks
+    header_words : first cells of the row of names, if there is no row of units
+    listed : pattern of the line of one column, whose group is the name with the unit
+    start : pattern of the line after which the samples begin
+    units : units by name, where the export does not state them
+    time : patterns of the name of the time column, preferred first
+    time_unit : unit of time if the export does not state it
+    variable_rate : whether the program samples at a variable rate: long steps are no losses
+    words : names of columns of text
+    missing : numbers for a missing value
+    last_zeros : columns that are zero in a last row that is not a sample
+    last_code : columns and their values in such a row
+    stated_rows, stated_columns : keys of the preamble that state the numbers of samples and columns
+    layout : arrangement of specimens and blocks
+    source : file of the card, for messages
+    """
+
+    name: str
+    about: Annotated[str, _text]
+    recognise: Annotated[tuple[Pattern, ...], _list_of(_pattern)]
+    time: Annotated[tuple[Pattern, ...], _list_of(_name_pattern)]
+    names: Annotated[str, _one_of(NAMES)]
+    program: Annotated[str, _text] = ""
+    kind: Annotated[str, _one_of(KINDS)] = "text"
+    fallback: Annotated[bool, _flag] = False
+    blank: Annotated[bool, _flag] = False
+    version: Annotated[Pattern | None, _group] = None
+    model: Annotated[Pattern | None, _group] = None
+    encodings: Annotated[tuple[str, ...], _list_of(_encoding)] = ("utf-8", "cp1252")
+    separators: Annotated[tuple[str, ...], _list_of(_separator)] = ("\t", ";", ",")
+    decimal: Annotated[str, _one_of(DECIMALS)] = "auto"
+    decimal_pattern: Annotated[Pattern | None, _group] = None
+    brackets: Annotated[str, _one_of(BRACKETS)] = ""
+    name_starts: Annotated[Pattern | None, _pattern] = None
+    header_words: Annotated[tuple[str, ...], _list_of(_text)] = ()
+    listed: Annotated[Pattern | None, _group] = None
+    start: Annotated[Pattern | None, _pattern] = None
+    units: Annotated[Mapping[str, str], _table_of(_text)] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+    time_unit: Annotated[str, _text] = ""
+    variable_rate: Annotated[bool, _flag] = False
+    words: Annotated[tuple[str, ...], _list_of(_text)] = ()
+    missing: Annotated[tuple[float, ...], _list_of(_number)] = ()
+    last_zeros: Annotated[tuple[str, ...], _list_of(_text)] = ()
+    last_code: Annotated[Mapping[str, float], _table_of(_number)] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+    stated_rows: Annotated[str, _text] = ""
+    stated_columns: Annotated[str, _text] = ""
+    layout: Annotated[str, _one_of(LAYOUTS)] = "one"
+    source: str = ""
+
+
+_CHECKS: Final[Mapping[str, _Check]] = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(Card, include_extras=True).items()
+    if get_origin(hint) is Annotated
 }
 """Check of each key of a card."""
+
+
+def parse_card(text: str, *, name: str, source: object) -> Card:
+    """Read the text of a card.
+
+    Parameters
+    ----------
+    text : TOML
+    name : of the dialect: small letters, digits and hyphens
+    source : file of the card, for messages
+
+    Returns
+    -------
+    The card.
+
+    Raises
+    ------
+    ReadError
+        If the text is not TOML, keys are unknown, missing or of the wrong type (all are
+        reported at once), or keys contradict each other.
+    """
+    if not _NAME.fullmatch(name):
+        expected = "a name of small letters, digits and hyphens"
+        raise _error(source, "", expected, f"'{name}'", "Rename the file of the card.")
+    try:
+        keys = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and huge numbers
+        remedy = "Correct the line named there."
+        raise _error(
+            source, "", "a card in TOML", f"text that is none ({error})", remedy
+        ) from error
+    return _card(keys, name, source)
+
+
+def _card(keys: Mapping[str, object], name: str, source: object) -> Card:
+    values, messages = _check_keys(keys, source)
+    if messages:
+        raise ReadError("\n".join(messages))
+    card = Card(name=name, source=str(source), **values)
+    _check_combinations(card, source)
+    return card
+
+
+def _check_keys(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any], list[str]]:
+    """Return the values of the keys, and messages on wrong ones."""
+    values: dict[str, Any] = {}
+    messages = []
+    for key, value in keys.items():
+        try:
+            values[key] = _CHECKS.get(key, _unknown)(value, key, source)
+        except ReadError as fault:
+            messages.append(str(fault))
+    for needed in fields(Card):
+        must = needed.default is MISSING and needed.default_factory is MISSING
+        if must and needed.name not in keys and needed.name != "name":
+            messages.append(
+                str(_error(source, needed.name, "this key", "none", "Add it to the card."))
+            )
+    return values, messages
+
+
+def _unknown(value: object, key: str, source: object) -> object:  # noqa: ARG001
+    close = ", ".join(nearest(key, list(_CHECKS), most=3))
+    raise _error(source, key, "a key of a card", "none", f"Nearest: {close}.")
+
+
+def _check_combinations(card: Card, source: object) -> None:
+    needs = {
+        "alone": ("header_words", bool(card.header_words)),
+        "listed": ("listed", card.listed is not None and card.start is not None),
+        "with units": ("brackets", bool(card.brackets)),
+    }
+    key, has = needs.get(card.names, ("", True))
+    if not has:
+        also = " (and `start`)" if key == "listed" else ""
+        expected = f"this key{also}, as names = '{card.names}'"
+        raise _error(source, key, expected, "none", "Add it to the card.")
+    if not card.recognise and not card.blank:
+        remedy = "Give text that every export of the program contains."
+        raise _error(source, "recognise", "at least one pattern", "none", remedy)
 
 
 @cache

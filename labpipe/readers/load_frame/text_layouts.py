@@ -74,7 +74,6 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
     body = Body(
         data=content.data,
         start=start,
-        as_in_file=content.as_in_file,
         others_numeric=not word_columns(header.names, card),
         names=unique_names(header.names),
         columns=columns_read,
