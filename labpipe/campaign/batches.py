@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 from labpipe import __version__
 from labpipe.campaign.outcomes import Outcome, outcome_of
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess
 from labpipe.process.run import PROCESSING_VERSION
 from labpipe.process.test_runner import Task
 
@@ -112,49 +112,44 @@ def process_locally(batch: Batch) -> list[Ended]:
     """
     seen = [task for task in batch.tasks if (batch.home / task.sheet).exists()]
     ended: dict[Path, Ended] = {}
-    with _worker_pool(batch.limit) as pool:
-        for (_, task), outcome in pool.as_completed([(batch.home, task) for task in seen]):
-            ended[task.sheet] = outcome
+    with _worker_process() as process:
+        for task in seen:
+            call = partial(_outcome_at, batch.home, task)
+            ended[task.sheet] = process.call(call, limit=batch.limit)
     return [ended.get(task.sheet, FilesNotVisible()) for task in batch.tasks]
 
 
-def _outcome_at(call: tuple[Path, Task]) -> Outcome:
+def _outcome_at(home: Path, task: Task) -> Outcome:
     """Process a test in the working folder of the client."""
-    home, task = call
     with suppress(OSError):  # missing only if all paths are absolute
         os.chdir(home)
     return outcome_of(task)
 
 
-class _IdlePools(threading.local):
-    """Process pools of a worker thread, kept for the next batch for a while."""
-
-    def __init__(self) -> None:
-        self.pools: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]] = {}
-        self.end = threading.Timer(0.0, lambda: None)
-
-
-_IDLE_POOLS = _IdlePools()
+_IDLE_PROCESSES: dict[WorkerProcess, threading.Timer] = {}
+"""Processes that are kept for the next batch for a while, until a timer closes them."""
 
 
 @contextmanager
-def _worker_pool(limit: float | None) -> Iterator[WorkerPool[tuple[Path, Task], Outcome]]:
-    # s without a batch, after which the process is closed
+def _worker_process() -> Iterator[WorkerProcess]:
+    # s without a batch, after which a process is closed
     idle_limit = 60.0
-    _IDLE_POOLS.end.cancel()
-    pool = _IDLE_POOLS.pools.pop(limit, None) or WorkerPool(_outcome_at, jobs=1, limit=limit)
     try:
-        yield pool
+        process, timer = _IDLE_PROCESSES.popitem()
+        timer.cancel()
+    except KeyError:
+        process = WorkerProcess()
+    try:
+        yield process
     except BaseException:
-        pool.close()
+        process.close()
         raise
-    _IDLE_POOLS.pools[limit] = pool
-    _IDLE_POOLS.end = threading.Timer(idle_limit, partial(_close_pools, _IDLE_POOLS.pools))
-    _IDLE_POOLS.end.daemon = True
-    _IDLE_POOLS.end.start()
+    timer = threading.Timer(idle_limit, _close_idle, (process,))
+    timer.daemon = True
+    _IDLE_PROCESSES[process] = timer
+    timer.start()
 
 
-def _close_pools(pools: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]]) -> None:
-    while pools:
-        with suppress(KeyError):  # taken by the next batch
-            pools.popitem()[1].close()
+def _close_idle(process: WorkerProcess) -> None:
+    if _IDLE_PROCESSES.pop(process, None) is not None:
+        process.close()

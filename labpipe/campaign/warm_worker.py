@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import TypeVar
 
 from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, describe_death
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, describe_death
 from labpipe.errors import ProcessingError
 from labpipe.process.protocol_match import all_protocols
 from labpipe.process.run import draw_figures
@@ -47,14 +47,12 @@ class WarmWorker:
     """
 
     def __init__(self, *, limit: float = 3600.0) -> None:
-        self._pool: WorkerPool[Callable[[], object], object] = WorkerPool(
-            _call, jobs=1, limit=limit
-        )
-        self._background: threading.Thread | None = None
+        self._limit, self._process = limit, WorkerProcess()
+        self._thread = ThreadPoolExecutor(max_workers=1)
 
     def warm(self) -> None:
         """Start importing the modules of tests, without waiting."""
-        self._start(_import_all)
+        self._submit(_import_all)
 
     def call(self, work: Callable[[], T], *, about: object) -> T:
         """Run a call in the process and wait for it.
@@ -71,7 +69,7 @@ class WarmWorker:
         LabpipeError
             If the call raises it.
         """
-        outcome = self._wait_and_run(work)
+        outcome = self._submit(work).result()
         if isinstance(outcome, CallRaised):
             raise outcome.error
         if isinstance(outcome, ProcessDied):
@@ -86,42 +84,23 @@ class WarmWorker:
         ----------
         folder : of its results
         """
-        self._start(partial(draw_figures, folder))
+        self._submit(partial(draw_figures, folder))
 
     def executor(self, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
         """Process tests without figures; see `labpipe.campaign.executors.Executor`."""
         for task in tasks:
-            yield outcome_of_call(
-                task, self._wait_and_run(partial(outcome_of, replace(task, figures=False)))
-            )
+            call = self._submit(partial(outcome_of, replace(task, figures=False)))
+            yield outcome_of_call(task, call.result())
 
     def close(self) -> None:
-        """Wait for the started call, and end the process."""
-        self._wait()
-        self._pool.close()
+        """Wait for the started calls, and end the process."""
+        try:
+            self._thread.shutdown()
+        finally:
+            self._process.close()
 
-    def _start(self, work: Callable[[], object]) -> None:
-        """Run a call in the background, such as imports or figures; its result is not used."""
-        self._wait()
-        self._background = threading.Thread(target=self._run, args=(work,))
-        self._background.start()
-
-    def _wait_and_run(self, work: Callable[[], T]) -> T | ProcessDied | CallRaised:
-        self._wait()
-        return self._run(work)
-
-    def _run(self, work: Callable[[], T]) -> T | ProcessDied | CallRaised:
-        ((_, outcome),) = self._pool.as_completed([work])
-        return cast("T | ProcessDied | CallRaised", outcome)
-
-    def _wait(self) -> None:
-        if self._background is not None:
-            self._background.join()
-            self._background = None
-
-
-def _call(work: Callable[[], object]) -> object:
-    return work()
+    def _submit(self, work: Callable[[], T]) -> Future[T | ProcessDied | CallRaised]:
+        return self._thread.submit(self._process.call, work, limit=self._limit)
 
 
 def _import_all() -> None:

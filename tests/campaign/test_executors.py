@@ -19,7 +19,7 @@ from labpipe.campaign.executors import executor_of
 from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
 from labpipe.campaign.runs import process_tests
 from labpipe.campaign.warm_worker import WarmWorker
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, in_processes
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, process_test
 from labpipe.process.test_runner import Task
@@ -89,16 +89,15 @@ def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
 
 
 def test_a_process_that_dies_between_two_calls_costs_none() -> None:
-    pool: WorkerPool[str, int] = WorkerPool(int, jobs=1)
+    worker = WorkerProcess()
     try:
-        assert list(pool.as_completed(["1"])) == [("1", 1)]
-        (worker,) = pool._workers
+        assert worker.call(partial(int, "1")) == 1
         assert worker.process is not None
         worker.process.kill()
         worker.process.wait()
-        assert list(pool.as_completed(["2", "3"])) == [("2", 2), ("3", 3)]
+        assert [worker.call(partial(int, text)) for text in ("2", "3")] == [2, 3]
     finally:
-        pool.close()
+        worker.close()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
