@@ -17,8 +17,8 @@ from pathlib import Path, PurePath
 from typing import Any, Final
 
 from labpipe.campaign.decisions import Decision
+from labpipe.campaign.machine import Claim, is_alive, new_claim
 from labpipe.campaign.outcome_rows import ResultRow
-from labpipe.campaign.test_locks import Claim, is_alive, new_claim
 from labpipe.errors import StoreError, error_text
 
 CATALOG: Final = "catalog.sqlite"

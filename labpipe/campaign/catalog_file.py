@@ -19,7 +19,7 @@ from labpipe.campaign.catalog import (
     open_connection,
     sqlite_errors,
 )
-from labpipe.campaign.remote_drives import is_on_this_machine
+from labpipe.campaign.machine import is_on_this_machine
 from labpipe.errors import UsageError, error_text
 from labpipe.store.replace import storing
 

@@ -44,8 +44,8 @@ from labpipe.campaign.decisions import (
     in_force,
     read_decisions,
 )
+from labpipe.campaign.machine import Claim
 from labpipe.campaign.outcome_rows import NEWER_RESULT, StoredOutcome, encodable, read_outcome_files
-from labpipe.campaign.test_locks import Claim
 from labpipe.errors import LabpipeError, StoreError, error_text
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
