@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, TypeAlias
 
-from labpipe.campaign.executors import Outcome
-from labpipe.campaign.file_stability import FileStability, Mark
-from labpipe.campaign.pairing import Candidate, PairingOutcome, RawListing, list_candidates, plan_of
+from labpipe.campaign.campaign_folders import CampaignFolders
+from labpipe.campaign.catalog import PENDING, REJECTED, STALE
+from labpipe.campaign.executors import Executor, Outcome
+from labpipe.campaign.pairing import (
+    Candidate,
+    PairingOutcome,
+    RawListing,
+    list_candidates,
+    pair_test,
+    plan_of,
+)
 from labpipe.campaign.quick_look import (
     CampaignGroups,
     display_settings,
@@ -19,30 +28,174 @@ from labpipe.campaign.quick_look import (
     read_summary,
     verdict,
 )
-from labpipe.errors import LabpipeError
+from labpipe.campaign.running import read_overview, run_tests
+from labpipe.campaign.warm_worker import WarmWorker
+from labpipe.errors import LabpipeError, ProcessingError, error_text
+from labpipe.process.protocol_match import all_protocols
 from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
 
 REMINDER_DELAY = 3600.0
 """s after which a growing or locked file is reported again."""
 
-Marks = tuple[tuple[str, Mark | None], ...]
 
+class WatchedCampaign:
+    """A watched campaign with its catalog.
 
-class Campaign(Protocol):
-    """Interface of a watched campaign."""
+    Parameters
+    ----------
+    folders : of the campaign
+    executor : processes the tests
+    """
+
+    def __init__(self, folders: CampaignFolders, executor: Executor) -> None:
+        self._folders, self._executor = folders, executor
+        self._rows = read_overview(folders).rows
 
     @property
     def raw(self) -> Path:
         """Folder of the exports."""
+        return self._folders.raw
 
     def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         """Return the test sheets without results for their present exports."""
+        rows = {sheet: self._rows.get(self._label(sheet)) for sheet in sheets}
+        due = {PENDING, STALE}
+        return [sheet for sheet, row in rows.items() if row is None or row.state in due]
 
     def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
-        """Process a test; return its outcome, or None if nothing changed."""
+        """Process a test, and store its row.
 
-    def results(self) -> Mapping[Path, str]:
+        Parameters
+        ----------
+        sheet : of the test
+        again : whether to process it even if nothing changed
+
+        Returns
+        -------
+        The outcome; None if nothing changed.
+
+        Raises
+        ------
+        LabpipeError
+            If another labpipe works on it, or the catalog cannot be written.
+        """
+        label = self._label(sheet)
+        outcomes: list[Outcome] = []
+        rows = run_tests(
+            self._folders,
+            self._executor,
+            [label],
+            again=[label] if again else (),
+            on_outcome=lambda _, outcome: outcomes.append(outcome),
+        )
+        row = rows[label]
+        if row is None:
+            expected, state = ("a free test", "one that another labpipe processes")
+            remedy = "The watch tries again."
+            message = error_text(label, "", expected=expected, found=state, remedy=remedy)
+            raise ProcessingError(message, code="in_use")
+        self._rows = {**self._rows, label: row}
+        return outcomes[0] if outcomes else None
+
+    def results(self) -> dict[Path, str]:
         """Return the key of the results of each test that is not rejected, by folder."""
+        rows = {folder: row for folder, row in self._rows.items() if row.state != REJECTED}
+        return {self._folders.processed / folder: row.run for folder, row in rows.items()}
+
+    def _label(self, sheet: Path) -> str:
+        return sheet.parent.relative_to(self._folders.raw).as_posix()
+
+
+State: TypeAlias = Literal["still", "growing", "locked", "gone"]
+Mark: TypeAlias = tuple[int, int]
+"""Size and time of change of a file."""
+Marks: TypeAlias = tuple[tuple[str, Mark | None], ...]
+
+
+@dataclass(slots=True)
+class _FileState:
+    """State of a file at the last look.
+
+    Parameters
+    ----------
+    mark : size and time
+    since : start of this state, by the clock of the watch (the clock of a drive may differ)
+    moving_since : start of the last changes
+    was_still : whether it was found unchanged and readable with this mark
+    """
+
+    mark: Mark
+    since: float
+    moving_since: float
+    was_still: bool = False
+
+
+class FileStability:
+    """Files under repeated observation.
+
+    Parameters
+    ----------
+    clock : monotonic, s
+    still_for : s without a change, after which a file is still
+    """
+
+    def __init__(self, clock: Callable[[], float], still_for: float) -> None:
+        self._clock, self.still_for = clock, still_for
+        self._seen: dict[Path, _FileState] = {}
+
+    def look(self, path: Path) -> State:
+        """Look at a file.
+
+        Parameters
+        ----------
+        path : of the file
+
+        Returns
+        -------
+        ``still``: unchanged for long enough and readable; ``growing``: changed recently;
+        ``locked``: unchanged, but cannot be opened; ``gone``.
+        """
+        now = self._clock()
+        try:
+            about = path.stat()
+        except OSError:
+            self._seen.pop(path, None)
+            return "gone"
+        mark = (about.st_size, about.st_mtime_ns)
+        seen = self._seen.get(path)
+        if seen is None:
+            self._seen[path] = _FileState(mark, now, now)
+            return "growing"
+        if seen.mark != mark:
+            self._seen[path] = _FileState(mark, now, now if seen.was_still else seen.moving_since)
+            return "growing"
+        if now - seen.since < self.still_for:
+            return "growing"
+        seen.was_still = _opens(path)
+        return "still" if seen.was_still else "locked"
+
+    def mark(self, path: Path) -> Mark | None:
+        """Return size and time of a file at the last look; None if it is gone."""
+        return self._seen[path].mark if path in self._seen else None
+
+    def since(self, paths: Iterable[Path]) -> float:
+        """Return when the last of some files changed; the present without any."""
+        times = [self._seen[path].since for path in paths if path in self._seen]
+        return max(times, default=self._clock())
+
+    def moving_for(self, path: Path) -> float:
+        """Return for how long a file has been changing or locked, s."""
+        seen = self._seen.get(path)
+        return 0.0 if seen is None else self._clock() - seen.moving_since
+
+
+def _opens(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            stream.read(1)
+    except OSError:
+        return False
+    return True
 
 
 @dataclass(slots=True)
@@ -100,7 +253,7 @@ class Watcher:
 
     def __init__(
         self,
-        campaign: Campaign,
+        campaign: WatchedCampaign,
         *,
         pair: Callable[[Candidate, CampaignPlan, float], PairingOutcome],
         draw: Callable[[Path], None],
@@ -344,3 +497,43 @@ def _mark(path: Path) -> Mark | None:
 def _printable(name: str) -> str:
     """Escape a name for a terminal."""
     return name if name.isprintable() else repr(name)[1:-1]
+
+
+def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]) -> None:
+    """Watch a campaign until interrupted.
+
+    Parameters
+    ----------
+    folders : of the campaign
+    figures : whether figures are drawn, after the verdict on a test
+    say : called with each message
+
+    Raises
+    ------
+    LabpipeError
+        If the campaign YAML has a fault, or the catalog cannot be used.
+    """
+    worker = WarmWorker()
+    worker.warm()
+    try:
+        campaign = WatchedCampaign(folders, worker.executor)
+        pair = partial(_pair_in, worker)
+        draw = worker.draw if figures else (lambda _: None)
+        watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
+        say(f"watching {folders.name}; press Ctrl+C to stop")
+        watcher.prepare()
+        all_protocols()  # loads units and grammar before the first verdict
+        while True:
+            began = time.monotonic()
+            if not watcher.look():  # on a slow drive, at most a third of the time
+                time.sleep(max(watcher.plan.look_every, 2.0 * (time.monotonic() - began)))
+    finally:
+        worker.close()
+
+
+def _pair_in(
+    worker: WarmWorker, candidate: Candidate, plan: CampaignPlan, waited: float
+) -> PairingOutcome:
+    """Pair a test in the worker, which a damaged export may crash."""
+    work = partial(pair_test, candidate, plan, waited=waited)
+    return worker.call(work, about=candidate.folder)

@@ -149,7 +149,7 @@ def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
-    from labpipe.campaign.watched_campaign import watch
+    from labpipe.campaign.watching import watch
 
     watch(campaign, figures=not options.no_figures, say=_print_with_time)
     return 0
