@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from uuid import uuid4
 
 from labpipe import __version__
-from labpipe.campaign.outcomes import Outcome, failed_outcome, outcome_of, outcome_of_call
+from labpipe.campaign.executors import Outcome, failed_outcome, outcome_of, outcome_of_call
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess
 from labpipe.errors import ProcessingError, UsageError, error_text
 from labpipe.process.run import PROCESSING_VERSION, SUMMARY_FILE

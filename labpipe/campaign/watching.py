@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog import PENDING, REJECTED, STALE
-from labpipe.campaign.executors import Executor, Outcome
+from labpipe.campaign.executors import Executor, Outcome, Task, outcome_of, outcome_of_call
 from labpipe.campaign.pairing import (
     Candidate,
     PairingOutcome,
@@ -28,11 +30,101 @@ from labpipe.campaign.quick_look import (
     read_summary,
     verdict,
 )
-from labpipe.campaign.running import read_overview, run_tests
-from labpipe.campaign.warm_worker import WarmWorker
+from labpipe.campaign.running import read_overview, run_test
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, describe_death
 from labpipe.errors import LabpipeError, ProcessingError, error_text
 from labpipe.process.protocol_match import all_protocols
+from labpipe.process.run import draw_figures
 from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
+
+T = TypeVar("T")
+_MODULES = (
+    "labpipe.process.story",
+    "labpipe.process.camera_steps",
+    "labpipe.process.span_steps",
+    "labpipe.markers.specimen_shape",
+    "labpipe.results.moment_curvature",
+    "labpipe.store.write",
+    "labpipe.report.figures",
+    *(f"labpipe.readers.{name}" for name in ("dspace_mat", "motive_takes", "load_frame")),
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.interpolate",
+    "scipy.stats",
+)
+"""Modules that processing and figures import, besides those of this one."""
+
+
+class WarmWorker:
+    """A process that runs calls in sequence; if it dies, only its call fails.
+
+    Parameters
+    ----------
+    limit : s, time limit of a call, after which its process is ended
+    """
+
+    def __init__(self, *, limit: float = 3600.0) -> None:
+        self._limit, self._process = limit, WorkerProcess()
+        self._thread = ThreadPoolExecutor(max_workers=1)
+
+    def warm(self) -> None:
+        """Start importing the modules of tests, without waiting."""
+        self._submit(_import_all)
+
+    def call(self, work: Callable[[], T], *, about: object) -> T:
+        """Run a call in the process and wait for it.
+
+        Parameters
+        ----------
+        work : can be pickled, and so can its result
+        about : subject for messages, such as a file
+
+        Raises
+        ------
+        ProcessingError
+            If the process dies, or the call takes too long; the process is replaced.
+        LabpipeError
+            If the call raises it.
+        """
+        outcome = self._submit(work).result()
+        if isinstance(outcome, CallRaised):
+            raise outcome.error
+        if isinstance(outcome, ProcessDied):
+            _, reason = describe_death(about, outcome)
+            raise ProcessingError(reason)
+        return outcome
+
+    def draw(self, folder: Path) -> None:
+        """Start drawing the figures of a processed test, without waiting.
+
+        Parameters
+        ----------
+        folder : of its results
+        """
+        self._submit(partial(draw_figures, folder))
+
+    def executor(self, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
+        """Process tests without figures; see `labpipe.campaign.executors.Executor`."""
+        for task in tasks:
+            call = self._submit(partial(outcome_of, replace(task, figures=False)))
+            yield outcome_of_call(task, call.result())
+
+    def close(self) -> None:
+        """Wait for the started calls, and end the process."""
+        try:
+            self._thread.shutdown()
+        finally:
+            self._process.close()
+
+    def _submit(self, work: Callable[[], T]) -> Future[T | ProcessDied | CallRaised]:
+        return self._thread.submit(self._process.call, work, limit=self._limit)
+
+
+def _import_all() -> None:
+    for name in _MODULES:
+        import_module(name)
+    all_protocols()  # parses protocols and units once
+
 
 REMINDER_DELAY = 3600.0
 """s after which a growing or locked file is reported again."""
@@ -80,22 +172,14 @@ class WatchedCampaign:
             If another labpipe works on it, or the catalog cannot be written.
         """
         label = self._label(sheet)
-        outcomes: list[Outcome] = []
-        rows = run_tests(
-            self._folders,
-            self._executor,
-            [label],
-            again=[label] if again else (),
-            on_outcome=lambda _, outcome: outcomes.append(outcome),
-        )
-        row = rows[label]
+        row, outcome = run_test(self._folders, self._executor, label, again=again)
         if row is None:
             expected, state = ("a free test", "one that another labpipe processes")
             remedy = "The watch tries again."
             message = error_text(label, "", expected=expected, found=state, remedy=remedy)
             raise ProcessingError(message, code="in_use")
         self._rows = {**self._rows, label: row}
-        return outcomes[0] if outcomes else None
+        return outcome
 
     def results(self) -> dict[Path, str]:
         """Return the key of the results of each test that is not rejected, by folder."""

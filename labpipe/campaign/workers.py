@@ -19,7 +19,7 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any, NoReturn, TypeVar, cast
 
-from labpipe.errors import error_text
+from labpipe.errors import ProcessingError, error_text
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -240,6 +240,34 @@ def in_processes(
             if isinstance(outcome, CallRaised):
                 raise outcome.error
             yield outcome
+
+
+def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
+    """Call functions in parallel, each in its own process.
+
+    Parameters
+    ----------
+    calls : partials of module-level functions with their arguments
+    jobs : number of calls at the same time
+
+    Returns
+    -------
+    Their results, in order.
+
+    Raises
+    ------
+    ProcessingError
+        If a process ended before its call.
+    """
+    if jobs == 1:
+        return [call() for call in calls]
+    results: list[T] = []
+    for outcome in in_processes(calls, jobs=jobs):
+        if isinstance(outcome, ProcessDied):
+            code, reason = describe_death("labpipe", outcome)
+            raise ProcessingError(reason, code=code)
+        results.append(outcome)
+    return results
 
 
 _START = (

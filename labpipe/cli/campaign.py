@@ -14,8 +14,7 @@ from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, 
 from labpipe.campaign.decisions import Decision, decision_sentence, unapplied_decisions
 from labpipe.campaign.executors import executor_of
 from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
-from labpipe.campaign.raw_file_usage import account_for_files
-from labpipe.campaign.refreshing import Overview, open_campaign
+from labpipe.campaign.refreshing import Overview, account_for_files, open_campaign
 from labpipe.campaign.running import (
     Drawing,
     RunSummary,

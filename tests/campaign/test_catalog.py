@@ -32,9 +32,9 @@ from labpipe.campaign.catalog import (
     Entry,
     Seen,
     TestRow,
+    new_catalog,
     sqlite_errors,
 )
-from labpipe.campaign.catalog_file import new_catalog
 from labpipe.campaign.machine import (
     BYTES_PER_TEST,
     MAX_CLAIM_AGE,

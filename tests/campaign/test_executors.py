@@ -15,10 +15,14 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.executors import executor_of
-from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
-from labpipe.campaign.runs import process_tests
-from labpipe.campaign.warm_worker import WarmWorker
+from labpipe.campaign.executors import (
+    Outcome,
+    executor_of,
+    outcome_of,
+    outcome_of_call,
+    process_tests,
+)
+from labpipe.campaign.watching import WarmWorker
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, process_test
@@ -198,7 +202,7 @@ def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> No
 def test_a_process_that_dies_in_a_test_is_an_outcome(
     worker: WarmWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.warm_worker.outcome_of", die)
+    monkeypatch.setattr("labpipe.campaign.watching.outcome_of", die)
     (outcome,) = worker.executor([Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 
