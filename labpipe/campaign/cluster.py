@@ -164,7 +164,7 @@ def process_on_cluster(
     Parameters
     ----------
     tasks : taken when workers become free
-    address : of the scheduler, ``HOST:PORT``
+    address : of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
     limit : s, time limit of a test; None for no limit
 
     Yields
@@ -200,7 +200,8 @@ def _connect(address: str) -> Iterator[Client]:
             _NO_PACKAGE, "none", "Install labpipe with it: labpipe[dask]."
         ) from error
     try:
-        client = Client(f"tcp://{address}", timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        where = address if "://" in address else f"tcp://{address}"
+        client = Client(where, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:  # a TimeoutError is an OSError
         expected = f"a dask scheduler at {address}"
         remedy = "Start one with `dask scheduler`; check the address and firewalls."

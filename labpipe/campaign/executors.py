@@ -138,7 +138,8 @@ def dask(address: str, *, limit: float | None = None) -> Executor:
 
     Parameters
     ----------
-    address : of its scheduler, ``HOST:PORT``
+    address : of its scheduler, ``HOST:PORT``, or ``tls://HOST:PORT`` with the certificates of the
+        dask configuration
     limit : s, time limit of a test; None for no limit
 
     Returns
@@ -155,7 +156,8 @@ def dask(address: str, *, limit: float | None = None) -> Executor:
     return executor
 
 
-_CLUSTER = "dask://"
+_CLUSTERS = {"dask": "", "dask+tls": "tls://"}
+"""Prefix of the address of a scheduler, by scheme."""
 
 
 def executor_of(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
@@ -163,7 +165,7 @@ def executor_of(text: str, *, jobs: int | None = None, limit: float | None = Non
 
     Parameters
     ----------
-    text : ``local`` or ``dask://HOST:PORT``
+    text : ``local``, ``dask://HOST:PORT`` or ``dask+tls://HOST:PORT``
     jobs : number of tests at the same time on this machine; None for `default_jobs`
     limit : s, time limit of a test; None for no limit
 
@@ -174,10 +176,11 @@ def executor_of(text: str, *, jobs: int | None = None, limit: float | None = Non
     """
     if text == "local":
         return local(jobs or default_jobs(), limit=limit)
-    host, _, port = text.removeprefix(_CLUSTER).rpartition(":")
-    if text.startswith(_CLUSTER) and host and port.isdecimal():
-        return dask(f"{host}:{port}", limit=limit)
-    expected, remedy = f"local, or {_CLUSTER}HOST:PORT", "`dask scheduler` prints its address."
+    scheme, _, address = text.partition("://")
+    host, _, port = address.rpartition(":")
+    if scheme in _CLUSTERS and host and port.isdecimal():
+        return dask(f"{_CLUSTERS[scheme]}{address}", limit=limit)
+    expected, remedy = "local, or dask://HOST:PORT", "`dask scheduler` prints its address."
     message = error_text("--executor", "", expected=expected, found=repr(text), remedy=remedy)
     raise UsageError(message)
 

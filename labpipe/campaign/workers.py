@@ -172,7 +172,7 @@ def _submitting(
 
     threads = ThreadPoolExecutor(jobs)
     try:
-        yield partial(threads.submit, run)
+        yield lambda work: threads.submit(run, work)
     finally:
         try:
             threads.shutdown(cancel_futures=True)

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from labpipe.campaign import executors
 from labpipe.campaign.executors import (
     Outcome,
     executor_of,
@@ -36,6 +37,18 @@ def test_no_executor_of_that_name(text: str) -> None:
     said = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
     with pytest.raises(UsageError, match=said):
         executor_of(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"), [("dask://a:1", "a:1"), ("dask+tls://a:1", "tls://a:1")]
+)
+def test_the_address_of_a_scheduler(
+    text: str, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(executors, "dask", lambda where, **_: asked.append(where))
+    executor_of(text)
+    assert asked == [address]
 
 
 @pytest.fixture
