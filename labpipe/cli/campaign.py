@@ -11,7 +11,12 @@ from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
-from labpipe.campaign.decisions import Decision, decision_sentence, unapplied_decisions
+from labpipe.campaign.decisions import (
+    Decision,
+    decision_sentence,
+    import_decision_file,
+    unapplied_decisions,
+)
 from labpipe.campaign.executors import executor_of
 from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
 from labpipe.campaign.refreshing import Overview, account_for_files, open_campaign
@@ -23,7 +28,6 @@ from labpipe.campaign.running import (
     rebuild,
     run_campaign,
 )
-from labpipe.campaign.saved_decisions import import_decision_file
 from labpipe.cli.terminal import counting, from_here
 from labpipe.errors import UsageError, error_text
 from labpipe.report.wording import count_of
