@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 from matplotlib.figure import Figure
 
 import labpipe
-from labpipe.campaign.runs import process_tests
+from labpipe.campaign.executors import process_tests
 from labpipe.virtual_lab import ChosenTests, TensileCampaign, simulate_campaigns
 
 home = Path(mkdtemp())

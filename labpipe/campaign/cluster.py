@@ -1,49 +1,159 @@
-"""Process tests in batches on the workers of a dask.distributed cluster.
+"""Process tests on the workers of a dask.distributed cluster.
 
-A batch is one task of the cluster. The scheduler drops outcomes once they are fetched, so that its
-memory does not grow with the campaign.
+A test is one task of the cluster, and has a process of its own there: a crash in C does not end the
+worker, which stays connected to its scheduler. The scheduler moves tests of lost workers to others,
+and drops outcomes once they are fetched, so that its memory does not grow with the campaign.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import os
 import queue
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from itertools import chain, count, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from uuid import uuid4
 
-from labpipe.campaign.batches import (
-    METADATA,
-    Batch,
-    Ended,
-    FilesNotVisible,
-    LostBatch,
-    process_batch,
-    versions,
-)
-from labpipe.campaign.outcomes import Outcome, failed_outcome, outcome_of, outcome_of_call
+from labpipe import __version__
+from labpipe.campaign.executors import Outcome, failed_outcome, outcome_of, outcome_of_call
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess
 from labpipe.errors import ProcessingError, UsageError, error_text
-from labpipe.process.run import SUMMARY_FILE
+from labpipe.process.run import PROCESSING_VERSION, SUMMARY_FILE
 from labpipe.process.test_runner import Task, refuse
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+Versions: TypeAlias = tuple[str, int]
+"""Version of labpipe, and processing version."""
+_METADATA = "labpipe"
+"""Key of the scheduler metadata that counts unfinished starts of tests."""
+_MAX_LOST_WORKERS = 2
+"""Workers that a test may lose before it is refused."""
 _CONNECT_TIMEOUT = 10.0
 """s to wait for the scheduler, and for a first worker."""
 _UPDATE_INTERVAL = 5.0
 """s between updates of the list of workers."""
-_BATCH_DURATION = 2.0
-"""s that a batch should take: long against the 10 ms overhead of a task, short to repeat."""
-_FIRST, _MOST = 4, 100
-"""Tests in a batch before it is known how long one takes, and at the most."""
+
+
+def versions() -> Versions:
+    """Return the versions of a worker."""
+    return __version__, PROCESSING_VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class FilesNotVisible:
+    """Outcome of a test whose files are not visible to a worker."""
+
+
+@dataclass(frozen=True, slots=True)
+class LostWorkers:
+    """Outcome of a test that lost its workers, and was not started again.
+
+    Parameters
+    ----------
+    times : number of earlier starts
+    """
+
+    times: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterTask:
+    """A test for a worker.
+
+    Parameters
+    ----------
+    run : identifies the run
+    task : the test
+    home : working folder of the client; relative paths start there
+    limit : s, time limit; None for no limit
+    versions : of the client
+    """
+
+    run: str
+    task: Task
+    home: Path
+    limit: float | None
+    versions: Versions
+
+
+def process_on_worker(
+    test: ClusterTask,
+) -> tuple[str, Versions | LostWorkers | FilesNotVisible | Outcome | ProcessDied | CallRaised]:
+    """Process a test on a worker.
+
+    Parameters
+    ----------
+    test : with its run
+
+    Returns
+    -------
+    address : of the worker
+    ended : outcome of the test; the versions of this labpipe if they differ
+    """
+    from distributed import get_client, get_worker
+
+    address = str(get_worker().address)
+    if test.versions != versions():
+        return address, versions()
+    if not (test.home / test.task.sheet).exists():
+        return address, FilesNotVisible()
+    client, counter = get_client(), [_METADATA, test.run, str(test.task.sheet)]
+    times = int(client.get_metadata(counter, 0))
+    if times >= _MAX_LOST_WORKERS:
+        return address, LostWorkers(times)
+    client.set_metadata(counter, times + 1)
+    with _worker_process() as process:
+        ended = process.call(partial(_outcome_at, test.home, test.task), limit=test.limit)
+    # If the worker is lost before its result is fetched, the test is repeated without a penalty.
+    client.set_metadata(counter, 0)
+    return address, ended
+
+
+def _outcome_at(home: Path, task: Task) -> Outcome:
+    """Process a test in the working folder of the client."""
+    with suppress(OSError):  # missing only if all paths are absolute
+        os.chdir(home)
+    return outcome_of(task)
+
+
+_IDLE_PROCESSES: dict[WorkerProcess, threading.Timer] = {}
+"""Processes that are kept for the next test for a while, until a timer closes them."""
+
+
+@contextmanager
+def _worker_process() -> Iterator[WorkerProcess]:
+    # s without a test, after which a process is closed
+    idle_limit = 60.0
+    try:
+        process, timer = _IDLE_PROCESSES.popitem()
+        timer.cancel()
+    except KeyError:
+        process = WorkerProcess()
+    try:
+        yield process
+    except BaseException:
+        process.close()
+        raise
+    timer = threading.Timer(idle_limit, _close_idle, (process,))
+    timer.daemon = True
+    _IDLE_PROCESSES[process] = timer
+    timer.start()
+
+
+def _close_idle(process: WorkerProcess) -> None:
+    if _IDLE_PROCESSES.pop(process, None) is not None:
+        process.close()
 
 
 def process_on_cluster(
@@ -54,7 +164,7 @@ def process_on_cluster(
     Parameters
     ----------
     tasks : taken when workers become free
-    address : of the scheduler, ``HOST:PORT``
+    address : of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
     limit : s, time limit of a test; None for no limit
 
     Yields
@@ -67,14 +177,14 @@ def process_on_cluster(
         If `distributed` is not installed, there is no scheduler at the address, or no worker with
         this labpipe.
     ProcessingError
-        If the scheduler or all workers are lost during the run; started batches continue.
+        If the scheduler or all workers are lost during the run; started tests continue.
     """
     left = iter(tasks)
     first = list(islice(left, 1))
     if not first:
         return
     with _without_logging(), _connect(address) as client:
-        scheduler = _BatchScheduler(client, chain(first, left), address, limit)
+        scheduler = _ClusterRun(client, chain(first, left), address, limit)
         try:
             yield from scheduler.outcomes()
         finally:
@@ -90,7 +200,8 @@ def _connect(address: str) -> Iterator[Client]:
             _NO_PACKAGE, "none", "Install labpipe with it: labpipe[dask]."
         ) from error
     try:
-        client = Client(f"tcp://{address}", timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        where = address if "://" in address else f"tcp://{address}"
+        client = Client(where, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:  # a TimeoutError is an OSError
         expected = f"a dask scheduler at {address}"
         remedy = "Start one with `dask scheduler`; check the address and firewalls."
@@ -121,40 +232,30 @@ def _without_logging() -> Iterator[None]:
         logging.disable(before)
 
 
-@dataclass(frozen=True, slots=True)
-class _TestBatch:
-    """Tests of one batch, and their history.
+class _Waiting(NamedTuple):
+    """A test to submit, and the workers that do not see its files."""
 
-    Parameters
-    ----------
-    tasks : the tests
-    deaths : number of workers lost with them
-    unseen_by : workers that do not see the files
-    """
-
-    tasks: tuple[Task, ...]
-    deaths: int = 0
+    task: Task
     unseen_by: frozenset[str] = frozenset()
 
 
-@dataclass(frozen=True, slots=True)
-class _RunningBatch:
-    """A batch on the cluster.
+class _Submitted(NamedTuple):
+    """A test on the cluster.
 
     Parameters
     ----------
-    test_batch : the tests
+    test : with its history
     future : of the cluster
     workers : allowed ones; empty for all
     """
 
-    test_batch: _TestBatch
+    test: _Waiting
     future: Future
     workers: frozenset[str]
 
 
-class _BatchScheduler:
-    """Submits tests, collects outcomes, and resubmits what was lost."""
+class _ClusterRun:
+    """Submits tests, collects outcomes, and resubmits tests that others must process."""
 
     def __init__(
         self, client: Client, tasks: Iterator[Task], address: str, limit: float | None
@@ -163,153 +264,132 @@ class _BatchScheduler:
         self._home, self._run = Path.cwd(), uuid4().hex
         self._numbers = count()
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._running: dict[str, _RunningBatch] = {}
-        self._resubmitted: deque[_TestBatch] = deque()
+        self._submitted: dict[str, _Submitted] = {}
+        self._resubmitted: deque[_Waiting] = deque()
         self._workers = _ClusterWorkers(client, self._lost_scheduler)
-        self._seconds = _BATCH_DURATION / _FIRST
         self._was_seen = self._is_lost = False
 
     def outcomes(self) -> Generator[Outcome, None, None]:
         """Yield outcomes until all tests are done."""
         self._workers.wait_for_workers()
         while True:
-            yield from self._submit_batches()
-            if self._workers.fit and not self._running:
+            yield from self._submit_tests()
+            if self._workers.fit and not self._submitted:
                 return
             with suppress(queue.Empty):
-                running = self._running.pop(self._ended.get(timeout=_UPDATE_INTERVAL), None)
-                if running is not None:
-                    yield from self._collect(running)
+                ended = self._submitted.pop(self._ended.get(timeout=_UPDATE_INTERVAL), None)
+                outcome = None if ended is None else self._collect(ended)
+                if outcome is not None:
+                    yield outcome
             if self._workers.refresh_workers():
                 self._resubmit_orphans()
 
     def close(self) -> None:
-        """Cancel batches that are not started, and delete their counters."""
+        """Cancel tests that are not started, and delete their counters."""
         if self._is_lost:
             return
         with suppress(Exception):  # the scheduler may be lost meanwhile
-            if self._running:
-                self._client.cancel([running.future for running in self._running.values()])
-            self._client.set_metadata([METADATA, self._run], {})
+            if self._submitted:
+                self._client.cancel([submitted.future for submitted in self._submitted.values()])
+            self._client.set_metadata([_METADATA, self._run], {})
 
-    def _submit_batches(self) -> Iterator[Outcome]:
-        """Keep twice as many batches submitted as workers have threads; yield refused tests."""
-        while len(self._running) < 2 * self._workers.threads:
-            test_batch = self._resubmitted.popleft() if self._resubmitted else self._next_batch()
-            if test_batch is None:
+    def _submit_tests(self) -> Iterator[Outcome]:
+        """Keep twice as many tests submitted as workers have threads; yield refused tests."""
+        while len(self._submitted) < 2 * self._workers.threads:
+            following = (_Waiting(task) for task in islice(self._tasks, 1))
+            test = self._resubmitted.popleft() if self._resubmitted else next(following, None)
+            if test is None:
                 return
-            able = self._workers.fit - test_batch.unseen_by
-            if not able:
-                yield from self._refuse_unseen(test_batch)
-                continue
-            self._submit(
-                test_batch, able if test_batch.unseen_by or self._workers.unfit else frozenset()
-            )
+            able = self._workers.fit - test.unseen_by
+            if able:
+                is_limited = test.unseen_by or self._workers.unfit
+                self._submit(test, able if is_limited else frozenset())
+            else:
+                yield self._refuse_unseen(test.task)
 
-    def _next_batch(self) -> _TestBatch | None:
-        size = min(max(round(_BATCH_DURATION / max(self._seconds, 1e-3)), 1), _MOST)
-        tasks = tuple(islice(self._tasks, size))
-        return _TestBatch(tasks) if tasks else None
-
-    def _submit(self, test_batch: _TestBatch, workers: frozenset[str]) -> None:
+    def _submit(self, test: _Waiting, workers: frozenset[str]) -> None:
         key = f"labpipe-{self._run}-{next(self._numbers)}"
-        batch = Batch((self._run, key), test_batch.tasks, self._home, self._limit, versions())
+        call = ClusterTask(self._run, test.task, self._home, self._limit, versions())
         with self._lost_scheduler():
             future = self._client.submit(
-                process_batch, batch, key=key, pure=False, workers=sorted(workers) or None
+                process_on_worker, call, key=key, pure=False, workers=sorted(workers) or None
             )
-        self._running[key] = _RunningBatch(test_batch, future, workers)
+        self._submitted[key] = _Submitted(test, future, workers)
         future.add_done_callback(lambda done: self._ended.put(done.key))
 
-    def _collect(self, running: _RunningBatch) -> Iterator[Outcome]:
-        future, test_batch = running.future, running.test_batch
-        if future.status == "error":
-            return self._handle_error(test_batch, future.exception())
-        with self._lost_scheduler():
-            worker, ended = future.result()
-        if isinstance(ended, tuple):  # from a new worker
-            self._workers.record_versions(worker, ended)
-            self._resubmitted.append(test_batch)
-            return iter(())
-        if isinstance(ended, LostBatch):
-            return self._handle_lost_worker(test_batch, ended.times)
-        return self._outcomes_of(test_batch, worker, ended)
-
-    def _outcomes_of(
-        self, test_batch: _TestBatch, worker: str, ended: list[Ended]
-    ) -> Iterator[Outcome]:
-        # s in which new files must become visible here; network drives are slow
-        visibility_timeout = 5.0
-        unseen, until = list[Task](), time.monotonic() + visibility_timeout
-        for task, result in zip(test_batch.tasks, ended, strict=True):
-            if isinstance(result, FilesNotVisible):
-                if task.sheet.exists():
-                    unseen.append(task)
-                else:
-                    yield outcome_of(task)
-                continue
-            outcome = outcome_of_call(task, result)
-            if _is_seen(outcome, until):
-                self._was_seen = True
-                self._seconds += 0.2 * (outcome.seconds - self._seconds)
-                yield outcome
-            else:
-                unseen.append(task)
-        if unseen:
-            by = test_batch.unseen_by | {worker}
-            self._resubmitted.append(replace(test_batch, tasks=tuple(unseen), unseen_by=by))
-
-    def _handle_error(self, test_batch: _TestBatch, error: BaseException) -> Iterator[Outcome]:
-        """Resubmit after a lost worker; raise if the cluster cannot run batches."""
+    def _collect(self, submitted: _Submitted) -> Outcome | None:
+        """Return the outcome of a test, or resubmit it."""
         from distributed import KilledWorker
 
-        if isinstance(error, KilledWorker):
-            return self._handle_lost_worker(test_batch, 1)
+        # s in which new files must become visible here; network drives are slow
+        visibility_timeout = 5.0
+        future, task = submitted.future, submitted.test.task
+        if future.status == "error":
+            error = future.exception()
+            if isinstance(error, KilledWorker):
+                return self._refuse_killer(task, error.allowed_failures + 1)
+            raise self._worker_error(error) from error
+        with self._lost_scheduler():
+            worker, ended = future.result()
+        if isinstance(ended, LostWorkers):
+            return self._refuse_killer(task, ended.times)
+        unseen_by = submitted.test.unseen_by
+        if isinstance(ended, tuple):  # from a new worker
+            self._workers.record_versions(worker, ended)
+        elif isinstance(ended, FilesNotVisible):
+            if not task.sheet.exists():
+                return outcome_of(task)
+            unseen_by |= {worker}
+        else:
+            outcome = outcome_of_call(task, ended)
+            if _is_seen(outcome, time.monotonic() + visibility_timeout):
+                self._was_seen = True
+                return outcome
+            unseen_by |= {worker}
+        self._resubmitted.append(_Waiting(task, unseen_by))
+        return None
+
+    def _worker_error(self, error: BaseException) -> ProcessingError:
+        """Make the error for a cluster that cannot run tests."""
         self._is_lost = True
+        first_line = (str(error).splitlines() or [""])[0]
         expected = "a scheduler and workers that can process tests"
-        state = f"that this failed ({type(error).__name__}: {_first_line(error)})"
+        state = f"that this failed ({type(error).__name__}: {first_line})"
         remedy = "Install the same labpipe on all machines, including the scheduler."
         message = error_text("--executor", "", expected=expected, found=state, remedy=remedy)
-        raise ProcessingError(message, code="no_cluster") from error
+        return ProcessingError(message, code="no_cluster")
 
-    def _handle_lost_worker(self, test_batch: _TestBatch, times: int) -> Iterator[Outcome]:
-        """Resubmit each test of a lost worker alone; refuse a test that loses a second one."""
-        max_lost_workers = 2
-        deaths = test_batch.deaths + times
-        for task in test_batch.tasks:
-            if len(test_batch.tasks) == 1 and deaths >= max_lost_workers:
-                reason = error_text(
-                    task.sheet,
-                    "",
-                    expected="a worker that completes this test",
-                    found=f"that {deaths} workers were lost with it",
-                    remedy="Check their logs and memory, or process the test on this machine.",
-                )
-                yield failed_outcome(refuse(task, "worker_died", reason, is_read=False))
-            else:
-                self._resubmitted.append(replace(test_batch, tasks=(task,), deaths=deaths))
+    def _refuse_killer(self, task: Task, times: int) -> Outcome:
+        """Refuse a test that lost its workers."""
+        reason = error_text(
+            task.sheet,
+            "",
+            expected="a worker that completes this test",
+            found=f"that {times} workers were lost with it",
+            remedy="Check their logs and memory, or process the test on this machine.",
+        )
+        return failed_outcome(refuse(task, "worker_died", reason, is_read=False))
 
-    def _refuse_unseen(self, test_batch: _TestBatch) -> Iterator[Outcome]:
-        """Refuse tests whose files no worker sees; raise if no worker has seen any file yet."""
+    def _refuse_unseen(self, task: Task) -> Outcome:
+        """Refuse a test whose files no worker sees; raise if no worker has seen any file yet."""
         state = f"none (workers: {len(self._workers.fit)})"
         remedy = (
             "Mount the folders of exports and results at the same path on all workers, on a shared"
             " drive."
         )
-        for task in test_batch.tasks:
-            expected = "a worker that sees the files of this machine"
-            reason = error_text(task.sheet, "", expected=expected, found=state, remedy=remedy)
-            if not self._was_seen:
-                raise UsageError(reason, code="no_cluster")
-            yield failed_outcome(refuse(task, "worker_without_data", reason, is_read=False))
+        expected = "a worker that sees the files of this machine"
+        reason = error_text(task.sheet, "", expected=expected, found=state, remedy=remedy)
+        if not self._was_seen:
+            raise UsageError(reason, code="no_cluster")
+        return failed_outcome(refuse(task, "worker_without_data", reason, is_read=False))
 
     def _resubmit_orphans(self) -> None:
-        """Resubmit batches that wait for lost workers."""
-        for key, running in list(self._running.items()):
-            if running.workers and not running.workers & self._workers.fit:
-                self._running.pop(key)
-                self._client.cancel([running.future])
-                self._resubmitted.append(running.test_batch)
+        """Resubmit tests that wait for lost workers."""
+        for key, submitted in list(self._submitted.items()):
+            if submitted.workers and not submitted.workers & self._workers.fit:
+                self._submitted.pop(key)
+                self._client.cancel([submitted.future])
+                self._resubmitted.append(submitted.test)
 
     @contextmanager
     def _lost_scheduler(self) -> Iterator[None]:
@@ -326,10 +406,6 @@ class _BatchScheduler:
                 remedy="Start it again; the next run processes the remaining tests.",
             )
             raise ProcessingError(message, code="no_cluster") from error
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [""])[0]
 
 
 def _is_seen(outcome: Outcome, until: float) -> bool:
@@ -363,7 +439,7 @@ class _ClusterWorkers:
 
     @property
     def threads(self) -> int:
-        """Number of batches that they run at the same time."""
+        """Number of tests that they run at the same time."""
         return sum(self._threads[worker] for worker in self.fit)
 
     def wait_for_workers(self) -> None:

@@ -1,18 +1,112 @@
-"""Executors: process tests on this machine or on a cluster."""
+"""Process tests: in order, or by an executor, on this machine or on a cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
-from typing import TypeAlias
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal, TypeAlias
 
 from labpipe.campaign.machine import default_jobs
-from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
-from labpipe.campaign.workers import as_completed
-from labpipe.errors import UsageError, error_text
-from labpipe.process.test_runner import Task
+from labpipe.campaign.workers import (
+    CallRaised,
+    ProcessDied,
+    as_completed,
+    describe_death,
+    in_processes,
+)
+from labpipe.errors import LabpipeError, UsageError, error_text
+from labpipe.process.output_paths import refuse_repeated
+from labpipe.process.run import Processed, name_of, results_folder_of
+from labpipe.process.test_runner import Refused, Say, Task, attempt, refuse
+from labpipe.records.result import Status
 
-__all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local"]
+__all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local", "process_tests"]
+
+State: TypeAlias = Literal["ok", "doubtful", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Outcome of a test.
+
+    Parameters
+    ----------
+    sheet : as in its task
+    folder : of its results; None if not known
+    state : ``failed`` without new results; ``doubtful`` if a result is doubtful or failed
+    code : of the failure, or the first reason of the first result that is not ok; else empty
+    reason : its message
+    run : key of the results, or of the failed attempt; empty if not known
+    seconds : duration
+    """
+
+    sheet: Path
+    folder: Path | None
+    state: State
+    code: str = ""
+    reason: str = ""
+    run: str = ""
+    seconds: float = 0.0
+
+
+def outcome_of(task: Task) -> Outcome:
+    """Process one test and return its outcome, also if it fails.
+
+    Parameters
+    ----------
+    task : the test
+    """
+    start = time.perf_counter()
+    done = attempt(task)
+    seconds = time.perf_counter() - start
+    if isinstance(done, Refused):
+        return failed_outcome(done, seconds)
+    doubted = next(
+        (result for result in done.result.results if result.status is not Status.OK), None
+    )
+    if doubted is None:
+        return Outcome(task.sheet, done.folder, "ok", run=done.result.run, seconds=seconds)
+    first, run = doubted.reasons[0], done.result.run
+    reason = f"{doubted.name}: {first.message}"
+    return Outcome(task.sheet, done.folder, "doubtful", first.code, reason, run, seconds)
+
+
+def outcome_of_call(task: Task, ended: Outcome | ProcessDied | CallRaised) -> Outcome:
+    """Make the outcome of a test from the result of its process.
+
+    Parameters
+    ----------
+    task : the test
+    ended : result of the process
+
+    Raises
+    ------
+    Exception
+        If the call itself raised, which is a fault of labpipe.
+    """
+    if isinstance(ended, CallRaised):
+        raise ended.error
+    if isinstance(ended, ProcessDied):
+        return failed_outcome(refuse(task, *describe_death(task.sheet, ended), is_read=False))
+    return ended
+
+
+def failed_outcome(refused: Refused, seconds: float = 0.0) -> Outcome:
+    """Make the outcome of a test that was refused.
+
+    Parameters
+    ----------
+    refused : test and reason
+    seconds : duration
+    """
+    return Outcome(
+        refused.test, refused.folder, "failed", refused.code, refused.reason, refused.run, seconds
+    )
+
 
 Executor: TypeAlias = Callable[[Iterable[Task]], Generator[Outcome, None, None]]
 """Takes tasks as it can start them; yields outcomes in the order of completion."""
@@ -44,7 +138,8 @@ def dask(address: str, *, limit: float | None = None) -> Executor:
 
     Parameters
     ----------
-    address : of its scheduler, ``HOST:PORT``
+    address : of its scheduler, ``HOST:PORT``, or ``tls://HOST:PORT`` with the certificates of the
+        dask configuration
     limit : s, time limit of a test; None for no limit
 
     Returns
@@ -61,7 +156,8 @@ def dask(address: str, *, limit: float | None = None) -> Executor:
     return executor
 
 
-_CLUSTER = "dask://"
+_CLUSTERS = {"dask": "", "dask+tls": "tls://"}
+"""Prefix of the address of a scheduler, by scheme."""
 
 
 def executor_of(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
@@ -69,7 +165,7 @@ def executor_of(text: str, *, jobs: int | None = None, limit: float | None = Non
 
     Parameters
     ----------
-    text : ``local`` or ``dask://HOST:PORT``
+    text : ``local``, ``dask://HOST:PORT`` or ``dask+tls://HOST:PORT``
     jobs : number of tests at the same time on this machine; None for `default_jobs`
     limit : s, time limit of a test; None for no limit
 
@@ -80,9 +176,92 @@ def executor_of(text: str, *, jobs: int | None = None, limit: float | None = Non
     """
     if text == "local":
         return local(jobs or default_jobs(), limit=limit)
-    host, _, port = text.removeprefix(_CLUSTER).rpartition(":")
-    if text.startswith(_CLUSTER) and host and port.isdecimal():
-        return dask(f"{host}:{port}", limit=limit)
-    expected, remedy = f"local, or {_CLUSTER}HOST:PORT", "`dask scheduler` prints its address."
+    scheme, _, address = text.partition("://")
+    host, _, port = address.rpartition(":")
+    if scheme in _CLUSTERS and host and port.isdecimal():
+        return dask(f"{_CLUSTERS[scheme]}{address}", limit=limit)
+    expected, remedy = "local, or dask://HOST:PORT", "`dask scheduler` prints its address."
     message = error_text("--executor", "", expected=expected, found=repr(text), remedy=remedy)
     raise UsageError(message)
+
+
+def process_tests(
+    tests: Sequence[Path],
+    *,
+    out: Path | None = None,
+    figures: Callable[[Path], bool] = lambda _: True,
+    png: bool = False,
+    follow_links: bool = False,
+    jobs: int = 1,
+    limit: float | None = None,
+    begin: Callable[[Path], Say] = lambda _: _say_nothing,
+) -> Iterator[Processed | Refused]:
+    """Process tests in order; a faulty one does not stop the others.
+
+    Parameters
+    ----------
+    tests : test.yaml or result.h5 files
+    out, png, follow_links : see `labpipe.process.run.process_test`
+    figures : whether figures of a test are drawn
+    jobs : number of tests at the same time; each of several has its own process
+    limit : s, time limit of each of several tests; None for no limit
+    begin : called with each test at its start; returns a function that is called with each stage
+        (of several tests, only with ``wait``)
+
+    Yields
+    ------
+    Each test without recordings and stages, which are in its result.h5.
+
+    Raises
+    ------
+    UsageError
+        If two tests have the same folder of results; nothing is processed then.
+    """
+    goals = _goals(tests, out)
+    folders = {test: goal for test, goal in goals.items() if isinstance(goal, Path)}
+    refuse_repeated([(str(goal.absolute()), test) for test, goal in folders.items()], _GOAL)
+    tasks = {
+        test: Task(test, goal, figures(test), png=png, follow_links=follow_links)
+        for test, goal in folders.items()
+    }
+    if len(tests) == 1:
+        for test in tests:
+            say = begin(test)
+            task = tasks.get(test)
+            yield attempt(task, say, is_alone=True) if task else _refused(test, goals[test])
+        return
+    calls = [partial(attempt, task) for task in tasks.values()]
+    with closing(in_processes(calls, jobs=jobs, limit=limit)) as outcomes:
+        for test in tests:
+            begin(test)("wait")
+            yield _next(tasks[test], outcomes) if test in tasks else _refused(test, goals[test])
+
+
+_GOAL = "folder of results"
+
+
+def _goals(tests: Sequence[Path], out: Path | None) -> dict[Path, Path | LabpipeError]:
+    """Return the folder of the results of each test, or an error."""
+    goals: dict[Path, Path | LabpipeError] = {}
+    for test in tests:
+        try:
+            goals[test] = results_folder_of(test, out, partial(name_of, test))
+        except LabpipeError as error:
+            goals[test] = error
+    return goals
+
+
+def _next(task: Task, outcomes: Iterator[Processed | Refused | ProcessDied]) -> Processed | Refused:
+    done = next(outcomes)
+    if isinstance(done, ProcessDied):
+        return refuse(task, *describe_death(task.sheet, done), is_read=False)
+    return done
+
+
+def _refused(test: Path, error: object) -> Refused:
+    assert isinstance(error, LabpipeError)
+    return Refused(test, error.code, str(error))
+
+
+def _say_nothing(_: str) -> None:
+    pass

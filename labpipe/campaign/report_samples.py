@@ -1,15 +1,19 @@
-"""Reduce a processed test to its data for a report: thinned curves, few shapes, numbers."""
+"""What a report needs of a processed test and its protocol: thinned curves, sizes, numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from math import floor, log10
 
 import numpy as np
 
+from labpipe.protocol.schema import Protocol, SpecimenBlock
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Branch, Direction
+from labpipe.records.declarations import Output
 from labpipe.records.group import Sample, SampleCurve
-from labpipe.records.result import TestResult
+from labpipe.records.result import Specimen, TestResult
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import Drawable
 
@@ -122,3 +126,53 @@ def _stop_before_failure(result: TestResult, branch: Branch, displacement: Float
         return branch.stop
     beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)
     return branch.start + int(beyond[0]) if len(beyond) else branch.stop
+
+
+@dataclass(frozen=True, slots=True)
+class NumberKinds:
+    """Results that groups treat specially, by name without cycle and part.
+
+    Parameters
+    ----------
+    signed : may be negative
+    set_by_rig : describe the motion of the rig, not the specimen
+    """
+
+    signed: frozenset[str] = frozenset()
+    set_by_rig: frozenset[str] = frozenset()
+
+
+def number_kinds(protocol: Protocol) -> NumberKinds:
+    """Classify the results of a protocol.
+
+    Parameters
+    ----------
+    protocol : resolved; if it states the stroke, the rig sets results that depend on the stroke
+    """
+    outputs = dict(_outputs(protocol))
+    is_set = protocol.rig.stroke is not None
+    return NumberKinds(
+        frozenset(stem for stem, output in outputs.items() if output.can_be_negative),
+        frozenset(stem for stem, output in outputs.items() if is_set and output.is_set_by_stroke),
+    )
+
+
+def _outputs(protocol: Protocol) -> Iterator[tuple[str, Output]]:
+    for entry in protocol.results:
+        values = {field.name: getattr(entry, field.name) for field in fields(entry)}
+        yield from ((output.name.format_map(values), output) for output in entry.outputs)
+
+
+def add_sizes(specimen: Specimen, block: SpecimenBlock) -> Specimen:
+    """Add the sizes of the protocol to a specimen; its sheet overrides them.
+
+    Parameters
+    ----------
+    specimen : from its sheet
+    block : of the resolved protocol, with the overrides of the test
+    """
+    section = {} if block.section is None else {**vars(block.section)}
+    section.pop("area", None)  # not a length
+    sizes = {"length": block.length, "span": block.span, **section}
+    stated = {name: size for name, size in sizes.items() if size is not None}
+    return replace(specimen, dimensions={**stated, **specimen.dimensions})

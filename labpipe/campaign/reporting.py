@@ -32,9 +32,13 @@ from labpipe.campaign.grouping import (
     settings_by_test,
     settings_of,
 )
-from labpipe.campaign.protocol_facts import NumberKinds, add_sizes, number_kinds
-from labpipe.campaign.report_samples import frames_at_steps, sample_of
-from labpipe.campaign.test_pages import pages_of
+from labpipe.campaign.report_samples import (
+    NumberKinds,
+    add_sizes,
+    frames_at_steps,
+    number_kinds,
+    sample_of,
+)
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.process.output_paths import (
     find_copies,
@@ -47,12 +51,15 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Groups
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
+from labpipe.report.page_facts import report_id, samples_of
+from labpipe.report.page_tests import page_file
+from labpipe.report.single_test import render_test
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
 from labpipe.statistics.outliers import with_outliers
-from labpipe.store.read import read_drawable
+from labpipe.store.read import read_drawable, read_result
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 from labpipe.studies.bundle_bounds import find_places
@@ -383,3 +390,41 @@ def _group(
         numbers=(*first, *numbers.values()),
         notes=(*grouping_notes(not_said, renamed), *group.notes),
     )
+
+
+def page_of_test(file: Path, report: str = "") -> str:
+    """Make the page of a test: facts, numbers and figures.
+
+    Parameters
+    ----------
+    file : its result.h5
+    report : id of the report that links to it; empty for none
+
+    Returns
+    -------
+    A self-contained HTML document without scripts.
+
+    Raises
+    ------
+    StoreError
+        If the result cannot be read.
+    """
+    return render_test(read_result(file), report=report)
+
+
+def pages_of(campaign: Campaign) -> dict[str, str]:
+    """Make the pages of all tests of a report, including rejected ones.
+
+    Parameters
+    ----------
+    campaign : with its groups
+
+    Returns
+    -------
+    Pages by address below the report.
+    """
+    report = report_id(campaign)
+    return {
+        page_file(sample.label or sample.test): page_of_test(Path(sample.source), report)
+        for sample in (*samples_of(campaign), *campaign.rejected_samples)
+    }

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Generator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Collection, Generator, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -85,77 +85,7 @@ def run_campaign(
     LabpipeError
         If the catalog is from a newer labpipe, or the folder of results cannot be written.
     """
-    with open_campaign(campaign) as sync:
-        if sync.catalog.in_memory:
-            raise _write_error(campaign)
-        run = _Run(sync, drawing, follow_links=follow_links, on_outcome=on_outcome)
-        return run.all(executor, only, again, begin)
-
-
-def run_tests(
-    campaign: CampaignFolders,
-    executor: Executor,
-    folders: Collection[str],
-    *,
-    again: Collection[str] = (),
-    on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
-) -> dict[str, TestRow | None]:
-    """Process some tests if they are new or changed, without checking all others.
-
-    Parameters
-    ----------
-    campaign : its folders
-    executor : processes the tests
-    folders : of the tests, below the campaign
-    again : those to process even if nothing changed
-    on_outcome : called with each processed test and its outcome
-
-    Returns
-    -------
-    Row of each test; None for one claimed by another labpipe.
-
-    Raises
-    ------
-    LabpipeError
-        As `run_campaign`.
-    """
-    with open_campaign(campaign) as sync:
-        if sync.catalog.in_memory:
-            raise _write_error(campaign)
-        sync.catalog.release_dead()
-        sync.read_decisions()
-        run = _Run(sync, Drawing(), follow_links=False, on_outcome=on_outcome)
-        elsewhere = run.process(executor, list(folders), again)
-        rows = {folder: sync.renew(folder) for folder in folders}
-    return {folder: None if folder in elsewhere else row for folder, row in rows.items()}
-
-
-class _Run:
-    """A run: it claims tests when an executor takes them, and records their outcomes."""
-
-    def __init__(
-        self,
-        sync: CatalogSync,
-        drawing: Drawing,
-        *,
-        follow_links: bool,
-        on_outcome: Callable[[str, Outcome], None],
-    ) -> None:
-        self._sync, self._drawing, self._on_outcome = sync, drawing, on_outcome
-        self._follow_links = follow_links
-        self._at_work: dict[Path, str] = {}
-        self._in_use: list[str] = []
-        self._ran = RunSummary(Overview({}))
-
-    def all(
-        self,
-        executor: Executor,
-        only: Collection[str] | None,
-        again: Collection[str],
-        begin: Callable[[int], None],
-    ) -> RunSummary:
-        """Process all new and changed tests."""
-        sync = self._sync
+    with _open_writable(campaign) as sync:
         sync.catalog.release_dead()
         overview = sync.refresh()
         due = [
@@ -166,16 +96,74 @@ class _Run:
             and (row.state in {PENDING, STALE} or folder in again)
         ]
         begin(len(due))
-        self.process(executor, due, again)
-        if due:
-            overview = sync.refresh()
-        self._ran.overview = overview
-        return self._ran
+        run = _Run(sync, drawing, follow_links=follow_links, on_outcome=on_outcome)
+        run.process(executor, due, again)
+        return RunSummary(sync.refresh() if due else overview, run.outcomes, run.elsewhere)
 
-    def process(
-        self, executor: Executor, due: list[str], again: Collection[str] = ()
-    ) -> Sequence[str]:
-        """Process some tests; return those claimed by another labpipe."""
+
+def run_test(
+    campaign: CampaignFolders, executor: Executor, folder: str, *, again: bool = False
+) -> tuple[TestRow | None, Outcome | None]:
+    """Process one test if it is new or changed, without checking all others.
+
+    Parameters
+    ----------
+    campaign : its folders
+    executor : processes the test
+    folder : of the test, below the campaign
+    again : whether to process it even if nothing changed
+
+    Returns
+    -------
+    row : of the test; None if another labpipe has claimed it
+    outcome : None if it was not processed
+
+    Raises
+    ------
+    LabpipeError
+        As `run_campaign`.
+    """
+    with _open_writable(campaign) as sync:
+        sync.catalog.release_dead()
+        sync.read_decisions()
+        run = _Run(sync, Drawing())
+        run.process(executor, [folder], [folder] if again else ())
+        row = sync.renew(folder)
+    return None if folder in run.elsewhere else row, run.outcomes.get(folder)
+
+
+@contextmanager
+def _open_writable(campaign: CampaignFolders) -> Iterator[CatalogSync]:
+    """Open a campaign to change it."""
+    with open_campaign(campaign) as sync:
+        if sync.catalog.in_memory:
+            expected, state = "a writable folder", "a read-only one"
+            remedy = "Change its permissions; nothing was processed."
+            text = error_text(campaign.processed, "", expected=expected, found=state, remedy=remedy)
+            raise StoreError(text)
+        yield sync
+
+
+class _Run:
+    """A run: it claims tests when an executor takes them, and records their outcomes."""
+
+    def __init__(
+        self,
+        sync: CatalogSync,
+        drawing: Drawing,
+        *,
+        follow_links: bool = False,
+        on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
+    ) -> None:
+        self._sync, self._drawing, self._on_outcome = sync, drawing, on_outcome
+        self._follow_links = follow_links
+        self._at_work: dict[Path, str] = {}
+        self._in_use: list[str] = []
+        self.outcomes: dict[str, Outcome] = {}
+        self.elsewhere: list[str] = []
+
+    def process(self, executor: Executor, due: list[str], again: Collection[str]) -> None:
+        """Process some tests, except for those claimed by another labpipe."""
         try:
             self._process(executor, due, again)
             for _ in range(_TRIES):
@@ -187,8 +175,7 @@ class _Run:
         finally:
             for folder in self._at_work.values():
                 self._sync.catalog.release(folder)
-        self._ran.elsewhere += self._in_use
-        return self._ran.elsewhere
+        self.elsewhere += self._in_use
 
     def _process(self, executor: Executor, due: list[str], again: Collection[str]) -> None:
         with closing(self._tasks(due, again)) as tasks:
@@ -200,7 +187,7 @@ class _Run:
         sync = self._sync
         for folder in due:
             if not sync.catalog.claim(folder):
-                self._ran.elsewhere.append(folder)
+                self.elsewhere.append(folder)
                 continue
             row = sync.renew(folder)
             sheet = sync.campaign.raw / folder / SHEET_NAME
@@ -225,21 +212,9 @@ class _Run:
         else:
             self._sync.renew(folder)
             catalog.put_time(folder, now(), outcome.seconds)
-            self._ran.processed[folder] = outcome
+            self.outcomes[folder] = outcome
             self._on_outcome(folder, outcome)
         catalog.release(folder)
-
-
-def _write_error(campaign: CampaignFolders) -> StoreError:
-    return StoreError(
-        error_text(
-            campaign.processed,
-            "",
-            expected="a writable folder",
-            found="a read-only one",
-            remedy="Change its permissions; nothing was processed.",
-        )
-    )
 
 
 def read_overview(campaign: CampaignFolders) -> Overview:
@@ -290,9 +265,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
     UsageError
         If no failure has that code.
     """
-    with open_campaign(campaign) as sync:
-        if sync.catalog.in_memory:
-            raise _write_error(campaign)
+    with _open_writable(campaign) as sync:
         overview = sync.refresh()
         failed = {folder: row for folder, row in overview.rows.items() if row.state == FAILED}
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
@@ -331,9 +304,7 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
     LabpipeError
         If there is no such test, it is not processed yet, or the decisions cannot be written.
     """
-    with open_campaign(campaign) as sync:
-        if sync.catalog.in_memory:
-            raise _write_error(campaign)
+    with _open_writable(campaign) as sync:
         overview = sync.refresh()
         row = _find_row(campaign, overview, test)
         if not row.attempt:

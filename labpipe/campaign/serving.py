@@ -20,13 +20,14 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from labpipe.campaign.decisions import (
+    ImportedDecisions,
     checked_document,
     decision_entry,
     decisions_in,
     decisions_on,
+    import_decisions,
     label_of,
 )
-from labpipe.campaign.saved_decisions import ImportedDecisions, import_decisions
 from labpipe.errors import LabpipeError, UsageError, error_text, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, TypeAlias, TypeVar
 
-from labpipe.campaign.executors import Outcome
-from labpipe.campaign.file_stability import FileStability, Mark
-from labpipe.campaign.pairing import Candidate, PairingOutcome, RawListing, list_candidates, plan_of
+from labpipe.campaign.campaign_folders import CampaignFolders
+from labpipe.campaign.catalog import PENDING, REJECTED, STALE
+from labpipe.campaign.executors import Executor, Outcome, Task, outcome_of, outcome_of_call
+from labpipe.campaign.pairing import (
+    Candidate,
+    PairingOutcome,
+    RawListing,
+    list_candidates,
+    pair_test,
+    plan_of,
+)
 from labpipe.campaign.quick_look import (
     CampaignGroups,
     display_settings,
@@ -19,30 +30,256 @@ from labpipe.campaign.quick_look import (
     read_summary,
     verdict,
 )
-from labpipe.errors import LabpipeError
+from labpipe.campaign.running import read_overview, run_test
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, describe_death
+from labpipe.errors import LabpipeError, ProcessingError, error_text
+from labpipe.process.protocol_match import all_protocols
+from labpipe.process.run import draw_figures
 from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
+
+T = TypeVar("T")
+_MODULES = (
+    "labpipe.process.story",
+    "labpipe.process.camera_steps",
+    "labpipe.process.span_steps",
+    "labpipe.markers.specimen_shape",
+    "labpipe.results.moment_curvature",
+    "labpipe.store.write",
+    "labpipe.report.figures",
+    *(f"labpipe.readers.{name}" for name in ("dspace_mat", "motive_takes", "load_frame")),
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.interpolate",
+    "scipy.stats",
+)
+"""Modules that processing and figures import, besides those of this one."""
+
+
+class WarmWorker:
+    """A process that runs calls in sequence; if it dies, only its call fails.
+
+    Parameters
+    ----------
+    limit : s, time limit of a call, after which its process is ended
+    """
+
+    def __init__(self, *, limit: float = 3600.0) -> None:
+        self._limit, self._process = limit, WorkerProcess()
+        self._thread = ThreadPoolExecutor(max_workers=1)
+
+    def warm(self) -> None:
+        """Start importing the modules of tests, without waiting."""
+        self._submit(_import_all)
+
+    def call(self, work: Callable[[], T], *, about: object) -> T:
+        """Run a call in the process and wait for it.
+
+        Parameters
+        ----------
+        work : can be pickled, and so can its result
+        about : subject for messages, such as a file
+
+        Raises
+        ------
+        ProcessingError
+            If the process dies, or the call takes too long; the process is replaced.
+        LabpipeError
+            If the call raises it.
+        """
+        outcome = self._submit(work).result()
+        if isinstance(outcome, CallRaised):
+            raise outcome.error
+        if isinstance(outcome, ProcessDied):
+            _, reason = describe_death(about, outcome)
+            raise ProcessingError(reason)
+        return outcome
+
+    def draw(self, folder: Path) -> None:
+        """Start drawing the figures of a processed test, without waiting.
+
+        Parameters
+        ----------
+        folder : of its results
+        """
+        self._submit(partial(draw_figures, folder))
+
+    def executor(self, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
+        """Process tests without figures; see `labpipe.campaign.executors.Executor`."""
+        for task in tasks:
+            call = self._submit(partial(outcome_of, replace(task, figures=False)))
+            yield outcome_of_call(task, call.result())
+
+    def close(self) -> None:
+        """Wait for the started calls, and end the process."""
+        try:
+            self._thread.shutdown()
+        finally:
+            self._process.close()
+
+    def _submit(self, work: Callable[[], T]) -> Future[T | ProcessDied | CallRaised]:
+        return self._thread.submit(self._process.call, work, limit=self._limit)
+
+
+def _import_all() -> None:
+    for name in _MODULES:
+        import_module(name)
+    all_protocols()  # parses protocols and units once
+
 
 REMINDER_DELAY = 3600.0
 """s after which a growing or locked file is reported again."""
 
-Marks = tuple[tuple[str, Mark | None], ...]
 
+class WatchedCampaign:
+    """A watched campaign with its catalog.
 
-class Campaign(Protocol):
-    """Interface of a watched campaign."""
+    Parameters
+    ----------
+    folders : of the campaign
+    executor : processes the tests
+    """
+
+    def __init__(self, folders: CampaignFolders, executor: Executor) -> None:
+        self._folders, self._executor = folders, executor
+        self._rows = read_overview(folders).rows
 
     @property
     def raw(self) -> Path:
         """Folder of the exports."""
+        return self._folders.raw
 
     def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         """Return the test sheets without results for their present exports."""
+        rows = {sheet: self._rows.get(self._label(sheet)) for sheet in sheets}
+        due = {PENDING, STALE}
+        return [sheet for sheet, row in rows.items() if row is None or row.state in due]
 
     def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
-        """Process a test; return its outcome, or None if nothing changed."""
+        """Process a test, and store its row.
 
-    def results(self) -> Mapping[Path, str]:
+        Parameters
+        ----------
+        sheet : of the test
+        again : whether to process it even if nothing changed
+
+        Returns
+        -------
+        The outcome; None if nothing changed.
+
+        Raises
+        ------
+        LabpipeError
+            If another labpipe works on it, or the catalog cannot be written.
+        """
+        label = self._label(sheet)
+        row, outcome = run_test(self._folders, self._executor, label, again=again)
+        if row is None:
+            expected, state = ("a free test", "one that another labpipe processes")
+            remedy = "The watch tries again."
+            message = error_text(label, "", expected=expected, found=state, remedy=remedy)
+            raise ProcessingError(message, code="in_use")
+        self._rows = {**self._rows, label: row}
+        return outcome
+
+    def results(self) -> dict[Path, str]:
         """Return the key of the results of each test that is not rejected, by folder."""
+        rows = {folder: row for folder, row in self._rows.items() if row.state != REJECTED}
+        return {self._folders.processed / folder: row.run for folder, row in rows.items()}
+
+    def _label(self, sheet: Path) -> str:
+        return sheet.parent.relative_to(self._folders.raw).as_posix()
+
+
+State: TypeAlias = Literal["still", "growing", "locked", "gone"]
+Mark: TypeAlias = tuple[int, int]
+"""Size and time of change of a file."""
+Marks: TypeAlias = tuple[tuple[str, Mark | None], ...]
+
+
+@dataclass(slots=True)
+class _FileState:
+    """State of a file at the last look.
+
+    Parameters
+    ----------
+    mark : size and time
+    since : start of this state, by the clock of the watch (the clock of a drive may differ)
+    moving_since : start of the last changes
+    was_still : whether it was found unchanged and readable with this mark
+    """
+
+    mark: Mark
+    since: float
+    moving_since: float
+    was_still: bool = False
+
+
+class FileStability:
+    """Files under repeated observation.
+
+    Parameters
+    ----------
+    clock : monotonic, s
+    still_for : s without a change, after which a file is still
+    """
+
+    def __init__(self, clock: Callable[[], float], still_for: float) -> None:
+        self._clock, self.still_for = clock, still_for
+        self._seen: dict[Path, _FileState] = {}
+
+    def look(self, path: Path) -> State:
+        """Look at a file.
+
+        Parameters
+        ----------
+        path : of the file
+
+        Returns
+        -------
+        ``still``: unchanged for long enough and readable; ``growing``: changed recently;
+        ``locked``: unchanged, but cannot be opened; ``gone``.
+        """
+        now = self._clock()
+        try:
+            about = path.stat()
+        except OSError:
+            self._seen.pop(path, None)
+            return "gone"
+        mark = (about.st_size, about.st_mtime_ns)
+        seen = self._seen.get(path)
+        if seen is None:
+            self._seen[path] = _FileState(mark, now, now)
+            return "growing"
+        if seen.mark != mark:
+            self._seen[path] = _FileState(mark, now, now if seen.was_still else seen.moving_since)
+            return "growing"
+        if now - seen.since < self.still_for:
+            return "growing"
+        seen.was_still = _opens(path)
+        return "still" if seen.was_still else "locked"
+
+    def mark(self, path: Path) -> Mark | None:
+        """Return size and time of a file at the last look; None if it is gone."""
+        return self._seen[path].mark if path in self._seen else None
+
+    def since(self, paths: Iterable[Path]) -> float:
+        """Return when the last of some files changed; the present without any."""
+        times = [self._seen[path].since for path in paths if path in self._seen]
+        return max(times, default=self._clock())
+
+    def moving_for(self, path: Path) -> float:
+        """Return for how long a file has been changing or locked, s."""
+        seen = self._seen.get(path)
+        return 0.0 if seen is None else self._clock() - seen.moving_since
+
+
+def _opens(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            stream.read(1)
+    except OSError:
+        return False
+    return True
 
 
 @dataclass(slots=True)
@@ -100,7 +337,7 @@ class Watcher:
 
     def __init__(
         self,
-        campaign: Campaign,
+        campaign: WatchedCampaign,
         *,
         pair: Callable[[Candidate, CampaignPlan, float], PairingOutcome],
         draw: Callable[[Path], None],
@@ -344,3 +581,43 @@ def _mark(path: Path) -> Mark | None:
 def _printable(name: str) -> str:
     """Escape a name for a terminal."""
     return name if name.isprintable() else repr(name)[1:-1]
+
+
+def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]) -> None:
+    """Watch a campaign until interrupted.
+
+    Parameters
+    ----------
+    folders : of the campaign
+    figures : whether figures are drawn, after the verdict on a test
+    say : called with each message
+
+    Raises
+    ------
+    LabpipeError
+        If the campaign YAML has a fault, or the catalog cannot be used.
+    """
+    worker = WarmWorker()
+    worker.warm()
+    try:
+        campaign = WatchedCampaign(folders, worker.executor)
+        pair = partial(_pair_in, worker)
+        draw = worker.draw if figures else (lambda _: None)
+        watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
+        say(f"watching {folders.name}; press Ctrl+C to stop")
+        watcher.prepare()
+        all_protocols()  # loads units and grammar before the first verdict
+        while True:
+            began = time.monotonic()
+            if not watcher.look():  # on a slow drive, at most a third of the time
+                time.sleep(max(watcher.plan.look_every, 2.0 * (time.monotonic() - began)))
+    finally:
+        worker.close()
+
+
+def _pair_in(
+    worker: WarmWorker, candidate: Candidate, plan: CampaignPlan, waited: float
+) -> PairingOutcome:
+    """Pair a test in the worker, which a damaged export may crash."""
+    work = partial(pair_test, candidate, plan, waited=waited)
+    return worker.call(work, about=candidate.folder)

@@ -1,4 +1,4 @@
-"""Pools of processes for calls; if a process dies, only its call fails."""
+"""Processes for calls; if a process dies, only its call fails."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ import os
 import pickle
 import queue
 import signal
-import struct
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any, Generic, NamedTuple, NoReturn, TypeVar
+from typing import IO, Any, NoReturn, TypeVar, cast
 
-from labpipe.errors import error_text
+from labpipe.errors import ProcessingError, error_text
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -89,104 +88,131 @@ class CallRaised:
     error: Exception
 
 
-class WorkerPool(Generic[A, T]):
-    """Pool of processes for calls of one function.
-
-    Parameters
-    ----------
-    work : can be pickled, such as a module-level function
-    jobs : maximum number of processes, which are started on first use
-    limit : s, time limit of a call, after which its process is ended; None for no limit
+class WorkerProcess:
+    """A process for calls in sequence, started on first use and restarted after its death.
 
     Notes
     -----
-    Processes are not forked, since forks of processes with threads may deadlock, and do not use
-    `multiprocessing`, which workers of a cluster must not use. If this process is killed, they end
+    The process is not forked, since forks of processes with threads may deadlock, and does not use
+    `multiprocessing`, which workers of a cluster must not use. If this process is killed, it ends
     at once.
     """
 
-    def __init__(self, work: Callable[[A], T], *, jobs: int, limit: float | None = None) -> None:
-        self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
-        start = partial(_Worker[A], work, self._events, limit)
-        self._workers = [start() for _ in range(jobs)]
+    def __init__(self) -> None:
+        self.process: subprocess.Popen[bytes] | None = None
 
-    def as_completed(
-        self, arguments: Iterable[A]
-    ) -> Generator[tuple[A, T | ProcessDied | CallRaised], None, None]:
-        """Call the function on many arguments in parallel.
+    def call(
+        self, work: Callable[[], T], *, limit: float | None = None
+    ) -> T | ProcessDied | CallRaised:
+        """Run a call in the process and wait for it.
 
         Parameters
         ----------
-        arguments : can be pickled; taken when processes become free
+        work : can be pickled, such as a partial of a module-level function
+        limit : s, time limit, after which the process is ended; None for no limit
 
-        Yields
-        ------
-        Argument and result in the order of completion; `ProcessDied` if the process was killed,
-        crashed, ran out of memory or took too long, and is replaced.
+        Returns
+        -------
+        The result; `ProcessDied` if the process was killed, crashed, ran out of memory or took
+        too long.
         """
-        left = iter(arguments)
-        for worker, argument in zip(self._workers, left, strict=False):
-            worker.begin(argument)
-        while busy := [worker for worker in self._workers if worker.is_busy]:
-            for worker, outcome in self._ended(busy):
-                ended = worker.arguments.pop(), outcome
-                for argument in islice(left, 1):
-                    worker.begin(argument)
-                yield ended
+        call = pickle.dumps(work)
+        if self.process is None or self.process.poll() is not None:
+            self.close()
+            self.process = _start_process()
+        is_late = threading.Event()
+        timer = threading.Timer(
+            min(threading.TIMEOUT_MAX, limit or threading.TIMEOUT_MAX),
+            partial(_end_late, self.process, is_late),
+        )
+        timer.daemon = True
+        timer.start()
+        answer: bytes | None = None
+        with suppress(OSError, EOFError, pickle.UnpicklingError, ValueError):  # it died
+            _send(call, cast("IO[bytes]", self.process.stdin))
+            answer = pickle.load(cast("IO[bytes]", self.process.stdout))
+        timer.cancel()
+        timer.join()
+        if answer is None:
+            return ProcessDied(self.close(), limit if is_late.is_set() else None)
+        return cast("T | CallRaised", pickle.loads(answer))
 
-    def _ended(
-        self, busy: Sequence[_Worker[A]]
-    ) -> list[tuple[_Worker[A], T | ProcessDied | CallRaised]]:
-        """Return the next completed worker, or none if a time limit was exceeded."""
-        wait = min(worker.left for worker in busy)
+    def close(self) -> int:
+        """End the process, also during a call, and return its exit code; 0 without a process."""
+        process, self.process = self.process, None
+        if process is None:
+            return 0
+        if process.returncode is None:
+            _kill(process)  # has no effect on the exit code of a process that died
+        for pipe in (process.stdin, process.stdout):
+            with suppress(OSError):
+                cast("IO[bytes]", pipe).close()
+        return process.wait()
+
+
+@contextmanager
+def _submitting(
+    jobs: int, limit: float | None
+) -> Iterator[Callable[[Callable[[], Any]], Future[Any]]]:
+    """Yield a function that starts a call in one of several processes.
+
+    At the end, calls that run are completed, and no others are started.
+    """
+    workers = [WorkerProcess() for _ in range(jobs)]
+    idle: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
+    for worker in workers:
+        idle.put(worker)
+
+    def run(work: Callable[[], Any]) -> Any:
+        worker = idle.get()
         try:
-            event = self._events.get(timeout=min(max(wait, 0.0), threading.TIMEOUT_MAX))
-        except queue.Empty:
-            for worker in busy:
-                if worker.left <= 0.0:
-                    worker.end()
-            return []
-        for worker in busy:
-            if worker.process is event.process:
-                return [
-                    (
-                        worker,
-                        worker.died() if event.message is None else pickle.loads(event.message),
-                    )
-                ]
-        return []  # an idle worker died
+            return worker.call(work, limit=limit)
+        finally:
+            idle.put(worker)
 
-    def close(self) -> None:
-        """Wait for started calls, and end the processes."""
-        for worker in self._workers:
-            worker.finish()
-        for worker in self._workers:
-            worker.close()
+    threads = ThreadPoolExecutor(jobs)
+    try:
+        yield lambda work: threads.submit(run, work)
+    finally:
+        try:
+            threads.shutdown(cancel_futures=True)
+        finally:
+            for worker in workers:
+                worker.close()
 
 
 def as_completed(
     work: Callable[[A], T], arguments: Iterable[A], *, jobs: int, limit: float | None = None
 ) -> Generator[tuple[A, T | ProcessDied | CallRaised], None, None]:
-    """Call a function on many arguments in a temporary `WorkerPool`.
+    """Call a function on many arguments in parallel processes.
 
     Parameters
     ----------
-    work, jobs, limit : see `WorkerPool`
-    arguments : see `WorkerPool.as_completed`
+    work : can be pickled, such as a module-level function
+    arguments : can be pickled; taken when processes become free
+    jobs : maximum number of processes, which are started on first use
+    limit : s, time limit of a call, after which its process is ended; None for no limit
 
     Yields
     ------
-    As `WorkerPool.as_completed`.
+    Argument and result in the order of completion; `ProcessDied` if the process was killed,
+    crashed, ran out of memory or took too long.
 
     Notes
     -----
     On an interrupt, started calls are completed.
     """
-    pool = WorkerPool(work, jobs=jobs, limit=limit)
-    try:
-        yield from pool.as_completed(arguments)
-    finally:
-        pool.close()
+    left = iter(arguments)
+    running: dict[Future[T | ProcessDied | CallRaised], A] = {}
+    with _submitting(jobs, limit) as submit:
+        for argument in islice(left, jobs):
+            running[submit(partial(work, argument))] = argument
+        while running:
+            future = wait(running, return_when=FIRST_COMPLETED).done.pop()
+            argument = running.pop(future)
+            for following in islice(left, 1):
+                running[submit(partial(work, following))] = following
+            yield argument, future.result()
 
 
 def in_processes(
@@ -197,7 +223,7 @@ def in_processes(
     Parameters
     ----------
     calls : can be pickled, such as partials of module-level functions
-    jobs, limit : see `WorkerPool`
+    jobs, limit : see `as_completed`
 
     Yields
     ------
@@ -208,102 +234,46 @@ def in_processes(
     Exception
         If a call raises it.
     """
-    done: dict[int, T | ProcessDied | CallRaised] = {}
-    with closing(as_completed(_call, enumerate(calls), jobs=jobs, limit=limit)) as ended:
-        for number in range(len(calls)):
-            while number not in done:
-                (which, _), outcome = next(ended)
-                done[which] = outcome
-            outcome = done.pop(number)
+    with _submitting(jobs, limit) as submit:
+        for future in [submit(call) for call in calls]:
+            outcome = future.result()
             if isinstance(outcome, CallRaised):
                 raise outcome.error
             yield outcome
 
 
-def _call(numbered: tuple[int, Callable[[], T]]) -> T:
-    return numbered[1]()
+def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
+    """Call functions in parallel, each in its own process.
 
+    Parameters
+    ----------
+    calls : partials of module-level functions with their arguments
+    jobs : number of calls at the same time
 
-class _Event(NamedTuple):
-    """A message from a process; None at its end."""
+    Returns
+    -------
+    Their results, in order.
 
-    process: subprocess.Popen[bytes]
-    message: bytes | None
+    Raises
+    ------
+    ProcessingError
+        If a process ended before its call.
+    """
+    if jobs == 1:
+        return [call() for call in calls]
+    results: list[T] = []
+    for outcome in in_processes(calls, jobs=jobs):
+        if isinstance(outcome, ProcessDied):
+            code, reason = describe_death("labpipe", outcome)
+            raise ProcessingError(reason, code=code)
+        results.append(outcome)
+    return results
 
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
     " from labpipe.campaign.workers import serve; serve()"
 )
-
-
-class _Worker(Generic[A]):
-    """A process, started on first use and restarted after its death."""
-
-    def __init__(
-        self, work: Callable[[A], Any], events: queue.SimpleQueue[_Event], limit: float | None
-    ) -> None:
-        self._work, self._events, self._limit = work, events, limit
-        self._until = float("inf")
-        self._is_late = False
-        self.arguments: list[A] = []
-        self.process: subprocess.Popen[bytes] | None = None
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether it has a call."""
-        return bool(self.arguments)
-
-    @property
-    def left(self) -> float:
-        """Remaining time for its call, s; infinite once it is being ended."""
-        return self._until - time.monotonic()
-
-    def begin(self, argument: A) -> None:
-        """Send it a call."""
-        call = pickle.dumps((self._work, argument))
-        self.arguments.append(argument)
-        self._is_late = False
-        self._until = float("inf") if self._limit is None else time.monotonic() + self._limit
-        if self.process is not None and self.process.poll() is not None:
-            self.died()  # between calls, so that none of them failed
-        if self.process is None:
-            self.process = _start_process()
-            listen = partial(_read_answers, self.process, self._events)
-            threading.Thread(target=listen, daemon=True).start()
-        _send(self.process, call)
-
-    def end(self) -> None:
-        """Kill the process after its time limit."""
-        self._until, self._is_late = float("inf"), True
-        if self.process is not None:
-            _kill(self.process)
-
-    def died(self) -> ProcessDied:
-        """Collect its exit code."""
-        process, self.process = self.process, None
-        if process is None:
-            return ProcessDied(0)
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
-        return ProcessDied(process.wait(), self._limit if self._is_late else None)
-
-    def finish(self) -> None:
-        """Tell the process to end after its call."""
-        if self.process is not None:
-            _send(self.process, b"")
-
-    def close(self) -> None:
-        """Wait for its end."""
-        if self.process is not None:
-            try:
-                self.process.wait(None if self._limit is None else max(self.left, 0.1))
-            except subprocess.TimeoutExpired:
-                _kill(self.process)
-            self.died()
-        self.arguments.clear()
 
 
 def _start_process() -> subprocess.Popen[bytes]:
@@ -325,37 +295,18 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
             os.killpg(process.pid, signal.SIGKILL)
 
 
-_LENGTH = struct.Struct("<Q")
+def _end_late(process: subprocess.Popen[bytes], is_late: threading.Event) -> None:
+    is_late.set()
+    _kill(process)
 
 
-def _send(process: subprocess.Popen[bytes], message: bytes) -> None:
-    if process.stdin is not None:
-        with suppress(OSError, ValueError):  # it died: the reading thread reports it
-            process.stdin.write(_LENGTH.pack(len(message)) + message)
-            process.stdin.flush()
-
-
-def _read_message(stream: IO[bytes]) -> bytes | None:
-    """Read the next message; return None if the other end is closed."""
-    with suppress(OSError, ValueError):
-        head = stream.read(_LENGTH.size)
-        if len(head) == _LENGTH.size:
-            (length,) = _LENGTH.unpack(head)
-            message = stream.read(length)
-            return message if len(message) == length else None
-    return None
-
-
-def _read_answers(process: subprocess.Popen[bytes], events: queue.SimpleQueue[_Event]) -> None:
-    while process.stdout is not None:
-        message = _read_message(process.stdout)
-        events.put(_Event(process, message))
-        if message is None:
-            return
+def _send(message: bytes, stream: IO[bytes]) -> None:
+    pickle.dump(message, stream)
+    stream.flush()
 
 
 def serve() -> NoReturn:
-    """Run the calls from standard input, in a process of a `WorkerPool`.
+    """Run the calls from standard input, in a `WorkerProcess`.
 
     Interrupts are handled by the parent, so that started calls are completed. This process ends
     with its parent. Output of libraries goes to standard error; their input is empty.
@@ -368,26 +319,22 @@ def serve() -> NoReturn:
     os.dup2(2, 1)
     calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read_calls, args=(requests, calls), daemon=True).start()
-    status = 0
     try:
-        while call := calls.get():
-            answer = _outcome(call)
-            out.write(_LENGTH.pack(len(answer)) + answer)
-            out.flush()
+        while True:
+            _send(_outcome(calls.get()), out)
     except SystemExit as error:
-        status = error.code if isinstance(error.code, int) else 1
-    os._exit(status)
+        os._exit(error.code if isinstance(error.code, int) else 1)
 
 
 def _read_calls(requests: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
-    while (call := _read_message(requests)) is not None:
-        calls.put(call)
+    with suppress(OSError, EOFError, pickle.UnpicklingError):
+        while True:
+            calls.put(pickle.load(requests))
     os._exit(1)  # no receiver for the outcome; files are complete, old or new
 
 
 def _outcome(call: bytes) -> bytes:
     try:
-        work, argument = pickle.loads(call)
-        return pickle.dumps(work(argument))
+        return pickle.dumps(pickle.loads(call)())
     except Exception as error:  # noqa: BLE001  returned to the caller
         return pickle.dumps(CallRaised(error))

@@ -11,11 +11,15 @@ from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
-from labpipe.campaign.decisions import Decision, decision_sentence, unapplied_decisions
+from labpipe.campaign.decisions import (
+    Decision,
+    decision_sentence,
+    import_decision_file,
+    unapplied_decisions,
+)
 from labpipe.campaign.executors import executor_of
 from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
-from labpipe.campaign.raw_file_usage import account_for_files
-from labpipe.campaign.refreshing import Overview, open_campaign
+from labpipe.campaign.refreshing import Overview, account_for_files, open_campaign
 from labpipe.campaign.running import (
     Drawing,
     RunSummary,
@@ -24,7 +28,6 @@ from labpipe.campaign.running import (
     rebuild,
     run_campaign,
 )
-from labpipe.campaign.saved_decisions import import_decision_file
 from labpipe.cli.terminal import counting, from_here
 from labpipe.errors import UsageError, error_text
 from labpipe.report.wording import count_of
@@ -149,7 +152,7 @@ def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
-    from labpipe.campaign.watched_campaign import watch
+    from labpipe.campaign.watching import watch
 
     watch(campaign, figures=not options.no_figures, say=_print_with_time)
     return 0

@@ -11,7 +11,7 @@ from shutil import copyfile
 
 from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.reporting import ReportOptions, report_tests
-from labpipe.campaign.runs import run_jobs
+from labpipe.campaign.workers import run_jobs
 from labpipe.cli.calibrate import calibration_table
 from labpipe.cli.harness import harness_table
 from labpipe.cli.process import headline, process_all, table

@@ -7,9 +7,8 @@ import webbrowser
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import name_of_campaign
-from labpipe.campaign.reporting import Recipe, ReportContext, report_tests
+from labpipe.campaign.reporting import Recipe, ReportContext, page_of_test, report_tests
 from labpipe.campaign.serving import REPORT, ReportServer, Site
-from labpipe.campaign.test_pages import page_of_test
 from labpipe.cli.report import letterhead_of, report_options
 from labpipe.cli.terminal import reading
 from labpipe.process.output_paths import find_results, shared_folder

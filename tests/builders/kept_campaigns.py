@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
-from labpipe.campaign.catalog_file import open_catalog
+from labpipe.campaign.catalog import open_catalog
 from labpipe.campaign.executors import Outcome, Task
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError

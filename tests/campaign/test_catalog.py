@@ -11,7 +11,10 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
 
+import psutil
 import pytest
 
 from labpipe.campaign import machine
@@ -29,14 +32,19 @@ from labpipe.campaign.catalog import (
     Entry,
     Seen,
     TestRow,
+    new_catalog,
     sqlite_errors,
 )
-from labpipe.campaign.catalog_file import new_catalog
-from labpipe.campaign.machine import BYTES_PER_TEST, default_jobs
+from labpipe.campaign.machine import (
+    BYTES_PER_TEST,
+    MAX_CLAIM_AGE,
+    default_jobs,
+    is_alive,
+    is_on_this_machine,
+    new_claim,
+)
 from labpipe.campaign.outcome_rows import ResultRow
-from labpipe.campaign.remote_drives import shared_kind
 from labpipe.campaign.running import read_overview
-from labpipe.campaign.test_locks import MAX_CLAIM_AGE, is_alive, new_claim
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 
@@ -221,25 +229,35 @@ def test_of_another_host_the_claim_must_be_young() -> None:
         assert not is_alive(replace(other, since=time.time() - age))
 
 
-MOUNTS = """\
-22 1 8:1 / / rw,relatime - ext4 /dev/sda1 rw
-30 22 0:40 / /mnt/lab rw shared:1 - nfs4 server:/lab rw
-31 30 0:41 / /mnt/lab/own\\040disk rw - xfs /dev/sdb rw
-no mount at all
-32 22 0:42 / /mnt/win rw - cifs //server/share rw
-"""
+class Mount(NamedTuple):
+    mountpoint: str
+    fstype: str
 
 
-def test_the_deepest_mount_counts() -> None:
-    kinds = {
-        "/processed/C": "ext4",
-        "/mnt/lab/processed/C": "nfs4",
-        "/mnt/lab": "nfs4",
-        "/mnt/laboratory": "ext4",
-        "/mnt/lab/own disk/C": "xfs",
-        "/mnt/win/C": "cifs",
+MOUNTS = [
+    Mount("/", "ext4"),
+    Mount("/mnt/lab", "nfs4"),
+    Mount("/mnt/lab/own disk", "xfs"),
+    Mount("/mnt/win", "cifs"),
+    Mount("/mnt/cloud", "fuse.sshfs"),
+]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="paths of Linux")
+def test_the_deepest_mount_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(psutil, "disk_partitions", lambda **_: MOUNTS)
+    is_local = {
+        "/processed/C": True,
+        "/mnt/lab/processed/C": False,
+        "/mnt/lab": False,
+        "/mnt/laboratory": True,
+        "/mnt/lab/own disk/C": True,
+        "/mnt/win/C": False,
+        "/mnt/cloud/C": False,
     }
-    assert {path: shared_kind(MOUNTS, path) for path in kinds} == kinds
+    assert {path: is_on_this_machine(Path(path)) for path in is_local} == is_local
+    monkeypatch.setattr(psutil, "disk_partitions", lambda **_: [])
+    assert not is_on_this_machine(Path("/processed/C"))
 
 
 @pytest.mark.parametrize(
@@ -251,10 +269,9 @@ def test_the_cores_but_no_more_than_the_memory_takes(
 ) -> None:
     """A machine of eight cores, and a container of which 1 GB is used."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
-    monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "meminfo")
+    free = SimpleNamespace(available=int(tests * BYTES_PER_TEST))
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
     monkeypatch.setattr(machine, "_CONTAINER", tmp_path)
-    free = int(tests * BYTES_PER_TEST / 1024)
-    (tmp_path / "meminfo").write_text(f"MemTotal: 99 kB\nMemAvailable: {free} kB\n")
     if limit:
         (tmp_path / "memory.max").write_text(f"{limit}\n")
         (tmp_path / "memory.current").write_text("1000000000\n")

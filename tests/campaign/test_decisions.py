@@ -15,13 +15,14 @@ from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
     decisions_on,
+    import_decision_file,
+    import_decisions,
     largest_move,
     read_decisions,
     unapplied_decisions,
 )
 from labpipe.campaign.outcome_rows import ResultRow
 from labpipe.campaign.running import decide, read_overview, rebuild
-from labpipe.campaign.saved_decisions import import_decision_file, import_decisions
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 from tests.builders.pulled_campaigns import decision_on, make_pulls

@@ -15,11 +15,16 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.executors import executor_of
-from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
-from labpipe.campaign.runs import process_tests
-from labpipe.campaign.warm_worker import WarmWorker
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, in_processes
+from labpipe.campaign import executors
+from labpipe.campaign.executors import (
+    Outcome,
+    executor_of,
+    outcome_of,
+    outcome_of_call,
+    process_tests,
+)
+from labpipe.campaign.watching import WarmWorker
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, process_test
 from labpipe.process.test_runner import Task
@@ -32,6 +37,18 @@ def test_no_executor_of_that_name(text: str) -> None:
     said = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
     with pytest.raises(UsageError, match=said):
         executor_of(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"), [("dask://a:1", "a:1"), ("dask+tls://a:1", "tls://a:1")]
+)
+def test_the_address_of_a_scheduler(
+    text: str, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(executors, "dask", lambda where, **_: asked.append(where))
+    executor_of(text)
+    assert asked == [address]
 
 
 @pytest.fixture
@@ -89,16 +106,15 @@ def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
 
 
 def test_a_process_that_dies_between_two_calls_costs_none() -> None:
-    pool: WorkerPool[str, int] = WorkerPool(int, jobs=1)
+    worker = WorkerProcess()
     try:
-        assert list(pool.as_completed(["1"])) == [("1", 1)]
-        (worker,) = pool._workers
+        assert worker.call(partial(int, "1")) == 1
         assert worker.process is not None
         worker.process.kill()
         worker.process.wait()
-        assert list(pool.as_completed(["2", "3"])) == [("2", 2), ("3", 3)]
+        assert [worker.call(partial(int, text)) for text in ("2", "3")] == [2, 3]
     finally:
-        pool.close()
+        worker.close()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
@@ -199,7 +215,7 @@ def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> No
 def test_a_process_that_dies_in_a_test_is_an_outcome(
     worker: WarmWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.warm_worker.outcome_of", die)
+    monkeypatch.setattr("labpipe.campaign.watching.outcome_of", die)
     (outcome,) = worker.executor([Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 

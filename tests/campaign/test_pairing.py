@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.file_stability import FileStability
 from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, plan_of
+from labpipe.campaign.watching import FileStability
 from labpipe.errors import ProtocolError, StoreError, UsageError
 from labpipe.protocol.load import load_test_sheet
 from tests.builders.small_tests import Lab, state

@@ -11,8 +11,7 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-from labpipe.campaign.catalog import OK, Catalog, Entry, Seen, TestRow, as_json
-from labpipe.campaign.catalog_file import new_catalog
+from labpipe.campaign.catalog import OK, Catalog, Entry, Seen, TestRow, as_json, new_catalog
 from labpipe.campaign.outcome_rows import ResultRow
 from labpipe.campaign.queries import Answer, escaped, query_results, write_answer, write_workbook
 from labpipe.errors import UsageError

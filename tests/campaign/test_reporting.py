@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
-from labpipe.campaign.protocol_facts import add_sizes, number_kinds
-from labpipe.campaign.report_samples import sample_of
+from labpipe.campaign.report_samples import add_sizes, number_kinds, sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
     Recipe,
     ReportContext,
     ReportOptions,
     make_campaign,
+    page_of_test,
+    pages_of,
     report_tests,
 )
 from labpipe.errors import StoreError, UsageError

@@ -19,9 +19,8 @@ from labpipe.campaign.campaign_folders import find_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.outcome_rows import StoredOutcome, read_outcome_files
-from labpipe.campaign.raw_file_usage import account_for_files
-from labpipe.campaign.refreshing import open_campaign
-from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_tests
+from labpipe.campaign.refreshing import account_for_files, open_campaign
+from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_test
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.store.failure_file import FailedTest, write_failure
 from tests.builders.kept_campaigns import KeptCampaign, content_of
@@ -231,16 +230,15 @@ def test_killed_now_and_then(kept: KeptCampaign, repository: Path, moments: list
     assert kept.stand_in.processed == []
 
 
-def test_some_tests_alone(kept: KeptCampaign) -> None:
-    told: list[str] = []
-    ran = run_tests(
-        kept.folders, kept.stand_in, ["T2"], on_outcome=lambda folder, _: told.append(folder)
-    )
-    assert told == kept.stand_in.processed == ["T2"]
-    assert {folder: row.state for folder, row in ran.items() if row} == {"T2": DOUBTFUL}
+def test_one_test_alone(kept: KeptCampaign) -> None:
+    row, outcome = run_test(kept.folders, kept.stand_in, "T2")
+    assert kept.stand_in.processed == ["T2"]
+    assert row is not None
+    assert outcome is not None
+    assert row.state == outcome.state == DOUBTFUL
     assert states(kept) == {"T1": PENDING, "T2": DOUBTFUL, "T3": PENDING}
 
-    assert run_tests(kept.folders, kept.stand_in, ["T2"]) == ran
+    assert run_test(kept.folders, kept.stand_in, "T2") == (row, None)
     assert kept.stand_in.processed == ["T2"]  # not again
 
 

@@ -27,7 +27,7 @@ from labpipe.campaign.quick_look import (
     verdict,
 )
 from labpipe.campaign.running import read_overview
-from labpipe.campaign.watching import Watcher
+from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.records.quality import Severity
@@ -42,7 +42,7 @@ specimen: {spool: s}
 
 
 @dataclass
-class Campaign:
+class Campaign(WatchedCampaign):
     """A campaign whose tests are processed by saying so."""
 
     home: Path
@@ -174,7 +174,7 @@ def test_a_locked_file_is_waited_for(
 ) -> None:
     put(bench, "A2-085-1", exports)
     with monkeypatch.context() as patch:
-        patch.setattr("labpipe.campaign.file_stability._opens", lambda path: path.suffix != ".mat")
+        patch.setattr("labpipe.campaign.watching._opens", lambda path: path.suffix != ".mat")
         assert bench.go(59, step=1) == ""
         assert bench.go(10, step=1) == (
             "A2-085-1: force.mat cannot be opened, another program uses it; waiting for it"

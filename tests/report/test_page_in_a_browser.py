@@ -19,9 +19,8 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import read_decisions
-from labpipe.campaign.reporting import report_tests
+from labpipe.campaign.reporting import page_of_test, report_tests
 from labpipe.campaign.serving import ReportServer, Site
-from labpipe.campaign.test_pages import page_of_test
 from labpipe.records.group import Campaign
 from labpipe.report.lab_report import render_page
 from labpipe.report.wording import printable
