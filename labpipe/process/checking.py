@@ -10,13 +10,7 @@ from pathlib import Path
 from labpipe.errors import ProcessingError, ProtocolError, ReadError, error_text, nearest
 from labpipe.process.calibrated_signals import calibrate
 from labpipe.process.output_paths import files_below
-from labpipe.process.reading import (
-    channel_remedy,
-    is_empty,
-    join_exports,
-    name_channels,
-    unit_fault,
-)
+from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.process.steps import run_step
 from labpipe.protocol.load import (
     is_there,
@@ -30,10 +24,9 @@ from labpipe.protocol.load import (
 )
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
-from labpipe.protocol.source import ChannelSource, Source
+from labpipe.protocol.source import Source
 from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.readers import read_export, recognise_export
-from labpipe.readers.channels import NoChannelError, select_channel
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
 from labpipe.records.recording import MarkerTracks, Recording
 from labpipe.results.beam import BendingStiffness
@@ -268,32 +261,15 @@ def _export_faults(
     except ReadError as error:
         yield str(error)
         return
-    if is_empty(recording):
-        recordings.append(recording)  # one of several parts, or the only one
-        return
-    faults = [
-        *(
-            fault
-            for channel in source.all_channels.values()
-            for fault in _channel_faults(recording, channel, source, path)
-        ),
-        *_marker_faults(recording.markers, protocol.markers, path),
-    ]
+    faults = list(_marker_faults(recording.markers, protocol.markers, path))
+    try:
+        if not is_empty(recording):  # one of several parts, or the only one
+            recording = name_channels(recording, source, path)
+    except ReadError as error:
+        faults = [*str(error).splitlines(), *faults]
     yield from faults
     if not faults:
-        recordings.append(name_channels(recording, source, path))
-
-
-def _channel_faults(
-    recording: Recording, channel_source: ChannelSource, source: Source, path: Path
-) -> Iterator[str]:
-    try:
-        channel = select_channel(recording, channel_source.channel, path)
-    except NoChannelError as error:
-        yield channel_remedy(error, source, path)
-        return
-    if fault := unit_fault(channel, channel_source, path):
-        yield fault
+        recordings.append(recording)
 
 
 def _marker_faults(

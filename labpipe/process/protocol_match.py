@@ -13,12 +13,11 @@ import numpy as np
 
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.process.raw_folder import InspectedExport
-from labpipe.process.reading import channel_remedy, is_empty, join_exports, name_channels
+from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Source
 from labpipe.readers import read_export
-from labpipe.readers.channels import NoChannelError
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import MarkerTracks, Recording
 
@@ -258,10 +257,8 @@ def _read_channels(export: InspectedExport, source: Source) -> tuple[Recording |
         if is_empty(recording):
             return recording, ""
         return name_channels(recording, source, export.path), ""
-    except NoChannelError as error:
-        return None, channel_remedy(error, source, export.path)
     except ReadError as error:
-        return None, str(error)
+        return None, str(error).splitlines()[0]
 
 
 def _signs(

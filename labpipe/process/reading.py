@@ -45,19 +45,11 @@ _UNIT_SPELLINGS = MappingProxyType(
 """Spellings that labpipe does not know, and the only unit that each can mean."""
 
 
-def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
+def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     """Describe what is wrong with the unit of a channel; empty if nothing is.
 
-    Parameters
-    ----------
-    channel : from a reader, with the unit of the export
-    source : of the protocol, with the unit of protocol or test sheet
-    path : of the export
-
-    Returns
-    -------
-    The message: no unit is stated, that of the export is unknown or of another quantity, or `unit`
-    contradicts it and `wrong_unit_in_file` does not name it.
+    No unit is stated, that of the export is unknown or of another quantity, or `unit` contradicts
+    it and `wrong_unit_in_file` does not name it.
     """
     stated, protocol_unit = channel.unit_in_file, source.unit
     if protocol_unit is None:
@@ -79,14 +71,8 @@ def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     )
 
 
-def unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
-    """Note that the unit of the protocol replaced that of the export.
-
-    Parameters
-    ----------
-    channel : in SI, with the unit that the export states
-    source : of the protocol
-    """
+def _unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
+    """Note that the unit of the protocol replaced that of the export."""
     protocol_unit, stated = source.unit, channel.unit_in_file
     if (
         protocol_unit is None
@@ -301,18 +287,11 @@ def read_role(path: Path, source: Source) -> Recording:
         )
         return recording if is_empty(recording) else name_channels(recording, source, path)
     except NoChannelError as error:
-        raise ReadError(channel_remedy(error, source, path), code=error.code) from error
+        raise ReadError(_channel_fault(error, source, path), code=error.code) from error
 
 
-def channel_remedy(error: NoChannelError, source: Source, path: Path) -> str:
-    """Complete an error with the key that names the channel, or the specimen.
-
-    Parameters
-    ----------
-    error : of the channel
-    source : of the protocol
-    path : of the export
-    """
+def _channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
+    """Complete an error with the key that names the channel, or the specimen."""
     max_listed = 8
     if error.parts:
         listed = ", ".join(map(repr, error.parts[:max_listed]))
@@ -348,31 +327,39 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     Raises
     ------
     ReadError
-        If a channel is missing, or its unit is unknown or of another dimension.
+        If channels are missing, or their units are unknown or of another dimension; all faults are
+        in one message.
     """
-    selected = [
-        (select_channel(recording, spec.channel, path), name, spec)
-        for name, spec in source.all_channels.items()
-    ]
-    channels = tuple(_in_si(channel, name, spec, path) for channel, name, spec in selected)
-    clocks = {channel.clock for channel in channels}
-    kept_clocks = tuple(clock for clock in recording.clocks if clock.name in clocks)
-    named = zip(channels, source.all_channels.values(), strict=True)
-    notes = [note for channel, spec in named for note in unit_notes(channel, spec)]
-    notes += [
-        _spelt_note(channel, name, spec)
-        for channel, name, spec in selected
-        if not is_exact_name(spec.channel, channel)
-    ]
+    channels, notes, spelling_notes = list[Channel](), list[QualityNote](), list[QualityNote]()
+    faults, code = list[str](), ""
+    for name, spec in source.all_channels.items():
+        try:
+            channel = select_channel(recording, spec.channel, path)
+        except NoChannelError as error:
+            faults.append(_channel_fault(error, source, path))
+            code = error.code
+            continue
+        if fault := _unit_fault(channel, spec, path):
+            faults.append(fault)
+            continue
+        channels.append(_in_si(channel, name, spec))
+        notes += _unit_notes(channels[-1], spec)
+        if not is_exact_name(spec.channel, channel):
+            wanted = " or ".join(map(repr, spec.channel[:3]))
+            wanted += " ..." if len(spec.channel) > 3 else ""
+            message = f"the export has none called {wanted}: {channel.path!r} was used"
+            spelling_notes.append(
+                QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
+            )
+    if faults:
+        raise ReadError("\n".join(dict.fromkeys(faults)), code=code)
+    used_clocks = {channel.clock for channel in channels}
     return replace(
-        recording, channels=channels, clocks=kept_clocks, notes=(*recording.notes, *notes)
+        recording,
+        channels=tuple(channels),
+        clocks=tuple(clock for clock in recording.clocks if clock.name in used_clocks),
+        notes=(*recording.notes, *notes, *spelling_notes),
     )
-
-
-def _spelt_note(channel: Channel, name: str, spec: ChannelSource) -> QualityNote:
-    wanted = " or ".join(map(repr, spec.channel[:3])) + (" ..." if len(spec.channel) > 3 else "")
-    message = f"the export has none called {wanted}: {channel.path!r} was used"
-    return QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
 
 
 def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
@@ -443,14 +430,12 @@ def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -
     raise ReadError(message)
 
 
-def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Channel:
+def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
-    if fault := unit_fault(channel, source, path):
-        raise ReadError(fault)
-    factor = si_factor(source.unit or channel.unit_in_file, _si_unit(source))
+    unit = _si_unit(source)
+    factor = si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
-    unit = _si_unit(source)
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)
 
 
