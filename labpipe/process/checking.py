@@ -67,16 +67,13 @@ class CheckReport:
     plans: tuple[Path, ...] = ()
 
 
-def check_paths(
-    paths: Sequence[Path] = (), *, protocols: Path | None = None, follow_links: bool = False
-) -> CheckReport:
+def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> CheckReport:
     """Check protocols and tests.
 
     Parameters
     ----------
     paths : protocols, test sheets, or folders that are searched for them; ``protocols`` and
         ``raw`` in the working folder if empty
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
     follow_links : whether exports may be links out of the folder of their test
 
     Returns
@@ -96,7 +93,7 @@ def check_paths(
         findings += [Finding(plan, message) for message in _load_faults(load, plan)]
     for test in tests:
         findings += [
-            Finding(test, message) for message in _test_faults(test, protocols, follow_links)
+            Finding(test, message) for message in _test_faults(test, follow_links=follow_links)
         ]
     findings += _shared_names(tests)
     findings_by_message = {finding.message: finding for finding in reversed(findings)}
@@ -165,14 +162,14 @@ def _protocol_faults(path: Path) -> Iterator[str]:
         )
 
 
-def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iterator[str]:
+def _test_faults(path: Path, *, follow_links: bool) -> Iterator[str]:
     try:
         sheet = load_test_sheet(path)
     except ProtocolError as error:
         yield from str(error).splitlines()
         return
     try:
-        protocol = resolve(sheet, path, protocols, follow_links=follow_links)
+        protocol = resolve(sheet, path, follow_links=follow_links)
     except ProtocolError as error:
         yield from str(error).splitlines()
         protocol = None

@@ -180,7 +180,7 @@ def _fit_turn(
         return None
     at_once = None
     if near[0] == near[1]:
-        corner = fit_corner(motion.time, motion.values, near=near[0], window=window, degree=1)
+        corner = fit_corner(motion.time, motion.values, near=near[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return None
         at_once = Turn(number, corner, corner)

@@ -194,7 +194,7 @@ def _take_off(force: Signal, turn: float) -> Corner | None:
     if not len(still) or force.time[still[-1]] - force.time[0] < rest_time:
         return None
     near = float(force.time[still[-1]])
-    return fit_corner(force.time, force.values, near=near, window=3.0 * rest_time, degree=1)
+    return fit_corner(force.time, force.values, near=near, window=3.0 * rest_time)
 
 
 Stepped: TypeAlias = tuple[Prepared, list[Finding]]
