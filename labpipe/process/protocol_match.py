@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isclose
-from pathlib import Path
 
 import numpy as np
 
@@ -87,15 +86,10 @@ class KnownFacts:
     roles: Mapping[str, tuple[str, ...]] | None = None
 
 
-def all_protocols(protocols: Path | None = None) -> list[Protocol]:
-    """Load all valid protocols; `labpipe check` reports the others.
-
-    Parameters
-    ----------
-    protocols : the lab's folder; ``protocols`` in the working folder if None
-    """
+def all_protocols() -> list[Protocol]:
+    """Load all valid protocols; `labpipe check` reports the others."""
     loaded = []
-    for path in known_protocols(protocols).values():
+    for path in known_protocols().values():
         with suppress(LabpipeError):
             loaded.append(load_protocol(path))
     return loaded

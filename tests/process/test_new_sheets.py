@@ -150,7 +150,7 @@ def test_a_fault_names_its_cell_and_nothing_is_written(
         text = text.replace(old, new)
     table.write_text(text, encoding="utf-8")
     with pytest.raises(ReadError) as refused:
-        new_from_sheet(table, tmp_path / "raw", protocols=own)
+        new_from_sheet(table, tmp_path / "raw")
     assert not (tmp_path / "raw").exists()
     approved(str(refused.value).replace(str(table), "campaign.csv"))
 
