@@ -318,12 +318,14 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
     """Refuse a raw group without the channels of its protocol, or with invalid times."""
     for role, source in protocol.sources.items():
         recording = raw.recordings.get(role, Recording(""))
+        tracks = [] if recording.markers is None else [recording.markers.time]
+        times = [*(clock.time for clock in recording.clocks), *tracks]
         names = [channel.name for channel in recording.channels]
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
             actual = ", ".join(map(repr, names)) or "none"
-        elif not _has_valid_times(recording):
+        elif not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
             expected, actual = "increasing times", "decreasing times, or times that are not numbers"
         else:
             continue
@@ -331,12 +333,6 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
         place = f"raw/{role}"
         text = error_text(result_path, place, expected=expected, found=actual, remedy=remedy)
         raise StoreError(text, code="bad_result")
-
-
-def _has_valid_times(recording: Recording) -> bool:
-    tracks = [] if recording.markers is None else [recording.markers.time]
-    times = [*(clock.time for clock in recording.clocks), *tracks]
-    return all(bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all()) for time in times)
 
 
 def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
