@@ -217,7 +217,10 @@ class _RoleExports:
 def _exports_of_role(pool: Sequence[InspectedExport], source: Source) -> _RoleExports:
     """Find the exports of a role: one, or the parts of one recording."""
     of_kind = [
-        export for export in pool if export.reader in source.reader and _has_dialect(export, source)
+        export
+        for export in pool
+        if export.reader in source.reader
+        and (source.dialect is None or export.recording.metadata.get("dialect") in source.dialect)
     ]
     attempts = [(export, *_read_channels(export, source)) for export in of_kind]
     valid = [(export, recording) for export, recording, fault in attempts if not fault]
@@ -235,11 +238,6 @@ def _exports_of_role(pool: Sequence[InspectedExport], source: Source) -> _RoleEx
     if recording is not None and is_empty(recording):
         return _RoleExports(chosen, None, f"{names[0]}: holds no samples")
     return _RoleExports(chosen, recording, fault)
-
-
-def _has_dialect(export: InspectedExport, source: Source) -> bool:
-    dialect = export.recording.metadata.get("dialect")
-    return source.dialect is None or dialect in source.dialect
 
 
 def _read_channels(export: InspectedExport, source: Source) -> tuple[Recording | None, str]:

@@ -227,20 +227,29 @@ def dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
 
 def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
-    """Join all parts into one recording; of empty parts, only the notes are kept.
+    """Join the parts of one recording in order of time; of empty parts, only the notes are kept.
 
     Parameters
     ----------
-    parts : of one role, in any order
+    parts : of one role, with the same channels, in any order
     names : of their files
     folder : of the test, for messages
+
+    Returns
+    -------
+    One recording with the metadata of the first part and the notes of all.
 
     Raises
     ------
     ReadError
-        If there are no samples at all, or the parts do not fit together (`join_parts`).
+        If there are no samples at all; if one of several parts holds marker tracks, several clocks,
+        or rows without time; or if two parts overlap.
     """
-    filled = [number for number, part in enumerate(parts) if not is_empty(part)]
+    filled = [
+        (folder / name, part)
+        for name, part in zip(names, parts, strict=False)
+        if not is_empty(part)
+    ]
     if not filled:
         message = error_text(
             folder / names[0],
@@ -250,11 +259,64 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
             remedy="The test was aborted before its first sample; leave it out.",
         )
         raise ReadError(message)
-    recording = parts[filled[0]]
     if len(filled) > 1:
-        recording = join_parts([parts[i] for i in filled], [str(folder / names[i]) for i in filled])
-    notes = [note for part in parts if is_empty(part) for note in part.notes]
-    return replace(recording, notes=(*recording.notes, *notes))
+        for path, part in filled:
+            _require_time(path, part)
+        filled.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
+        for before, after in pairwise(filled):
+            _refuse_overlap(*before, *after)
+    ordered = [part for _, part in filled]
+    notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]
+    first = replace(ordered[0], notes=tuple(notes))
+    if len(ordered) == 1:
+        return first
+    clock = first.clocks[0].name
+    time = np.concatenate([part.clocks[0].time for part in ordered])
+    channels = tuple(
+        replace(
+            channel,
+            clock=clock,
+            values=np.concatenate([part.channels[place].values for part in ordered]),
+        )
+        for place, channel in enumerate(first.channels)
+    )
+    return replace(first, clocks=(Clock(clock, time),), channels=channels)
+
+
+def _require_time(path: Path, part: Recording) -> None:
+    """Refuse a part that cannot be put in order of time."""
+    if part.markers is not None or len(part.clocks) != 1:
+        message = error_text(
+            path,
+            "",
+            expected="a part of a recording: channels on one clock",
+            found="marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks",
+            remedy="Name one export for this role.",
+        )
+        raise ReadError(message)
+    if part.clocks[0].unit != "s":
+        message = error_text(
+            path,
+            "",
+            expected="a part of a recording with times, by which parts are put in order",
+            found="rows without time",
+            remedy=f"Export the test in one piece, or with its time. {_TWO_TESTS}",
+        )
+        raise ReadError(message)
+
+
+def _refuse_overlap(path: Path, first: Recording, later_path: Path, second: Recording) -> None:
+    ends, begins = float(first.clocks[0].time[-1]), float(second.clocks[0].time[0])
+    if begins > ends:
+        return
+    message = error_text(
+        later_path,
+        "time",
+        expected=f"a start after {ends:.6f} s, where {path.name} ends",
+        found=f"{begins:.6f} s",
+        remedy=f"Parts of one recording share one clock. {_TWO_TESTS}",
+    )
+    raise ReadError(message)
 
 
 def is_empty(recording: Recording) -> bool:
@@ -360,74 +422,6 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
         clocks=tuple(clock for clock in recording.clocks if clock.name in used_clocks),
         notes=(*recording.notes, *notes, *spelling_notes),
     )
-
-
-def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
-    """Join the parts of one recording in order of time.
-
-    Parameters
-    ----------
-    parts : recordings with the same channels, in any order
-    names : of their files, for messages
-
-    Returns
-    -------
-    One recording with the metadata of the first part and the notes of all.
-
-    Raises
-    ------
-    ReadError
-        If a part holds marker tracks, several clocks, or no sample, or if two parts overlap.
-    """
-    for part, name in zip(parts, names, strict=True):
-        if part.markers is not None or len(part.clocks) != 1 or not len(part.clocks[0].time):
-            message = error_text(
-                name,
-                "",
-                expected="a part of a recording: channels on one clock",
-                found="marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks",
-                remedy="Name one export for this role.",
-            )
-            raise ReadError(message)
-        if part.clocks[0].unit != "s":
-            message = error_text(
-                name,
-                "",
-                expected="a part of a recording with times, by which parts are put in order",
-                found="rows without time",
-                remedy=f"Export the test in one piece, or with its time. {_TWO_TESTS}",
-            )
-            raise ReadError(message)
-    order = sorted(range(len(parts)), key=lambda index: float(parts[index].clocks[0].time[0]))
-    for first, second in pairwise(order):
-        _refuse_overlap(parts[first], parts[second], names[first], names[second])
-    ordered = [parts[index] for index in order]
-    clock = ordered[0].clocks[0].name
-    time = np.concatenate([part.clocks[0].time for part in ordered])
-    channels = tuple(
-        replace(
-            channel,
-            clock=clock,
-            values=np.concatenate([part.channels[place].values for part in ordered]),
-        )
-        for place, channel in enumerate(ordered[0].channels)
-    )
-    notes = tuple(note for part in ordered for note in part.notes)
-    return replace(ordered[0], clocks=(Clock(clock, time),), channels=channels, notes=notes)
-
-
-def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -> None:
-    ends, begins = float(first.clocks[0].time[-1]), float(second.clocks[0].time[0])
-    if begins > ends:
-        return
-    message = error_text(
-        other,
-        "time",
-        expected=f"a start after {ends:.6f} s, where {Path(one).name} ends",
-        found=f"{begins:.6f} s",
-        remedy=f"Parts of one recording share one clock. {_TWO_TESTS}",
-    )
-    raise ReadError(message)
 
 
 def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
