@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, StoreError, error_text
-from labpipe.process.certificates import day_of_test, instruments_of, operator_of_test
+from labpipe.process.certificates import day_and_operator, instruments_of
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.reading import read_inputs
 from labpipe.process.story import reduce_recordings
@@ -186,7 +186,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     ProcessingError
         If a recording lacks data that a step needs.
     """
-    tested = day_of_test(raw.test_yaml, raw.recordings)
+    tested, operator = day_and_operator(raw.test_yaml, raw.recordings)
     try:
         reduced = reduce_recordings(raw.recordings, protocol, tested=tested)
     except ProcessingError as error:
@@ -214,7 +214,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         lines=reduced.lines,
         run=run_key(raw),
         date=tested,
-        operator=operator_of_test(raw.test_yaml),
+        operator=operator,
         instruments=instruments_of(protocol),
     )
 

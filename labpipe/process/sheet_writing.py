@@ -53,30 +53,14 @@ class NewTest:
 
 
 @dataclass(frozen=True, slots=True)
-class NewTests:
-    """Test sheets of the rows of a campaign table.
-
-    Parameters
-    ----------
-    written : the test sheets written
-    kept : existing test sheets that were not changed
-    absent : missing exports that the written sheets name, by test sheet
-    """
-
-    written: tuple[Path, ...]
-    kept: tuple[Path, ...]
-    absent: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class InferredSheet:
-    """A test sheet that was inferred from the folder of the test.
+class WrittenSheet:
+    """A test sheet of a row of a campaign table, or inferred from the folder of the test.
 
     Parameters
     ----------
     path : of the test sheet
     kept : whether it existed already and was not changed
-    remarks : sentences on the sources of the values, and on contradictions
+    remarks : sentences on the sources of the values, contradictions and missing exports
     open : keys to be filled in
     """
 
@@ -91,7 +75,7 @@ def write_inferred_sheets(
     stated: Mapping[str, str],
     *,
     overwrite: bool = False,
-) -> Iterator[InferredSheet]:
+) -> Iterator[WrittenSheet]:
     """Infer and write the test sheet of a folder, or of each folder of a campaign.
 
     Parameters
@@ -125,12 +109,12 @@ def write_inferred_sheets(
         yield write_inferred_sheet(infer_test(folder, stated))
         return
     existing = [path for path in below if (path / SHEET_NAME).exists() and not overwrite]
-    yield from (InferredSheet(path / SHEET_NAME, kept=True) for path in existing)
+    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in existing)
     for test in infer_tests([path for path in below if path not in existing], stated):
         yield write_inferred_sheet(test)
 
 
-def write_inferred_sheet(seen: InferredTest) -> InferredSheet:
+def write_inferred_sheet(seen: InferredTest) -> WrittenSheet:
     """Write the test sheet of an inferred test.
 
     Parameters
@@ -151,7 +135,7 @@ def write_inferred_sheet(seen: InferredTest) -> InferredSheet:
     if faults:
         raise UsageError("\n".join(faults))
     _write(path, write_test_sheet(data))
-    return InferredSheet(path, False, seen.remarks, seen.open)
+    return WrittenSheet(path, False, seen.remarks, seen.open)
 
 
 def _inferred_data(test: InferredTest) -> dict[str, object]:
@@ -178,7 +162,7 @@ def _block(data: Mapping[str, object], key: str) -> dict[str, object]:
     return dict(block) if isinstance(block, Mapping) else {}
 
 
-def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> NewTests:
+def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
     """Write one test sheet per row of a campaign table.
 
     Parameters
@@ -190,7 +174,7 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> New
 
     Returns
     -------
-    What was written and what was kept.
+    The test sheets, in the order of the table.
 
     Raises
     ------
@@ -211,19 +195,18 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> New
     faults += _repeated(tests, sheet)
     if faults:
         raise ReadError("\n".join(faults))
-    written, existing = [], []
-    absent: dict[Path, tuple[str, ...]] = {}
+    sheets = []
     for test in tests:
         path = folder / test.values["test"] / SHEET_NAME
         if path.exists() and not overwrite:
-            existing.append(path)
-        else:
-            _write(path, write_test_sheet(_sheet_data(test.values)))
-            written.append(path)
-            names = [name for role in ROLES for name in file_names(test.values.get(role, ""))]
-            missing = tuple(name for name in names if not (path.parent / name).exists())
-            absent |= {path: missing} if missing else {}
-    return NewTests(tuple(written), tuple(existing), absent)
+            sheets.append(WrittenSheet(path, kept=True))
+            continue
+        _write(path, write_test_sheet(_sheet_data(test.values)))
+        names = [name for role in ROLES for name in file_names(test.values.get(role, ""))]
+        missing = ", ".join(name for name in names if not (path.parent / name).exists())
+        remarks = (f"not there yet: {missing}",) if missing else ()
+        sheets.append(WrittenSheet(path, remarks=remarks))
+    return sheets
 
 
 def _column(cell: Cell) -> tuple[str, str]:

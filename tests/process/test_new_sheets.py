@@ -55,8 +55,8 @@ C-3;wire-cantilever;B1;s1;3;152.4;;;;;;;;a.mat;t.csv
 def sheets_of(table: str, folder: Path) -> list[TestSheet]:
     (folder / "campaign.csv").write_text(table, encoding="utf-8")
     made = new_from_sheet(folder / "campaign.csv", folder / "raw")
-    assert made.kept == ()
-    return [load_test_sheet(path) for path in made.written]
+    assert not any(sheet.kept for sheet in made)
+    return [load_test_sheet(sheet.path) for sheet in made]
 
 
 def test_one_test_sheet_per_row(tmp_path: Path) -> None:
