@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Collection
 
 from labpipe.errors import UsageError, error_text
-from labpipe.process.sheet_writing import InferredSheet, new_from_sheet, write_inferred_sheets
+from labpipe.process.sheet_writing import WrittenSheet, new_from_sheet, write_inferred_sheets
 
 _OPTIONS = (
     "protocol",
@@ -26,14 +26,8 @@ _OPTIONS = (
 def run(options: argparse.Namespace) -> int:
     """Write test sheets from exports and options, or from a campaign sheet."""
     if options.sheet is not None:
-        sheets = new_from_sheet(options.sheet, options.folder, overwrite=options.overwrite)
-        for path in sheets.written:
-            print(f"wrote {path}")
-            missing = ", ".join(sheets.absent.get(path, ()))
-            if missing:
-                print(f"  not there yet: {missing}")
-        for path in sheets.kept:
-            print(f"kept  {path}: it exists already; --overwrite replaces it")
+        for sheet in new_from_sheet(options.sheet, options.folder, overwrite=options.overwrite):
+            print(_describe(sheet, ()))
         return 0
     typed = {name: getattr(options, name) for name in _OPTIONS}
     values = {name: value for name, value in typed.items() if value is not None}
@@ -52,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _describe(sheet: InferredSheet, printed: Collection[str]) -> str:
+def _describe(sheet: WrittenSheet, printed: Collection[str]) -> str:
     """Describe a sheet; of a long message that was printed before, only the first line."""
     if sheet.kept:
         return f"kept  {sheet.path}: it exists already; --overwrite replaces it"

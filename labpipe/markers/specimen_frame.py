@@ -56,7 +56,6 @@ def specimen_frame(
     markers_lab: Floats,
     *,
     rest: Selection,
-    moving: Selection | None,
     out_of_plane_limit: float,
 ) -> SpecimenFrame:
     """Determine the frame of the specimen and the order of its markers.
@@ -66,7 +65,6 @@ def specimen_frame(
     clamp_lab : shape (frames, 3), m, pivot of the clamp; None for a take without a clamp
     markers_lab : shape (frames, markers, 3), m; NaN is ignored
     rest : frames in which the specimen is at rest, before the first loading
-    moving : frames of the first loading; None for all
     out_of_plane_limit : m, largest distance of the markers from their plane without a note
 
     Returns
@@ -93,8 +91,7 @@ def specimen_frame(
         return _frame_of_chain(markers_lab, rest, out_of_plane_limit)
     relative = markers_lab - clamp_lab[:, None]
     origin = _mean(clamp_lab[rest], "the clamp")
-    path = clamp_lab if moving is None else clamp_lab[moving]
-    travel, travel_residual = _travel(path, origin)
+    travel, travel_residual = _travel(clamp_lab, origin)
     across = relative - (relative @ travel)[..., None] * travel
     x, out_of_plane = _spread(across.reshape(-1, 3), travel)
     rotation = np.stack([x, -travel, np.cross(x, -travel)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import partial
 from math import sqrt
 
 import numpy as np
@@ -89,11 +90,17 @@ def turn_into_specimen(
         message = "expected the step repair-markers before it"
         raise ValueError(message)
     rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
-    frame = _specimen_frame(take.clamp, take.repaired, rest, step)
+    find_frame = partial(
+        specimen_frame,
+        take.clamp,
+        take.repaired.positions,
+        out_of_plane_limit=step.max_out_of_plane,
+    )
+    frame = find_frame(rest=rest)
     still = _before_motion(tracks.time, frame, take.clamp)
     if MIN_LEVEL_SAMPLES <= (rest & still).sum() < rest.sum():
         rest &= still
-        frame = _specimen_frame(take.clamp, take.repaired, rest, step)
+        frame = find_frame(rest=rest)
         message = (
             f"the clamp rests for {float(np.ptp(tracks.time[rest])):.2f} s, less than the "
             f"{step.over:g} s of 'over': only this time is used as rest"
@@ -113,18 +120,6 @@ def turn_into_specimen(
         travel = travel - np.nanmean(travel[rest])
         signals = signals.with_new("travel", take.signal_of(tracks.time, travel))
     return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), findings
-
-
-def _specimen_frame(
-    clamp: Floats | None, repaired: RepairedTracks, rest: Flags, step: SpecimenFrameStep
-) -> SpecimenFrame:
-    return specimen_frame(
-        clamp,
-        repaired.positions,
-        rest=rest,
-        moving=None,
-        out_of_plane_limit=step.max_out_of_plane,
-    )
 
 
 def _before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:

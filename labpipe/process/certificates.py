@@ -17,8 +17,8 @@ DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the recording date or time, always in ISO 8601."""
 
 
-def day_of_test(sheet: str, recordings: Mapping[str, Recording]) -> date | None:
-    """Find the day of a test.
+def day_and_operator(sheet: str, recordings: Mapping[str, Recording]) -> tuple[date | None, str]:
+    """Find the day and the operator of a test.
 
     Parameters
     ----------
@@ -27,12 +27,15 @@ def day_of_test(sheet: str, recordings: Mapping[str, Recording]) -> date | None:
 
     Returns
     -------
-    The day; None if it is not stated anywhere.
+    The day, None if it is not stated anywhere; the operator, empty if the sheet does not name one.
     """
     sheet_data = parse_yaml(sheet, "test.yaml").data
-    dates = [sheet_data.get("date")] if isinstance(sheet_data, Mapping) else []
+    entries = sheet_data if isinstance(sheet_data, Mapping) else {}
+    dates = [entries.get("date")]
     dates += [recording.metadata.get(key) for recording in recordings.values() for key in DAY_KEYS]
-    return next(filter(None, map(_day, dates)), None)
+    operator = entries.get("operator")
+    day = next(filter(None, map(_day, dates)), None)
+    return day, operator if isinstance(operator, str) else ""
 
 
 def _day(written: object) -> date | None:
@@ -40,18 +43,6 @@ def _day(written: object) -> date | None:
         return date.fromisoformat(str(written)[:10])
     except ValueError:
         return None
-
-
-def operator_of_test(sheet: str) -> str:
-    """Find the operator of a test; empty if the sheet does not name one.
-
-    Parameters
-    ----------
-    sheet : text of the test sheet
-    """
-    sheet_data = parse_yaml(sheet, "test.yaml").data
-    operator = sheet_data.get("operator") if isinstance(sheet_data, Mapping) else None
-    return operator if isinstance(operator, str) else ""
 
 
 def instruments_of(protocol: Protocol) -> tuple[Instrument, ...]:

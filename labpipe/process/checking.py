@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ProcessingError, ProtocolError, ReadError, error_text, nearest
 from labpipe.process.calibrated_signals import calibrate
 from labpipe.process.output_paths import files_below
-from labpipe.process.reading import (
-    channel_remedy,
-    is_empty,
-    join_exports,
-    name_channels,
-    unit_fault,
-)
+from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.process.steps import run_step
 from labpipe.protocol.load import (
     is_there,
@@ -30,10 +24,9 @@ from labpipe.protocol.load import (
 )
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
-from labpipe.protocol.source import ChannelSource, Source
+from labpipe.protocol.source import Source
 from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.readers import read_export, recognise_export
-from labpipe.readers.channels import NoChannelError, select_channel
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
 from labpipe.records.recording import MarkerTracks, Recording
 from labpipe.results.beam import BendingStiffness
@@ -74,16 +67,13 @@ class CheckReport:
     plans: tuple[Path, ...] = ()
 
 
-def check_paths(
-    paths: Sequence[Path] = (), *, protocols: Path | None = None, follow_links: bool = False
-) -> CheckReport:
+def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> CheckReport:
     """Check protocols and tests.
 
     Parameters
     ----------
     paths : protocols, test sheets, or folders that are searched for them; ``protocols`` and
         ``raw`` in the working folder if empty
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
     follow_links : whether exports may be links out of the folder of their test
 
     Returns
@@ -96,16 +86,15 @@ def check_paths(
     loaders = {file: _loader_of(file) for file in files if file.name != SHEET_NAME}
     plans = tuple(file for file, load in loaders.items() if load is not None)
     others = tuple(file for file, load in loaders.items() if load is None)
-    findings = [finding for path in wanted or [Path("protocols")] for finding in _unusable(path)]
-    for other in others:
-        findings += [Finding(other, message) for message in _protocol_faults(other)]
-    for plan, load in loaders.items():
-        findings += [Finding(plan, message) for message in _load_faults(load, plan)]
-    for test in tests:
-        findings += [
-            Finding(test, message) for message in _test_faults(test, protocols, follow_links)
-        ]
-    findings += _shared_names(tests)
+    sheets = dict[Path, TestSheet]()
+    checks: list[tuple[Path, Iterable[str]]] = [
+        *((path, _unusable(path)) for path in wanted or [Path("protocols")]),
+        *((other, _protocol_faults(other)) for other in others),
+        *((plan, _load_faults(load, plan)) for plan, load in loaders.items() if load is not None),
+        *((test, _test_faults(test, sheets, follow_links=follow_links)) for test in tests),
+    ]
+    findings = [Finding(file, message) for file, messages in checks for message in messages]
+    findings += _shared_names(sheets)
     findings_by_message = {finding.message: finding for finding in reversed(findings)}
     return CheckReport(others, tests, tuple(reversed(findings_by_message.values())), plans)
 
@@ -116,7 +105,7 @@ def _yaml_files(path: Path) -> list[Path]:
     return [path] if path.suffix in _YAML and path.is_file() else []
 
 
-def _unusable(path: Path) -> Iterator[Finding]:
+def _unusable(path: Path) -> Iterator[str]:
     """Find a path with nothing to check."""
     if _yaml_files(path):
         return
@@ -125,7 +114,7 @@ def _unusable(path: Path) -> Iterator[Finding]:
         actual = "a folder without any" if path.is_dir() else "another file"
     expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
     remedy = f"`labpipe new` writes a {SHEET_NAME}."
-    yield Finding(path, error_text(path, "", expected=expected, found=actual, remedy=remedy))
+    yield error_text(path, "", expected=expected, found=actual, remedy=remedy)
 
 
 def _loader_of(path: Path) -> Callable[[Path], object] | None:
@@ -149,11 +138,10 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
     return load_calibration_plan if other_keys & {*CalibrationPlan.keys()} else None
 
 
-def _load_faults(load: Callable[[Path], object] | None, path: Path) -> list[str]:
+def _load_faults(load: Callable[[Path], object], path: Path) -> list[str]:
     """Load a file and list its faults."""
     try:
-        if load is not None:
-            load(path)
+        load(path)
     except ProtocolError as error:
         return str(error).splitlines()
     return []
@@ -172,14 +160,15 @@ def _protocol_faults(path: Path) -> Iterator[str]:
         )
 
 
-def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iterator[str]:
+def _test_faults(path: Path, sheets: dict[Path, TestSheet], *, follow_links: bool) -> Iterator[str]:
+    """Find what is wrong with a test; its sheet is added to `sheets` if it is valid."""
     try:
-        sheet = load_test_sheet(path)
+        sheet = sheets[path] = load_test_sheet(path)
     except ProtocolError as error:
         yield from str(error).splitlines()
         return
     try:
-        protocol = resolve(sheet, path, protocols, follow_links=follow_links)
+        protocol = resolve(sheet, path, follow_links=follow_links)
     except ProtocolError as error:
         yield from str(error).splitlines()
         protocol = None
@@ -268,32 +257,15 @@ def _export_faults(
     except ReadError as error:
         yield str(error)
         return
-    if is_empty(recording):
-        recordings.append(recording)  # one of several parts, or the only one
-        return
-    faults = [
-        *(
-            fault
-            for channel in source.all_channels.values()
-            for fault in _channel_faults(recording, channel, source, path)
-        ),
-        *_marker_faults(recording.markers, protocol.markers, path),
-    ]
+    faults = list(_marker_faults(recording.markers, protocol.markers, path))
+    try:
+        if not is_empty(recording):  # one of several parts, or the only one
+            recording = name_channels(recording, source, path)
+    except ReadError as error:
+        faults = [*str(error).splitlines(), *faults]
     yield from faults
     if not faults:
-        recordings.append(name_channels(recording, source, path))
-
-
-def _channel_faults(
-    recording: Recording, channel_source: ChannelSource, source: Source, path: Path
-) -> Iterator[str]:
-    try:
-        channel = select_channel(recording, channel_source.channel, path)
-    except NoChannelError as error:
-        yield channel_remedy(error, source, path)
-        return
-    if fault := unit_fault(channel, channel_source, path):
-        yield fault
+        recordings.append(recording)
 
 
 def _marker_faults(
@@ -322,14 +294,10 @@ def _marker_faults(
             yield error_text(path, place, expected=expected, found="none", remedy=remedy)
 
 
-def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
+def _shared_names(sheets: Mapping[Path, TestSheet]) -> Iterator[Finding]:
     """Find tests of one campaign with the same name: they would overwrite each other."""
     seen: dict[tuple[Path, str], Path] = {}
-    for path in tests:
-        try:
-            sheet = load_test_sheet(path)
-        except ProtocolError:
-            continue  # reported already
+    for path, sheet in sheets.items():
         key = (path.resolve().parent.parent, sheet.test.casefold())
         if key in seen:
             expected, actual = "a name that no other test of the campaign has", repr(sheet.test)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from math import sqrt
@@ -227,28 +226,31 @@ def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, 
 
 def _fit_events(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
     method = "turning points: lines through the travel, smooth pieces of the force"
-    columns = [
-        [
-            motion_corner.time,
-            reversal.corner.time,
-            _event_error(motion_corner, reversal, len(events)),
-        ]
-        for motion_corner, reversal in events
-    ]
     return fit_clocks(
-        *np.array(columns, dtype=np.float64).T,
+        *_event_table(events, shape_errors=len(events) - 1),
         method=method if repeat is None else f"{method}; lag of the repeated cycle",
         repeat=repeat,
     )
 
 
-def _event_error(motion: Corner, force: Reversal, count: int) -> float:
-    """Return the standard error of an event.
+def _event_table(events: list[tuple[Corner, Reversal]], *, shape_errors: int) -> Floats:
+    """Return times on both clocks and the errors of their differences: shape (3, events), s.
 
-    The shape error is common to all events of a specimen and does not average out.
+    The shape error is common to all events of a specimen and does not average out, so that it is
+    added several times.
     """
-    common = float(np.sqrt(count - 1)) * force.shape_error
-    return float(np.hypot(np.hypot(motion.time_error, force.corner.time_error), common))
+    rows = [
+        (
+            seen.time,
+            felt.corner.time,
+            np.hypot(
+                np.hypot(seen.time_error, felt.corner.time_error),
+                np.sqrt(shape_errors) * felt.shape_error if shape_errors else 0.0,
+            ),
+        )
+        for seen, felt in events
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3).T
 
 
 def _check_fit(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
@@ -354,15 +356,6 @@ def _check_stated_offset(
     yield doubtful("clocks_stated_wrong", "align", message, "clock", "force")
 
 
-@dataclass(frozen=True, slots=True)
-class SharedTurn:
-    """Times (s) of a turning point in both records, and the error of their difference."""
-
-    motion: float
-    force: float
-    error: float
-
-
 def fit_common_start(
     force: Signal,
     align: AlignCommonStart,
@@ -397,31 +390,14 @@ def fit_common_start(
             f"{force.unit}: is it the right channel, and is the cell connected?"
         )
         findings.append(blocking("constant_channel", align.channel, message))
-    shared_turns = _shared_turns(force, align, motion, strokes, turns)
+    force = with_rising_force(force)
+    pairs = _rough_turns(motion, force, strokes, align)
+    events = turn_events(force, pairs, turns, align.force_window)
+    shared_turns = _event_table(events, shape_errors=0)
     at_turn = _weighted_difference(shared_turns)
     together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset
     fit = _fit_turns(shared_turns, align, together=together)
     return fit, [*findings, _start_finding(fit, align, at_turn, together=together)]
-
-
-def _shared_turns(
-    force: Signal,
-    align: AlignCommonStart,
-    motion: Signal,
-    strokes: tuple[Stroke, ...],
-    turns: list[Turn],
-) -> list[SharedTurn]:
-    """Find the turns at the top of loading in both records."""
-    force = with_rising_force(force)
-    pairs = _rough_turns(motion, force, strokes, align)
-    return [
-        SharedTurn(
-            motion_corner.time,
-            reversal.corner.time,
-            float(np.hypot(motion_corner.time_error, reversal.corner.time_error)),
-        )
-        for motion_corner, reversal in turn_events(force, pairs, turns, align.force_window)
-    ]
 
 
 def _rough_turns(
@@ -435,31 +411,30 @@ def _rough_turns(
     return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
 
 
-def _weighted_difference(seen: list[SharedTurn]) -> tuple[float, float] | None:
+def _weighted_difference(shared_turns: Floats) -> tuple[float, float] | None:
     """Return the mean difference at the turns and its standard error, s."""
-    if not seen:
+    motion, force, errors = shared_turns
+    if not len(errors):
         return None
-    weights = np.array([seen.error for seen in seen]) ** -2.0
-    differences = np.array([seen.force - seen.motion for seen in seen])
-    return float(np.average(differences, weights=weights)), float(weights.sum() ** -0.5)
+    weights = errors**-2.0
+    return float(np.average(force - motion, weights=weights)), float(weights.sum() ** -0.5)
 
 
-def _fit_turns(
-    shared_turns: list[SharedTurn], align: AlignCommonStart, *, together: bool
-) -> ClockFit:
-    design: Floats = np.array([[1.0, turn.motion] for turn in shared_turns] + [[0.0, 1.0]])
-    differences = np.array([turn.force - turn.motion for turn in shared_turns] + [0.0])
-    errors = np.array([turn.error for turn in shared_turns] + [align.max_drift / sqrt(3.0)])
+def _fit_turns(shared_turns: Floats, align: AlignCommonStart, *, together: bool) -> ClockFit:
+    motion, force, spread = shared_turns
+    design: Floats = np.vstack([np.column_stack([np.ones_like(motion), motion]), [0.0, 1.0]])
+    differences = np.append(force - motion, 0.0)
+    errors = np.append(spread, align.max_drift / sqrt(3.0))
+    start_error = align.max_offset / sqrt(3.0)
     if together:
         design = np.vstack([design, [1.0, 0.0]])
-        differences = np.append(differences, 0.0)
-        errors = np.append(errors, align.max_offset / sqrt(3.0))
+        differences, errors = np.append(differences, 0.0), np.append(errors, start_error)
     weighted = design / errors[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
     offset, drift = (float(value) for value in covariance @ weighted.T @ (differences / errors))
     offset_error, drift_error = (float(error) for error in np.sqrt(np.diag(covariance)))
-    events = shared_turns or [SharedTurn(0.0, 0.0, align.max_offset / sqrt(3.0))]  # the trigger
-    motion, force, spread = np.array([[e.motion, e.force, e.error] for e in events]).T
+    if not len(spread):  # the trigger
+        motion, force, spread = np.zeros(1), np.zeros(1), np.array([start_error])
     residuals = force - offset - (1.0 + drift) * motion
     evidence = "the force's corner at the turn"
     evidence = f"common start and {evidence}" if together else f"{evidence} alone"

@@ -92,7 +92,11 @@ def facts_of_export(name: str, recording: Recording) -> tuple[Fact, ...]:
     Its facts. The modification time of the file is not one of them: copying changes it.
     """
     entries = dict(_entries(recording.metadata))
-    dated_entries = {key_name: text for key_name, text in entries.items() if _has_date(text)}
+    dated_entries = {
+        key_name: text
+        for key_name, text in entries.items()
+        if any(form.search(text) for form in (_ISO_DATE, _DOTTED_DATE, _SLASHED_DATE))
+    }
     facts = [
         Fact("date", day_in(text), name, text)
         for text in _first_filled(dated_entries, _DAY_ENTRY_KEYS)
@@ -218,15 +222,12 @@ def _entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
     for key, value in metadata.items():
         if key in ("channels", "clocks", "objects", "rigid_bodies"):
             continue  # lists that hold no facts about the test
-        inner = _entries(value) if isinstance(value, Mapping) else [(_last_part(key), str(value))]
+        last_part = key.rpartition(" : ")[2].strip()
+        inner = _entries(value) if isinstance(value, Mapping) else [(last_part, str(value))]
         for word, text in inner:
             if word not in seen:
                 seen.add(word)
                 yield word, text.strip()
-
-
-def _last_part(key: str) -> str:
-    return key.rpartition(" : ")[2].strip()
 
 
 def _first_filled(entries: Mapping[str, str], names: Iterable[str]) -> list[str]:
@@ -234,10 +235,6 @@ def _first_filled(entries: Mapping[str, str], names: Iterable[str]) -> list[str]
     return [
         entries[name] for name in names if entries.get(name, "").casefold() not in _EMPTY_ENTRIES
     ][:1]
-
-
-def _has_date(text: str) -> bool:
-    return any(form.search(text) for form in (_ISO_DATE, _DOTTED_DATE, _SLASHED_DATE))
 
 
 def _is_length(text: str) -> bool:

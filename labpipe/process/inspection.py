@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def inspect_export(path: Path) -> Inspection:
     return Inspection(path, recognise_export(path).read(path))
 
 
-def as_json(inspection: Inspection) -> dict[str, object]:
+def as_json(inspection: Inspection) -> dict[str, Any]:
     """Convert an inspection to the data that `labpipe inspect --json` prints.
 
     Parameters
@@ -91,7 +91,7 @@ def as_json(inspection: Inspection) -> dict[str, object]:
     }
 
 
-def _stream(clock: Clock, recording: Recording) -> dict[str, object]:
+def _stream(clock: Clock, recording: Recording) -> dict[str, Any]:
     return {
         "clock": clock.name,
         "unit": clock.unit,
@@ -108,7 +108,7 @@ def _is_uneven(clock: Clock, recording: Recording) -> bool:
     return clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in notes
 
 
-def _timing(time: Floats, *, on_event: bool) -> dict[str, object]:
+def _timing(time: Floats, *, on_event: bool) -> dict[str, Any]:
     steps = np.diff(time)
     holes = () if on_event else find_holes(time)
     return {
@@ -122,7 +122,7 @@ def _timing(time: Floats, *, on_event: bool) -> dict[str, object]:
     }
 
 
-def _channel(channel: Channel) -> dict[str, object]:
+def _channel(channel: Channel) -> dict[str, Any]:
     unit, factor = _si(channel)
     finite = channel.values[~np.isnan(channel.values)] * factor
     return {
@@ -159,7 +159,7 @@ def _number(value: float | np.floating) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _markers(tracks: MarkerTracks) -> dict[str, object]:
+def _markers(tracks: MarkerTracks) -> dict[str, Any]:
     timing = _timing(tracks.time, on_event=False)
     columns = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     return {
@@ -177,7 +177,7 @@ def _markers(tracks: MarkerTracks) -> dict[str, object]:
     }
 
 
-def _gaps(track: Floats) -> dict[str, object]:
+def _gaps(track: Floats) -> dict[str, Any]:
     # The count in the output is of all gaps.
     max_ranges = 100
     stretches = runs(blank(track))
@@ -193,7 +193,7 @@ def _frozen(track: Floats) -> dict[str, int]:
     return {"steps": int(still.sum()), "longest": longest(runs(still))}
 
 
-def _body(body: RigidBody) -> dict[str, object]:
+def _body(body: RigidBody) -> dict[str, Any]:
     frozen = _frozen(body.position)
     return {
         "name": body.name,
@@ -217,62 +217,65 @@ def as_text(inspection: Inspection) -> str:
     -------
     Lines without the last newline.
     """
-    recording = inspection.recording
+    facts, recording = as_json(inspection), inspection.recording
     program = f"{recording.program} {recording.program_version}".strip() or "unknown program"
     lines = [str(inspection.file), f"  {program}, read by {recording.reader}"]
-    for clock in recording.clocks:
-        lines += ["", *_stream_lines(clock, recording)]
-    if recording.markers is not None:
-        lines += ["", *_marker_lines(recording.markers)]
-    notes = [note for note in recording.notes if note.code not in _TABLE_NOTES]
+    for stream in facts["streams"]:
+        lines += ["", *_stream_lines(stream)]
+    if facts["markers"] is not None:
+        lines += ["", *_marker_lines(facts["markers"])]
+    notes = [note for note in facts["notes"] if note["code"] not in _TABLE_NOTES]
     if notes:
         lines += ["", "Notes"]
-        lines += [f"  {n.severity.value:7}  {n.where}: {n.message}" for n in notes]
+        lines += [f"  {n['severity']:7}  {n['where']}: {n['message']}" for n in notes]
     return "\n".join(lines)
 
 
-def _stream_lines(clock: Clock, recording: Recording) -> list[str]:
-    timing = _timing_text(_timing(clock.time, on_event=_is_uneven(clock, recording)), "samples")
-    head = f"Clock {clock.name}: {timing}"
-    if clock.unit != "s":
-        head = f"Rows, no clock: {len(clock.time)} samples"
-    channels = [_channel(channel) for channel in recording.channels if channel.clock == clock.name]
+def _stream_lines(stream: dict[str, Any]) -> list[str]:
+    head = f"Clock {stream['clock']}: {_timing_text(stream, 'samples')}"
+    if stream["unit"] != "s":
+        head = f"Rows, no clock: {stream['samples']} samples"
     rows = [["channel", "unit", "first", "last", "min", "max", "missing"]]
-    for channel in channels:
+    for channel in stream["channels"]:
         unit = channel["unit"] or channel["unit_in_file"] or "-"
         numbers = [_short(channel[key]) for key in ("first", "last", "min", "max")]
-        rows.append([str(channel["path"]), str(unit), *numbers, str(channel["missing"])])
+        rows.append([channel["path"], unit, *numbers, str(channel["missing"])])
     return [head, *_table(rows)]
 
 
-def _marker_lines(tracks: MarkerTracks) -> list[str]:
-    facts = _markers(tracks)
-    timing = _timing_text({**facts, "samples": facts["frames"]}, "frames")
-    head = f"Markers: {timing}; lengths in {tracks.unit_in_file or 'metres (assumed)'}"
-    rows = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
-    named = [(body.name, "rigid body", body.position) for body in tracks.bodies]
-    named += [(name, "marker", tracks.positions[:, i]) for i, name in enumerate(tracks.names)]
-    for name, kind, track in named:
-        gaps, frozen = _gaps(track), _frozen(track)
-        numbers = [int(blank(track).sum()), gaps["count"], gaps["longest"], frozen["steps"]]
-        rows.append([name, kind, *(str(number) for number in numbers)])
-    return [head, *(_table(rows) if named else ["  no rigid body and no marker"])]
+def _marker_lines(facts: dict[str, Any]) -> list[str]:
+    timing = _timing_text(facts, "frames")
+    head = f"Markers: {timing}; lengths in {facts['unit_in_file'] or 'metres (assumed)'}"
+    rows = [
+        [body["name"], "rigid body", body["missing"], body["gaps"], body["frozen_steps"]]
+        for body in facts["rigid_bodies"]
+    ]
+    rows += [
+        [name, "marker", facts["missing"][name], gaps, facts["frozen"][name]["steps"]]
+        for name, gaps in facts["gaps"].items()
+    ]
+    if not rows:
+        return [head, "  no rigid body and no marker"]
+    table = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
+    for name, kind, missing, gaps, unchanged_steps in rows:
+        numbers = missing, gaps["count"], gaps["longest"], unchanged_steps
+        table.append([name, kind, *map(str, numbers)])
+    return [head, *_table(table)]
 
 
-def _timing_text(timing: Mapping[str, object], what: str) -> str:
+def _timing_text(timing: dict[str, Any], what: str) -> str:
     """Describe a time axis in one line: count, start, end, rate, holes."""
-    text = f"{timing['samples']} {what}"
+    text = f"{timing[what]} {what}"
     if timing["start"] is not None:
         text += f", {_short(timing['start'])} to {_short(timing['end'])} s"
     step = timing["step_median"]
-    if isinstance(step, float) and step > 0.0:
+    if step is not None and step > 0.0:
         text += f", step {1e3 * step:.6g} ms ({1.0 / step:.5g} per second)"
-    holes = timing["holes"]
-    return f"{text}, holes: {len(holes)}" if isinstance(holes, list) and holes else text
+    return f"{text}, holes: {len(timing['holes'])}" if timing["holes"] else text
 
 
-def _short(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else "-"
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
 
 
 def _table(rows: list[list[str]]) -> list[str]:

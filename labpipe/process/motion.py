@@ -180,7 +180,7 @@ def _fit_turn(
         return None
     at_once = None
     if near[0] == near[1]:
-        corner = fit_corner(motion.time, motion.values, near=near[0], window=window, degree=1)
+        corner = fit_corner(motion.time, motion.values, near=near[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return None
         at_once = Turn(number, corner, corner)
@@ -226,9 +226,11 @@ def check_turns(
     """
     clock = ("clock",) if for_clock else ()
     seen_turns = {turn.stroke: turn for turn in turns}
+    seen_times = motion.time[~np.isnan(motion.values)]
     for number, (before, _) in enumerate(pairwise(strokes)):
         if number not in seen_turns:
             at = float(motion.time[before.stop])
+            earlier, later = seen_times[seen_times < at], seen_times[seen_times > at]
             yield doubtful(
                 "turn_not_seen",
                 "travel",
@@ -236,31 +238,19 @@ def check_turns(
                 "displacement",
                 "force",
                 *clock,
-                during=_gap_around(motion, at),
+                during=(
+                    float(earlier[-1] if len(earlier) else at),
+                    float(later[0] if len(later) else at),
+                ),
                 clock=motion.clock,
             )
     rounded = [corner for turn in turns for corner in _rounded_corners(motion, turn)]
     rounded += _uncertain_waits(motion, [turn for turn in turns if turn.dwell > 0.0])
-    for (start, stop), message in rounded:
-        for quantity, during in (
-            ("displacement", (start, stop)),
-            *((joined, None) for joined in clock),
-        ):
-            yield doubtful(
-                "turn_rounded",
-                "travel",
-                message,
-                quantity,
-                during=during,
-                clock=motion.clock if during else "",
-            )
-
-
-def _gap_around(motion: Signal, at: float) -> tuple[float, float]:
-    """Return the times of the last sample before a turn and the first after it, s."""
-    seen_times = motion.time[~np.isnan(motion.values)]
-    before, after = seen_times[seen_times < at], seen_times[seen_times > at]
-    return float(before[-1] if len(before) else at), float(after[0] if len(after) else at)
+    for stretch, message in rounded:
+        where, code = "travel", "turn_rounded"
+        yield doubtful(code, where, message, "displacement", during=stretch, clock=motion.clock)
+        if for_clock:
+            yield doubtful(code, where, message, "clock")
 
 
 Rounded: TypeAlias = tuple[Stretch, str]

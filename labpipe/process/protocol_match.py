@@ -7,18 +7,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isclose
-from pathlib import Path
 
 import numpy as np
 
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.process.raw_folder import InspectedExport
-from labpipe.process.reading import channel_remedy, is_empty, join_exports, name_channels
+from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Source
 from labpipe.readers import read_export
-from labpipe.readers.channels import NoChannelError
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import MarkerTracks, Recording
 
@@ -88,15 +86,10 @@ class KnownFacts:
     roles: Mapping[str, tuple[str, ...]] | None = None
 
 
-def all_protocols(protocols: Path | None = None) -> list[Protocol]:
-    """Load all valid protocols; `labpipe check` reports the others.
-
-    Parameters
-    ----------
-    protocols : the lab's folder; ``protocols`` in the working folder if None
-    """
+def all_protocols() -> list[Protocol]:
+    """Load all valid protocols; `labpipe check` reports the others."""
     loaded = []
-    for path in known_protocols(protocols).values():
+    for path in known_protocols().values():
         with suppress(LabpipeError):
             loaded.append(load_protocol(path))
     return loaded
@@ -224,7 +217,10 @@ class _RoleExports:
 def _exports_of_role(pool: Sequence[InspectedExport], source: Source) -> _RoleExports:
     """Find the exports of a role: one, or the parts of one recording."""
     of_kind = [
-        export for export in pool if export.reader in source.reader and _has_dialect(export, source)
+        export
+        for export in pool
+        if export.reader in source.reader
+        and (source.dialect is None or export.recording.metadata.get("dialect") in source.dialect)
     ]
     attempts = [(export, *_read_channels(export, source)) for export in of_kind]
     valid = [(export, recording) for export, recording, fault in attempts if not fault]
@@ -244,11 +240,6 @@ def _exports_of_role(pool: Sequence[InspectedExport], source: Source) -> _RoleEx
     return _RoleExports(chosen, recording, fault)
 
 
-def _has_dialect(export: InspectedExport, source: Source) -> bool:
-    dialect = export.recording.metadata.get("dialect")
-    return source.dialect is None or dialect in source.dialect
-
-
 def _read_channels(export: InspectedExport, source: Source) -> tuple[Recording | None, str]:
     """Read the channels of a protocol from an export, or return what is wrong with them."""
     try:
@@ -258,10 +249,8 @@ def _read_channels(export: InspectedExport, source: Source) -> tuple[Recording |
         if is_empty(recording):
             return recording, ""
         return name_channels(recording, source, export.path), ""
-    except NoChannelError as error:
-        return None, channel_remedy(error, source, export.path)
     except ReadError as error:
-        return None, str(error)
+        return None, str(error).splitlines()[0]
 
 
 def _signs(

@@ -45,19 +45,11 @@ _UNIT_SPELLINGS = MappingProxyType(
 """Spellings that labpipe does not know, and the only unit that each can mean."""
 
 
-def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
+def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     """Describe what is wrong with the unit of a channel; empty if nothing is.
 
-    Parameters
-    ----------
-    channel : from a reader, with the unit of the export
-    source : of the protocol, with the unit of protocol or test sheet
-    path : of the export
-
-    Returns
-    -------
-    The message: no unit is stated, that of the export is unknown or of another quantity, or `unit`
-    contradicts it and `wrong_unit_in_file` does not name it.
+    No unit is stated, that of the export is unknown or of another quantity, or `unit` contradicts
+    it and `wrong_unit_in_file` does not name it.
     """
     stated, protocol_unit = channel.unit_in_file, source.unit
     if protocol_unit is None:
@@ -79,14 +71,8 @@ def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     )
 
 
-def unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
-    """Note that the unit of the protocol replaced that of the export.
-
-    Parameters
-    ----------
-    channel : in SI, with the unit that the export states
-    source : of the protocol
-    """
+def _unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
+    """Note that the unit of the protocol replaced that of the export."""
     protocol_unit, stated = source.unit, channel.unit_in_file
     if (
         protocol_unit is None
@@ -241,20 +227,29 @@ def dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
 
 def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
-    """Join all parts into one recording; of empty parts, only the notes are kept.
+    """Join the parts of one recording in order of time; of empty parts, only the notes are kept.
 
     Parameters
     ----------
-    parts : of one role, in any order
+    parts : of one role, with the same channels, in any order
     names : of their files
     folder : of the test, for messages
+
+    Returns
+    -------
+    One recording with the metadata of the first part and the notes of all.
 
     Raises
     ------
     ReadError
-        If there are no samples at all, or the parts do not fit together (`join_parts`).
+        If there are no samples at all; if one of several parts holds marker tracks, several clocks,
+        or rows without time; or if two parts overlap.
     """
-    filled = [number for number, part in enumerate(parts) if not is_empty(part)]
+    filled = [
+        (folder / name, part)
+        for name, part in zip(names, parts, strict=False)
+        if not is_empty(part)
+    ]
     if not filled:
         message = error_text(
             folder / names[0],
@@ -264,11 +259,64 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
             remedy="The test was aborted before its first sample; leave it out.",
         )
         raise ReadError(message)
-    recording = parts[filled[0]]
     if len(filled) > 1:
-        recording = join_parts([parts[i] for i in filled], [str(folder / names[i]) for i in filled])
-    notes = [note for part in parts if is_empty(part) for note in part.notes]
-    return replace(recording, notes=(*recording.notes, *notes))
+        for path, part in filled:
+            _require_time(path, part)
+        filled.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
+        for before, after in pairwise(filled):
+            _refuse_overlap(*before, *after)
+    ordered = [part for _, part in filled]
+    notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]
+    first = replace(ordered[0], notes=tuple(notes))
+    if len(ordered) == 1:
+        return first
+    clock = first.clocks[0].name
+    time = np.concatenate([part.clocks[0].time for part in ordered])
+    channels = tuple(
+        replace(
+            channel,
+            clock=clock,
+            values=np.concatenate([part.channels[place].values for part in ordered]),
+        )
+        for place, channel in enumerate(first.channels)
+    )
+    return replace(first, clocks=(Clock(clock, time),), channels=channels)
+
+
+def _require_time(path: Path, part: Recording) -> None:
+    """Refuse a part that cannot be put in order of time."""
+    if part.markers is not None or len(part.clocks) != 1:
+        message = error_text(
+            path,
+            "",
+            expected="a part of a recording: channels on one clock",
+            found="marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks",
+            remedy="Name one export for this role.",
+        )
+        raise ReadError(message)
+    if part.clocks[0].unit != "s":
+        message = error_text(
+            path,
+            "",
+            expected="a part of a recording with times, by which parts are put in order",
+            found="rows without time",
+            remedy=f"Export the test in one piece, or with its time. {_TWO_TESTS}",
+        )
+        raise ReadError(message)
+
+
+def _refuse_overlap(path: Path, first: Recording, later_path: Path, second: Recording) -> None:
+    ends, begins = float(first.clocks[0].time[-1]), float(second.clocks[0].time[0])
+    if begins > ends:
+        return
+    message = error_text(
+        later_path,
+        "time",
+        expected=f"a start after {ends:.6f} s, where {path.name} ends",
+        found=f"{begins:.6f} s",
+        remedy=f"Parts of one recording share one clock. {_TWO_TESTS}",
+    )
+    raise ReadError(message)
 
 
 def is_empty(recording: Recording) -> bool:
@@ -301,18 +349,11 @@ def read_role(path: Path, source: Source) -> Recording:
         )
         return recording if is_empty(recording) else name_channels(recording, source, path)
     except NoChannelError as error:
-        raise ReadError(channel_remedy(error, source, path), code=error.code) from error
+        raise ReadError(_channel_fault(error, source, path), code=error.code) from error
 
 
-def channel_remedy(error: NoChannelError, source: Source, path: Path) -> str:
-    """Complete an error with the key that names the channel, or the specimen.
-
-    Parameters
-    ----------
-    error : of the channel
-    source : of the protocol
-    path : of the export
-    """
+def _channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
+    """Complete an error with the key that names the channel, or the specimen."""
     max_listed = 8
     if error.parts:
         listed = ", ".join(map(repr, error.parts[:max_listed]))
@@ -348,109 +389,47 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     Raises
     ------
     ReadError
-        If a channel is missing, or its unit is unknown or of another dimension.
+        If channels are missing, or their units are unknown or of another dimension; all faults are
+        in one message.
     """
-    selected = [
-        (select_channel(recording, spec.channel, path), name, spec)
-        for name, spec in source.all_channels.items()
-    ]
-    channels = tuple(_in_si(channel, name, spec, path) for channel, name, spec in selected)
-    clocks = {channel.clock for channel in channels}
-    kept_clocks = tuple(clock for clock in recording.clocks if clock.name in clocks)
-    named = zip(channels, source.all_channels.values(), strict=True)
-    notes = [note for channel, spec in named for note in unit_notes(channel, spec)]
-    notes += [
-        _spelt_note(channel, name, spec)
-        for channel, name, spec in selected
-        if not is_exact_name(spec.channel, channel)
-    ]
+    channels, notes, spelling_notes = list[Channel](), list[QualityNote](), list[QualityNote]()
+    faults, code = list[str](), ""
+    for name, spec in source.all_channels.items():
+        try:
+            channel = select_channel(recording, spec.channel, path)
+        except NoChannelError as error:
+            faults.append(_channel_fault(error, source, path))
+            code = error.code
+            continue
+        if fault := _unit_fault(channel, spec, path):
+            faults.append(fault)
+            continue
+        channels.append(_in_si(channel, name, spec))
+        notes += _unit_notes(channels[-1], spec)
+        if not is_exact_name(spec.channel, channel):
+            wanted = " or ".join(map(repr, spec.channel[:3]))
+            wanted += " ..." if len(spec.channel) > 3 else ""
+            message = f"the export has none called {wanted}: {channel.path!r} was used"
+            spelling_notes.append(
+                QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
+            )
+    if faults:
+        raise ReadError("\n".join(dict.fromkeys(faults)), code=code)
+    used_clocks = {channel.clock for channel in channels}
     return replace(
-        recording, channels=channels, clocks=kept_clocks, notes=(*recording.notes, *notes)
+        recording,
+        channels=tuple(channels),
+        clocks=tuple(clock for clock in recording.clocks if clock.name in used_clocks),
+        notes=(*recording.notes, *notes, *spelling_notes),
     )
 
 
-def _spelt_note(channel: Channel, name: str, spec: ChannelSource) -> QualityNote:
-    wanted = " or ".join(map(repr, spec.channel[:3])) + (" ..." if len(spec.channel) > 3 else "")
-    message = f"the export has none called {wanted}: {channel.path!r} was used"
-    return QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
-
-
-def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
-    """Join the parts of one recording in order of time.
-
-    Parameters
-    ----------
-    parts : recordings with the same channels, in any order
-    names : of their files, for messages
-
-    Returns
-    -------
-    One recording with the metadata of the first part and the notes of all.
-
-    Raises
-    ------
-    ReadError
-        If a part holds marker tracks, several clocks, or no sample, or if two parts overlap.
-    """
-    for part, name in zip(parts, names, strict=True):
-        if part.markers is not None or len(part.clocks) != 1 or not len(part.clocks[0].time):
-            message = error_text(
-                name,
-                "",
-                expected="a part of a recording: channels on one clock",
-                found="marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks",
-                remedy="Name one export for this role.",
-            )
-            raise ReadError(message)
-        if part.clocks[0].unit != "s":
-            message = error_text(
-                name,
-                "",
-                expected="a part of a recording with times, by which parts are put in order",
-                found="rows without time",
-                remedy=f"Export the test in one piece, or with its time. {_TWO_TESTS}",
-            )
-            raise ReadError(message)
-    order = sorted(range(len(parts)), key=lambda index: float(parts[index].clocks[0].time[0]))
-    for first, second in pairwise(order):
-        _refuse_overlap(parts[first], parts[second], names[first], names[second])
-    ordered = [parts[index] for index in order]
-    clock = ordered[0].clocks[0].name
-    time = np.concatenate([part.clocks[0].time for part in ordered])
-    channels = tuple(
-        replace(
-            channel,
-            clock=clock,
-            values=np.concatenate([part.channels[place].values for part in ordered]),
-        )
-        for place, channel in enumerate(ordered[0].channels)
-    )
-    notes = tuple(note for part in ordered for note in part.notes)
-    return replace(ordered[0], clocks=(Clock(clock, time),), channels=channels, notes=notes)
-
-
-def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -> None:
-    ends, begins = float(first.clocks[0].time[-1]), float(second.clocks[0].time[0])
-    if begins > ends:
-        return
-    message = error_text(
-        other,
-        "time",
-        expected=f"a start after {ends:.6f} s, where {Path(one).name} ends",
-        found=f"{begins:.6f} s",
-        remedy=f"Parts of one recording share one clock. {_TWO_TESTS}",
-    )
-    raise ReadError(message)
-
-
-def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Channel:
+def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
-    if fault := unit_fault(channel, source, path):
-        raise ReadError(fault)
-    factor = si_factor(source.unit or channel.unit_in_file, _si_unit(source))
+    unit = _si_unit(source)
+    factor = si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
-    unit = _si_unit(source)
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)
 
 

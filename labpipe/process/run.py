@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, StoreError, error_text
-from labpipe.process.certificates import day_of_test, instruments_of, operator_of_test
+from labpipe.process.certificates import day_and_operator, instruments_of
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.reading import read_inputs
 from labpipe.process.story import reduce_recordings
@@ -186,7 +186,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     ProcessingError
         If a recording lacks data that a step needs.
     """
-    tested = day_of_test(raw.test_yaml, raw.recordings)
+    tested, operator = day_and_operator(raw.test_yaml, raw.recordings)
     try:
         reduced = reduce_recordings(raw.recordings, protocol, tested=tested)
     except ProcessingError as error:
@@ -214,7 +214,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         lines=reduced.lines,
         run=run_key(raw),
         date=tested,
-        operator=operator_of_test(raw.test_yaml),
+        operator=operator,
         instruments=instruments_of(protocol),
     )
 
@@ -318,12 +318,14 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
     """Refuse a raw group without the channels of its protocol, or with invalid times."""
     for role, source in protocol.sources.items():
         recording = raw.recordings.get(role, Recording(""))
+        tracks = [] if recording.markers is None else [recording.markers.time]
+        times = [*(clock.time for clock in recording.clocks), *tracks]
         names = [channel.name for channel in recording.channels]
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
             actual = ", ".join(map(repr, names)) or "none"
-        elif not _has_valid_times(recording):
+        elif not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
             expected, actual = "increasing times", "decreasing times, or times that are not numbers"
         else:
             continue
@@ -331,12 +333,6 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
         place = f"raw/{role}"
         text = error_text(result_path, place, expected=expected, found=actual, remedy=remedy)
         raise StoreError(text, code="bad_result")
-
-
-def _has_valid_times(recording: Recording) -> bool:
-    tracks = [] if recording.markers is None else [recording.markers.time]
-    times = [*(clock.time for clock in recording.clocks), *tracks]
-    return all(bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all()) for time in times)
 
 
 def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:

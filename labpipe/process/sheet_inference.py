@@ -124,7 +124,6 @@ def infer_test(
     folder: Path,
     stated: Mapping[str, str],
     *,
-    protocols: Path | None = None,
     neighbours: Neighbours | None = None,
 ) -> InferredTest:
     """Infer the test sheet of a folder from its exports.
@@ -133,7 +132,6 @@ def infer_test(
     ----------
     folder : of the test
     stated : values by column, which have priority over inferred ones
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
     neighbours : the tests of the campaign; those of the parent folder if None
 
     Returns
@@ -141,20 +139,18 @@ def infer_test(
     The inferred test. Exports that cannot be read are in the remarks and raise nothing.
     """
     contents = read_folder(folder)
-    candidates = _protocols(stated, folder, protocols)
+    candidates = _protocols(stated, folder)
     known_neighbours = neighbours_in(folder.resolve().parent) if neighbours is None else neighbours
-    return _TestInference(contents, dict(stated), candidates, known_neighbours).infer()
+    return _TestInference(contents, stated, candidates, known_neighbours).infer()
 
 
-def infer_tests(
-    folders: Sequence[Path], stated: Mapping[str, str], *, protocols: Path | None = None
-) -> Iterator[InferredTest]:
+def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[InferredTest]:
     """Infer several tests of one campaign; the others may decide what one leaves open.
 
     Parameters
     ----------
     folders : of the tests
-    stated, protocols : see `infer_test`
+    stated : see `infer_test`
 
     Yields
     ------
@@ -163,11 +159,11 @@ def infer_tests(
     """
     if not folders:
         return
-    candidates = _protocols(stated, folders[0], protocols)
+    candidates = _protocols(stated, folders[0])
     neighbours = neighbours_in(folders[0].resolve().parent)
     waiting = []
     for folder in folders:
-        inference = _TestInference(read_folder(folder), dict(stated), candidates, neighbours)
+        inference = _TestInference(read_folder(folder), stated, candidates, neighbours)
         if len(inference.fits) > 1:
             waiting.append(folder)
             continue
@@ -175,31 +171,27 @@ def infer_tests(
             neighbours.tests[folder.resolve()] = (inference.kind, inference.fit.protocol.name)
         yield inference.infer()
     for folder in waiting:
-        yield _TestInference(read_folder(folder), dict(stated), candidates, neighbours).infer()
+        yield _TestInference(read_folder(folder), stated, candidates, neighbours).infer()
 
 
-def _protocols(stated: Mapping[str, str], folder: Path, protocols: Path | None) -> list[Protocol]:
+def _protocols(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
     """Return the candidate protocols: all, or the one that the user named."""
     if "protocol" not in stated:
-        return all_protocols(protocols)
-    path = find_protocol(stated["protocol"], beside=folder, protocols=protocols)
+        return all_protocols()
+    path = find_protocol(stated["protocol"], beside=folder)
     with suppress(LabpipeError):  # a wrong or missing one is reported when the sheet is written
         return [] if isinstance(path, Fault) else [load_protocol(path)]
     return []
 
 
+@dataclass(frozen=True, eq=False)
 class _TestInference:
     """The inference of one test."""
 
-    def __init__(
-        self,
-        contents: FolderContents,
-        stated: dict[str, str],
-        protocols: Sequence[Protocol],
-        neighbours: Neighbours,
-    ) -> None:
-        self.contents, self.stated, self.neighbours = contents, stated, neighbours
-        self._protocols = protocols
+    contents: FolderContents
+    stated: Mapping[str, str]
+    protocols: Sequence[Protocol]
+    neighbours: Neighbours
 
     @cached_property
     def facts(self) -> CombinedFacts:
@@ -215,15 +207,19 @@ class _TestInference:
             ]
         return combine_facts([*folder_facts, *(fact for fact in facts if fact.key != "specimen")])
 
+    @cached_property
+    def stated_files(self) -> dict[str, tuple[str, ...]]:
+        """Exports by role that the user named."""
+        return {role: file_names(self.stated[role]) for role in ROLES if role in self.stated}
+
     @property
     def _belonging(self) -> list[InspectedExport]:
         """Exports that belong to this test; all of them without a matching protocol."""
         unclear = {
             name
             for fit in self.fits
-            for role in fit.unclear
+            for role in fit.unclear - set(self.stated)
             for name in fit.files[role]
-            if role not in self.stated
         }
         return [export for export in self.contents.exports if export.name not in unclear]
 
@@ -232,12 +228,8 @@ class _TestInference:
         """Type of the specimen; empty if it is not known."""
         return self.stated.get("type") or _type_of(self.contents.folder)
 
-    def _fact(self, key: str) -> str:
-        return self.facts.facts[key].value if key in self.facts.facts else ""
-
     @cached_property
     def fits(self) -> list[Fit]:
-        roles = {role: _parts(self.stated[role]) for role in ROLES if role in self.stated}
         named = {fact.key: fact.value for fact in facts_of_folder(self.contents.folder.name)}
         length = self.stated.get("length") or named.get("length", "")
         folder, exports = self.contents.folder, self.contents.exports
@@ -246,9 +238,9 @@ class _TestInference:
             length=_metres(length),
             of_type=self.neighbours.protocols_beside(folder, self.kind) if self.kind else {},
             of_campaign=self.neighbours.protocols_beside(folder),
-            roles=roles,
+            roles=self.stated_files,
         )
-        return match_protocols(exports, self._protocols, known_facts) if exports else []
+        return match_protocols(exports, self.protocols, known_facts) if exports else []
 
     @property
     def fit(self) -> Fit | None:
@@ -257,10 +249,13 @@ class _TestInference:
 
     def infer(self) -> InferredTest:
         """Combine all inferred values."""
-        inferred = {key: self._fact(key) for key in _FACT_KEYS if self._fact(key)}
-        values = {"test": self._name, **self._protocol, **inferred, **self.stated}
-        files = {role: _parts(self.stated[role]) for role in ROLES if role in self.stated}
-        files = {**self._files, **files}
+        facts = self.facts.facts
+        inferred = {key: facts[key].value for key in _FACT_KEYS if key in facts}
+        if self.fit is not None:
+            inferred = {"protocol": self.fit.protocol.name, **inferred}
+        name = safe_name(self.contents.folder.resolve().name)
+        values = {"test": name, **inferred, **self.stated}
+        files = {**self._files, **self.stated_files}
         needed = [*_NEEDED, *(["span"] if self.fit and needs_span(self.fit.protocol) else [])]
         open_keys = [key for key in ("protocol", *needed) if not values.get(key)]
         unclear = sorted(self._unclear(files))
@@ -275,31 +270,21 @@ class _TestInference:
         )
 
     @property
-    def _name(self) -> str:
-        name = self.contents.folder.resolve().name
-        return name if is_name_of_a_test(name) else safe_name(name)
-
-    @property
-    def _protocol(self) -> dict[str, str]:
-        if self.fit is not None:
-            return {"protocol": self.fit.protocol.name}
-        return {}
-
-    @property
     def _files(self) -> dict[str, tuple[str, ...]]:
         """Exports by role: those on which all candidate protocols agree, or by format."""
-        if not self.fits:
+        if self.fits:
             return {
-                role: tuple(
-                    export.name for export in self.contents.exports if _role(export.reader) == role
+                role: names
+                for role, names in self.fits[0].files.items()
+                if all(
+                    fit.files.get(role) == names and role not in fit.unclear for fit in self.fits
                 )
-                for role in dict.fromkeys(_role(export.reader) for export in self.contents.exports)
             }
-        first = dict(self.fits[0].files)
-        return {role: names for role, names in first.items() if self._agree(role, names)}
-
-    def _agree(self, role: str, names: tuple[str, ...]) -> bool:
-        return all(fit.files.get(role) == names and role not in fit.unclear for fit in self.fits)
+        by_role: dict[str, tuple[str, ...]] = {}
+        for export in self.contents.exports:
+            role = _role(export.reader)
+            by_role[role] = (*by_role.get(role, ()), export.name)
+        return by_role
 
     def _unclear(self, files: Mapping[str, object]) -> set[str]:
         return {role for fit in self.fits[:1] for role in fit.unclear if role not in files}
@@ -417,17 +402,24 @@ def _faults(fits: Iterable[Fit]) -> Iterator[str]:
 
 def _role(reader: str) -> str:
     """Return the role of an export by its format alone."""
-    if any(
-        export_format.has_markers
-        for export_format in EXPORT_FORMATS
-        if export_format.name == reader
-    ):
+    if reader in {known.name for known in EXPORT_FORMATS if known.has_markers}:
         return "markers"
     return "frame" if reader == "load-frame" else "force"
 
 
-def _parts(text: str) -> tuple[str, ...]:
-    return tuple(part.strip() for part in text.split(";"))
+def file_names(text: str) -> tuple[str, ...]:
+    """Split the exports of a role, as a table or an option writes them.
+
+    Parameters
+    ----------
+    text : names, separated by semicolons; empty for none
+
+    Examples
+    --------
+    >>> file_names("a.csv; b.csv"), file_names("")
+    (('a.csv', 'b.csv'), ())
+    """
+    return tuple(part.strip() for part in text.split(";")) if text else ()
 
 
 def _metres(text: str) -> float | None:

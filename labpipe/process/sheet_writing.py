@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labpipe.errors import Fault, ReadError, UsageError, error_text, nearest
 from labpipe.process.raw_folder import folders_of_tests
-from labpipe.process.sheet_inference import InferredTest, infer_test, infer_tests
+from labpipe.process.sheet_inference import InferredTest, file_names, infer_test, infer_tests
 from labpipe.protocol.load import find_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
@@ -53,30 +53,14 @@ class NewTest:
 
 
 @dataclass(frozen=True, slots=True)
-class NewTests:
-    """Test sheets of the rows of a campaign table.
-
-    Parameters
-    ----------
-    written : the test sheets written
-    kept : existing test sheets that were not changed
-    absent : missing exports that the written sheets name, by test sheet
-    """
-
-    written: tuple[Path, ...]
-    kept: tuple[Path, ...]
-    absent: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class InferredSheet:
-    """A test sheet that was inferred from the folder of the test.
+class WrittenSheet:
+    """A test sheet of a row of a campaign table, or inferred from the folder of the test.
 
     Parameters
     ----------
     path : of the test sheet
     kept : whether it existed already and was not changed
-    remarks : sentences on the sources of the values, and on contradictions
+    remarks : sentences on the sources of the values, contradictions and missing exports
     open : keys to be filled in
     """
 
@@ -91,8 +75,7 @@ def write_inferred_sheets(
     stated: Mapping[str, str],
     *,
     overwrite: bool = False,
-    protocols: Path | None = None,
-) -> Iterator[InferredSheet]:
+) -> Iterator[WrittenSheet]:
     """Infer and write the test sheet of a folder, or of each folder of a campaign.
 
     Parameters
@@ -101,7 +84,6 @@ def write_inferred_sheets(
     stated : text by column of `COLUMNS`, by label (``labels.cured``), or by dotted key of the
         protocol; they have priority over inferred values
     overwrite : whether existing test sheets are replaced; in a campaign they are kept otherwise
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 
     Yields
     ------
@@ -119,29 +101,25 @@ def write_inferred_sheets(
     if unknown:
         raise UsageError("\n".join(unknown))
     if not below:
-        _refuse_existing(folder / SHEET_NAME, overwrite=overwrite)
-        yield write_inferred_sheet(
-            infer_test(folder, stated, protocols=protocols), protocols=protocols
-        )
+        path = folder / SHEET_NAME
+        if path.exists() and not overwrite:
+            remedy, actual = "Edit it, or ask to overwrite it.", "an existing one"
+            message = error_text(path, "", expected="no such file yet", found=actual, remedy=remedy)
+            raise UsageError(message)
+        yield write_inferred_sheet(infer_test(folder, stated))
         return
-    existing = [
-        test_folder
-        for test_folder in below
-        if (test_folder / SHEET_NAME).exists() and not overwrite
-    ]
-    yield from (InferredSheet(test_folder / SHEET_NAME, kept=True) for test_folder in existing)
-    missing = [test_folder for test_folder in below if test_folder not in existing]
-    for test in infer_tests(missing, stated, protocols=protocols):
-        yield write_inferred_sheet(test, protocols=protocols)
+    existing = [path for path in below if (path / SHEET_NAME).exists() and not overwrite]
+    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in existing)
+    for test in infer_tests([path for path in below if path not in existing], stated):
+        yield write_inferred_sheet(test)
 
 
-def write_inferred_sheet(seen: InferredTest, *, protocols: Path | None = None) -> InferredSheet:
+def write_inferred_sheet(seen: InferredTest) -> WrittenSheet:
     """Write the test sheet of an inferred test.
 
     Parameters
     ----------
     seen : from `infer_test`
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 
     Raises
     ------
@@ -153,19 +131,17 @@ def write_inferred_sheet(seen: InferredTest, *, protocols: Path | None = None) -
     path = seen.folder / SHEET_NAME
     data = _inferred_data(seen)
     new_test = NewTest(seen.values)
-    faults = _faults(new_test, data, path, seen.folder, protocols=protocols, left_open=seen.open)
+    faults = _faults(new_test, data, path, seen.folder, left_open=seen.open)
     if faults:
         raise UsageError("\n".join(faults))
     _write(path, write_test_sheet(data))
-    return InferredSheet(path, False, seen.remarks, seen.open)
+    return WrittenSheet(path, False, seen.remarks, seen.open)
 
 
 def _inferred_data(test: InferredTest) -> dict[str, object]:
     """Arrange inferred values into the blocks of a test sheet; None for those to be filled in."""
     data = _sheet_data(test.values)
-    files = {
-        role: names[0] if len(names) == 1 else list(names) for role, names in test.files.items()
-    }
+    files = {role: _one_or_list(names) for role, names in test.files.items()}
     roles = [role for role in ROLES if role in {*files, *test.open}]
     data["files"] = {role: files.get(role) for role in roles} or None
     if "protocol" in test.open:
@@ -186,17 +162,7 @@ def _block(data: Mapping[str, object], key: str) -> dict[str, object]:
     return dict(block) if isinstance(block, Mapping) else {}
 
 
-def _refuse_existing(path: Path, *, overwrite: bool) -> None:
-    if path.exists() and not overwrite:
-        remedy = "Edit it, or ask to overwrite it."
-        actual = "an existing one"
-        text = error_text(path, "", expected="no such file yet", found=actual, remedy=remedy)
-        raise UsageError(text)
-
-
-def new_from_sheet(
-    sheet: Path, folder: Path, *, overwrite: bool = False, protocols: Path | None = None
-) -> NewTests:
+def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
     """Write one test sheet per row of a campaign table.
 
     Parameters
@@ -205,11 +171,10 @@ def new_from_sheet(
         the whole column; a column may also be a label, or a dotted key of the protocol
     folder : of the campaign, with a folder for each test
     overwrite : whether existing test sheets are replaced; otherwise they are kept
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 
     Returns
     -------
-    What was written and what was kept.
+    The test sheets, in the order of the table.
 
     Raises
     ------
@@ -226,23 +191,22 @@ def new_from_sheet(
     tests = [_from_row(table, row) for row in table.rows]
     for test in tests:
         test_folder = folder / test.values.get("test", "")
-        faults += _faults(test, _sheet_data(test.values), sheet, test_folder, protocols=protocols)
+        faults += _faults(test, _sheet_data(test.values), sheet, test_folder)
     faults += _repeated(tests, sheet)
     if faults:
         raise ReadError("\n".join(faults))
-    written, existing = [], []
-    absent: dict[Path, tuple[str, ...]] = {}
+    sheets = []
     for test in tests:
         path = folder / test.values["test"] / SHEET_NAME
         if path.exists() and not overwrite:
-            existing.append(path)
-        else:
-            _write(path, write_test_sheet(_sheet_data(test.values)))
-            written.append(path)
-            file_names = [name for role in ROLES for name in _names(test.values.get(role, ""))]
-            missing = tuple(name for name in file_names if not (path.parent / name).exists())
-            absent |= {path: missing} if missing else {}
-    return NewTests(tuple(written), tuple(existing), absent)
+            sheets.append(WrittenSheet(path, kept=True))
+            continue
+        _write(path, write_test_sheet(_sheet_data(test.values)))
+        names = [name for role in ROLES for name in file_names(test.values.get(role, ""))]
+        missing = ", ".join(name for name in names if not (path.parent / name).exists())
+        remarks = (f"not there yet: {missing}",) if missing else ()
+        sheets.append(WrittenSheet(path, remarks=remarks))
+    return sheets
 
 
 def _column(cell: Cell) -> tuple[str, str]:
@@ -298,14 +262,13 @@ def _faults(
     file: Path,
     folder: Path,
     *,
-    protocols: Path | None,
     left_open: Sequence[str] = (),
 ) -> list[str]:
     """Describe the faults of one test, except open values."""
     value_faults = test_sheet_faults(data)
     faults = [fault for fault in value_faults if not set(map(str, fault.path)) & set(left_open)]
     protocol = test.values.get("protocol")
-    path = find_protocol(protocol, beside=folder, protocols=protocols) if protocol else None
+    path = find_protocol(protocol, beside=folder) if protocol else None
     if isinstance(path, Fault):
         faults.append(path)
     return [_fault_text(fault, test, file) for fault in faults]
@@ -337,8 +300,10 @@ def _column_of(fault: Fault) -> str:
 
 def _sheet_data(values: Mapping[str, str]) -> dict[str, object]:
     """Arrange text by column into the blocks of a test sheet."""
-    files = {role: _parts(values[role]) for role in ROLES if values.get(role)}
-    dotted = {key: value for key, value in values.items() if "." in key and not _is_label(key)}
+    files = {role: _one_or_list(file_names(values[role])) for role in ROLES if values.get(role)}
+    dotted = {
+        key: value for key, value in values.items() if "." in key and not key.startswith(LABELS)
+    }
     because = {"because": values["because"]} if "because" in values else {}
     data: dict[str, object] = {key: values[key] for key in ("test", "protocol") if key in values}
     data["specimen"] = _specimen_data(values)
@@ -353,22 +318,15 @@ def _specimen_data(values: Mapping[str, str]) -> dict[str, object]:
     plain = (*_SPECIMEN, *DIMENSIONS)
     specimen: dict[str, object] = {key: values[key] for key in plain if key in values}
     bundle = {key: values[column] for column, key in BUNDLE.items() if column in values}
-    labels = {key.removeprefix(LABELS): value for key, value in values.items() if _is_label(key)}
+    labels = {
+        key.removeprefix(LABELS): value for key, value in values.items() if key.startswith(LABELS)
+    }
     blocks = {"bundle": bundle, "labels": labels}
     return specimen | {key: block for key, block in blocks.items() if block}
 
 
-def _is_label(column: str) -> bool:
-    return column.startswith(LABELS)
-
-
-def _parts(text: str) -> str | list[str]:
-    parts = _names(text)
-    return parts[0] if len(parts) == 1 else parts
-
-
-def _names(text: str) -> list[str]:
-    return [part.strip() for part in text.split(";")] if text else []
+def _one_or_list(names: Sequence[str]) -> str | list[str]:
+    return names[0] if len(names) == 1 else list(names)
 
 
 def _repeated(tests: Sequence[NewTest], sheet: Path) -> Iterator[str]:

@@ -194,7 +194,7 @@ def _take_off(force: Signal, turn: float) -> Corner | None:
     if not len(still) or force.time[still[-1]] - force.time[0] < rest_time:
         return None
     near = float(force.time[still[-1]])
-    return fit_corner(force.time, force.values, near=near, window=3.0 * rest_time, degree=1)
+    return fit_corner(force.time, force.values, near=near, window=3.0 * rest_time)
 
 
 Stepped: TypeAlias = tuple[Prepared, list[Finding]]
@@ -285,12 +285,8 @@ def take_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
             signals, findings = travel_from_speed(prepared.signals, step, protocol.rig)
         case Zero():
             signals, findings = zero_signal(prepared.signals, step)
-        case Smooth():
-            signals, findings = _smooth(prepared.signals, step, protocol)
-        case LowPass():
-            signals, findings = _low_pass(prepared.signals, step)
-        case Decimate():
-            signals, findings = _decimate(prepared.signals, step)
+        case Smooth() | LowPass() | Decimate():
+            signals, findings = _filter(prepared.signals, step, protocol)
         case _ as never:
             assert_never(never)
     return replace(prepared, signals=signals), findings
@@ -383,33 +379,30 @@ def _need_time(signal: Signal, name: str, what: str) -> None:
         raise ValueError(message)
 
 
-def _smooth(signals: Signals, step: Smooth, protocol: Protocol) -> tuple[Signals, list[Finding]]:
-    signal = signals.filtered[step.channel]
-    window = _window(step.span, signal, protocol)
-    seconds = window * _step_of(signal)
-    length = f" ({seconds:.4g} s)" if signal.has_time else ""
-    summary = f"moving average over {window} samples{length}"
-    smoothing = (Smoothing(window), 1)
-    return _filtered(signals, step.channel, smoothing), [
-        info_note("smoothed", step.channel, summary)
-    ]
-
-
-def _low_pass(signals: Signals, step: LowPass) -> tuple[Signals, list[Finding]]:
-    signal = signals.filtered[step.channel]
-    _need_time(signal, step.channel, "a cutoff in Hz")
-    rate = 1.0 / _step_of(signal)
-    low_pass = (Butterworth(step.cutoff, rate, step.order), 1)
-    return _filtered(signals, step.channel, low_pass), []
-
-
-def _decimate(signals: Signals, step: Decimate) -> tuple[Signals, list[Finding]]:
-    window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
-    decimation = (Smoothing(window), step.factor)
-    summary = f"every {step.factor}th sample kept ({step.method})"
-    return _filtered(signals, step.channel, decimation), [
-        info_note("decimated", step.channel, summary)
-    ]
+def _filter(
+    signals: Signals, step: Smooth | LowPass | Decimate, protocol: Protocol
+) -> tuple[Signals, list[Finding]]:
+    """Filter a signal; after its corners are known this is repeated branch by branch."""
+    name = step.channel
+    signal, findings = signals.filtered[name], list[Finding]()
+    filter_step: Filter
+    match step:
+        case Smooth():
+            window = _window(step.span, signal, protocol)
+            length = f" ({window * _step_of(signal):.4g} s)" if signal.has_time else ""
+            summary = f"moving average over {window} samples{length}"
+            filter_step, findings = (Smoothing(window), 1), [info_note("smoothed", name, summary)]
+        case LowPass():
+            _need_time(signal, name, "a cutoff in Hz")
+            filter_step = Butterworth(step.cutoff, 1.0 / _step_of(signal), step.order), 1
+        case Decimate():
+            window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
+            summary = f"every {step.factor}th sample kept ({step.method})"
+            filter_step = Smoothing(window), step.factor
+            findings = [info_note("decimated", name, summary)]
+    signal = replace(signal, time=signal.time[:: filter_step[1]])
+    signal = signal.changed(lambda values: in_pieces(values, (), [filter_step]))
+    return signals.with_filtered(name, signal, filter_step), findings
 
 
 def _step_of(signal: Signal) -> float:
@@ -418,14 +411,6 @@ def _step_of(signal: Signal) -> float:
     With few distinct steps `labpipe.records.arrays.median` takes thirty times as long as numpy's.
     """
     return float(np.median(np.diff(signal.time)))
-
-
-def _filtered(signals: Signals, name: str, filter_step: Filter) -> Signals:
-    """Filter a signal; after its corners are known this is repeated branch by branch."""
-    signal, (_, stride) = signals.filtered[name], filter_step
-    thinned = replace(signal, time=signal.time[::stride])
-    signal = thinned.changed(lambda values: in_pieces(values, (), [filter_step]))
-    return signals.with_filtered(name, signal, filter_step)
 
 
 def _window(span: Span, signal: Signal, protocol: Protocol) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,11 +11,9 @@ from pathlib import Path
 
 from labpipe.errors import LabpipeError, code_of, error_text, refusal
 from labpipe.process.reading import dialect_cards, fingerprint, named_exports
-from labpipe.process.run import Processed, key_of, name_of, process_test, results_folder_of
+from labpipe.process.run import Processed, Say, key_of, name_of, process_test, results_folder_of
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
 from labpipe.store.failure_file import FailedTest, write_failure
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Corners: time and height of a turn of a signal, from smooth curves fitted on both sides."""
+"""Corners: time and height of a turn of a signal, from straight lines fitted on both sides."""
 
 from __future__ import annotations
 
@@ -30,49 +30,46 @@ class Corner:
     n: int
 
 
-def fit_corner(
-    time: Floats, values: Floats, *, near: float, window: float, degree: int
-) -> Corner | None:
-    """Fit two polynomials that meet at a corner of unknown time.
+def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> Corner | None:
+    """Fit two straight lines that meet at a corner of unknown time.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
     near : s, first guess of the corner
     window : s on each side of the guess; the corner is looked for in its inner half
-    degree : of the polynomial on each side: 1 for a motion at constant speed, 2 for a force
 
     Returns
     -------
-    The corner, or None when there are too few samples on one side.
+    The corner, or None when there are fewer than four samples on one side.
 
     Notes
     -----
-    y = v + sum_k a_k min(t - c, 0)^k + b_k max(t - c, 0)^k; v, a, b by linear least squares for
-    every c on a grid, then all together by Gauss-Newton. Long records are averaged in 600 to 1200
+    y = v + a min(t - c, 0) + b max(t - c, 0); v, a, b by linear least squares for every c on a
+    grid, then all together by Gauss-Newton. Long records are averaged in 600 to 1200
     bins per side first. Standard errors use the long-run variance of the residuals
     (`long_run_variance`). NaN are ignored.
     """
     # Where there are as many samples.
-    min_bins_per_side = 600
+    min_bins_per_side, min_side_samples = 600, 4
     chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
     size = int(chosen.sum()) // (2 * min_bins_per_side)
     t, y = block_means(time[chosen] - near, values[chosen], size)
-    if min((t < 0).sum(), (t > 0).sum()) < degree + 3:
+    if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
     coarse = block_means(t, y, len(t) // 200)
-    costs = [_joint_fit(*coarse, at, degree)[1] for at in grid]
+    costs = [_joint_fit(*coarse, at)[1] for at in grid]
     at = float(grid[int(np.argmin(costs))])
-    parameters = np.append(_joint_fit(t, y, at, degree)[0], at)
+    parameters = np.append(_joint_fit(t, y, at)[0], at)
     for _ in range(6):
-        jacobian, misfit = _linearise(t, y, parameters, degree)
+        jacobian, misfit = _linearise(t, y, parameters)
         step = np.linalg.lstsq(jacobian, misfit, rcond=None)[0]
         step[-1] = np.clip(step[-1], -0.05 * window, 0.05 * window)
         parameters = parameters + step
     if not abs(parameters[-1]) < 0.75 * window:
         return None
-    jacobian, misfit = _linearise(t, y, parameters, degree)
+    jacobian, misfit = _linearise(t, y, parameters)
     return _corner(jacobian, misfit, parameters, near, int(chosen.sum()))
 
 
@@ -170,28 +167,22 @@ def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats
     return time.mean(axis=1), values.mean(axis=1)
 
 
-def _design(time: Floats, at: float, degree: int) -> Floats:
-    left, right = np.minimum(time - at, 0.0), np.maximum(time - at, 0.0)
-    powers = [side**k for k in range(1, degree + 1) for side in (left, right)]
-    return np.column_stack([np.ones_like(time), *powers])
+def _design(time: Floats, at: float) -> Floats:
+    return np.column_stack(
+        [np.ones_like(time), np.minimum(time - at, 0.0), np.maximum(time - at, 0.0)]
+    )
 
 
-def _joint_fit(time: Floats, values: Floats, at: float, degree: int) -> tuple[Floats, float]:
-    design = _design(time, at, degree)
+def _joint_fit(time: Floats, values: Floats, at: float) -> tuple[Floats, float]:
+    design = _design(time, at)
     coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
     misfit = values - design @ coefficients
     return coefficients, float(misfit @ misfit)
 
 
-def _linearise(
-    time: Floats, values: Floats, parameters: Floats, degree: int
-) -> tuple[Floats, Floats]:
+def _linearise(time: Floats, values: Floats, parameters: Floats) -> tuple[Floats, Floats]:
     """Return Jacobian and misfit of the model; the last parameter is the time of the corner."""
     coefficients, at = parameters[:-1], float(parameters[-1])
-    design = _design(time, at, degree)
-    slope = np.zeros_like(time)
-    for k in range(1, degree + 1):
-        left, right = coefficients[2 * k - 1], coefficients[2 * k]
-        side = np.where(time < at, left, right)
-        slope -= k * side * (time - at) ** (k - 1)
+    design = _design(time, at)
+    slope = -np.where(time < at, coefficients[1], coefficients[2])
     return np.column_stack([design, slope]), values - design @ coefficients

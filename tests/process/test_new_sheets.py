@@ -55,8 +55,8 @@ C-3;wire-cantilever;B1;s1;3;152.4;;;;;;;;a.mat;t.csv
 def sheets_of(table: str, folder: Path) -> list[TestSheet]:
     (folder / "campaign.csv").write_text(table, encoding="utf-8")
     made = new_from_sheet(folder / "campaign.csv", folder / "raw")
-    assert made.kept == ()
-    return [load_test_sheet(path) for path in made.written]
+    assert not any(sheet.kept for sheet in made)
+    return [load_test_sheet(sheet.path) for sheet in made]
 
 
 def test_one_test_sheet_per_row(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_fault_names_its_cell_and_nothing_is_written(
         text = text.replace(old, new)
     table.write_text(text, encoding="utf-8")
     with pytest.raises(ReadError) as refused:
-        new_from_sheet(table, tmp_path / "raw", protocols=own)
+        new_from_sheet(table, tmp_path / "raw")
     assert not (tmp_path / "raw").exists()
     approved(str(refused.value).replace(str(table), "campaign.csv"))
 

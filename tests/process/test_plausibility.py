@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.process.calibrated_signals import check_channels
-from labpipe.process.certificates import check_due, day_of_test, instruments_of
+from labpipe.process.certificates import check_due, day_and_operator, instruments_of
 from labpipe.process.motion import Motion
 from labpipe.process.sanity_checks import (
     check_rest,
@@ -320,7 +320,7 @@ def test_a_test_after_the_day_is_doubted(approved: Approve) -> None:
 )
 def test_day_of_a_test(sheet: str, metadata: dict[str, object], day: date | None) -> None:
     exports = {"force": Recording("a"), "markers": Recording("b", metadata=metadata)}
-    assert day_of_test(sheet, exports) == day
+    assert day_and_operator(sheet, exports)[0] == day
 
 
 def test_instruments_are_those_with_a_certificate() -> None:
