@@ -159,14 +159,3 @@ def test_more_rows_than_a_sheet_takes(
     with query_results(catalog, "") as answer, pytest.raises(UsageError, match=message):
         write_workbook(answer, tmp_path / "out.xlsx")
     assert not (tmp_path / "out.xlsx").exists()
-
-
-def test_a_table_for_a_terminal(catalog: Catalog) -> None:
-    lines = written(catalog, "table", "value > 0").splitlines()
-    assert lines[0].split() == [
-        "test", "state", "type", "spool", "sample", "name", "value", "unit", "level", "estimate",
-        "status", "date", "=odd\\x07", "length", "cured", "room", "temperature",
-    ]  # fmt: skip
-    assert lines[1].split()[:8] == ["T1", "ok", "A1", "s", "1", "peak_force.1", "1.5", "N"]
-    assert len(lines) == 3
-    assert not any(ord(sign) < 32 or sign == "\u202e" for line in lines for sign in line)

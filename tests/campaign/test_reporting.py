@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
 from labpipe.campaign.protocol_facts import add_sizes, number_kinds
-from labpipe.campaign.report_samples import frames_at_steps, sample_of
+from labpipe.campaign.report_samples import sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
     Recipe,
@@ -22,7 +22,7 @@ from labpipe.campaign.reporting import (
     report_tests,
 )
 from labpipe.campaign.test_pages import page_of_test, pages_of
-from labpipe.errors import LabpipeError, StoreError, UsageError
+from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
 from labpipe.protocol.load import known_protocols, load_protocol
@@ -33,7 +33,6 @@ from labpipe.report.lab_report import Letterhead
 from labpipe.report.page_facts import report_id
 from labpipe.store.read import Drawable, read_result
 from labpipe.store.write import write_result
-from tests.builders.bundles import EXAMPLES
 from tests.builders.campaigns import build_group
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -182,15 +181,6 @@ def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None
     assert Recipe.read(report.folder).context.letterhead == letterhead
 
 
-def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
-    campaign = make_campaign(find_results([done]), "", options=ReportOptions(wires=EXAMPLES))
-    assert (campaign.wire_sheet, campaign.places) == ("wires.xlsx", ())
-    said: list[str] = []
-    with pytest.raises(LabpipeError, match=r"none\.xlsx"):
-        make_campaign(find_results([done]), "", said.append, ReportOptions(wires=Path("none.xlsx")))
-    assert not said
-
-
 def test_a_recording_is_counted_once(results: Path) -> None:
     """Two sheets that name the same export, and what a killed process left."""
     import h5py
@@ -252,29 +242,6 @@ def test_a_repaired_slip_is_seen_in_the_force_as_measured(done: Path) -> None:
     at = branch.displacement
     assert np.abs(added[at < slip.position - 1e-4]).max() == 0.0
     np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
-
-
-def test_unloading_grows_too(done: Path) -> None:
-    result = read(done, "T-1")
-    curve = result.curve
-    assert curve is not None
-    back = replace(curve.branches[0], direction=type(curve.branches[0].direction).UNLOADING)
-    turned = replace(curve, displacement=-curve.displacement, branches=(back,))
-    sample = kept(replace(result, curve=turned))
-    assert not sample.loading
-    assert (np.diff(sample.unloading[0].displacement) > 0.0).all()
-
-
-def test_frames_at_round_steps_of_the_first_loading(done: Path) -> None:
-    result = read(done, "T-1")
-    assert result.curve is not None
-    time = np.arange(result.curve.time[0], result.curve.time[-1], 0.02)
-    frames, deflection = frames_at_steps(result, time)
-    steps = np.diff(deflection)
-    assert 4 <= len(frames) <= 7
-    np.testing.assert_allclose(deflection, 0.005 * np.arange(len(frames)), atol=1e-4)
-    assert (steps > 0.0).all()
-    assert len(frames_at_steps(replace(result, curve=None), time)[0]) == 0
 
 
 def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them() -> None:

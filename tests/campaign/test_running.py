@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.campaign_folders import find_campaign, find_outcome
+from labpipe.campaign.campaign_folders import find_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.outcome_rows import StoredOutcome, read_outcome_files
@@ -23,10 +23,8 @@ from labpipe.campaign.raw_file_usage import account_for_files
 from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_tests
 from labpipe.errors import LabpipeError, StoreError, UsageError
-from labpipe.process.run import process_test
 from labpipe.store.failure_file import FailedTest, write_failure
 from tests.builders.kept_campaigns import KeptCampaign, content_of
-from tests.builders.small_pulls import small_pulls
 
 
 @pytest.fixture
@@ -397,19 +395,6 @@ def outcome(one_test: KeptCampaign) -> StoredOutcome:
     return read_outcome_files(find_outcome(one_test.folders, "T1"))
 
 
-def test_of_a_real_test(tmp_path: Path) -> None:
-    lab = small_pulls(tmp_path, 1)[0]
-    made = process_test(lab.sheet, figures=False).result
-    stored = read_outcome_files(find_outcome(find_campaign(lab.raw.parent), lab.name))
-    assert (stored.test, stored.run, stored.protocol) == (made.test, made.run, made.protocol)
-    assert made.specimen.dimensions.items() <= stored.specimen.items()
-    assert [(one.name, one.value, one.unit, one.status) for one in stored.results] == [
-        (one.name, one.value, one.unit, one.status) for one in made.results
-    ]
-    assert stored.inputs == tuple((i.role, i.file, i.sha256) for i in made.inputs)
-    assert not stored.has_failed
-
-
 def test_a_failure_beside_earlier_results(one_test: KeptCampaign) -> None:
     before = outcome(one_test)
     failure = FailedTest("T1", "process_died", "it was ended", "f" * 64, made_of={"sheet": "5e"})
@@ -434,15 +419,6 @@ def test_a_failure_that_cannot_be_read_is_one(one_test: KeptCampaign, text: str)
     (one_test.processed / "T1" / "failure.json").write_text(text, "utf-8")
     found = outcome(one_test)
     assert (found.has_failed, found.code) == (True, "unknown")
-
-
-def test_half_characters_are_written_out(one_test: KeptCampaign) -> None:
-    path = one_test.processed / "T1" / "summary.json"
-    odd = json.loads(path.read_text("utf-8")) | {"test": "a\ud800", "operator": "\udfff ü"}
-    path.write_text(json.dumps(odd), "utf-8")
-    stored = outcome(one_test)
-    assert (stored.test, stored.operator) == ("a\\ud800", "\\udfff ü")
-    assert stored.date == "2026-03-09"
 
 
 def test_a_test_that_an_orphan_still_writes_is_tried_again(

@@ -18,23 +18,19 @@ from typing import Any
 import pytest
 
 from labpipe.campaign.campaign_folders import find_campaign
-from labpipe.campaign.executors import Outcome, local
+from labpipe.campaign.executors import Outcome
 from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.quick_look import (
     CampaignGroups,
     DisplaySettings,
     actions,
-    actions_for,
-    failure_lines,
     verdict,
 )
 from labpipe.campaign.running import read_overview
-from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.campaign.watching import Watcher
-from labpipe.errors import CODES, ProcessingError, ProtocolError
+from labpipe.errors import CODES
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.records.quality import Severity
-from tests.approved import Approve
 from tests.builders.small_tests import Lab
 
 PLAN = """\
@@ -239,20 +235,6 @@ def test_a_test_that_fails_or_has_gaps_is_processed_again_once_it_changed(
     assert "A2-085-1: WELL" in bench.go(4)
 
 
-def test_a_campaign_yaml_that_is_wrong_does_not_count(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
-    bench.go(1)
-    (bench.campaign.raw / "campaign.yaml").write_text("version: 1\nprotocl: x\n", encoding="utf-8")
-    message = bench.go(10)
-    assert "Did you mean 'protocol'?" in message
-    assert message.count("the last valid campaign.yaml is used") == 1
-    put(bench, "A2-085-1", exports)
-    assert "A2-085-1: WELL" in bench.go(4)
-    with pytest.raises(ProtocolError):
-        bench.begin()
-
-
 def test_a_restart_does_nothing_twice(bench: Bench, exports: dict[str, bytes]) -> None:
     for number in (1, 2):
         put(bench, f"A2-085-{number}", exports)
@@ -420,41 +402,3 @@ def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None
     assert not missing
     known = {kind.code for kind in kinds_of_notes()} | said | set(CODES)
     assert not set(actions()) - known  # no action for a code that there is not
-
-
-def test_words_of_verdicts(tmp_path: Path, approved: Approve) -> None:
-    doubtful = summary(status="doubtful", codes=["zero_not_at_rest", "slip_in_window"])
-    some = [summary(peak) for peak in (1.0, 1.1, 0.9)]
-    unlike = [summary(), summary(status="doubtful", codes=["gap"])]
-    cases: list[tuple[Summary, list[Summary]]] = [
-        (summary(), []), (doubtful, []), (summary(status="failed", codes=["no_cycle"]), []),
-        (summary(5.0), some), (summary(), unlike),
-    ]  # fmt: skip
-    told = [
-        line
-        for number, (said, before) in enumerate(cases)
-        for line in lines(tmp_path / str(number), said, before)
-    ]
-    told += failure_lines("T", "unreadable_export", "f.mat: expected a, found b. Do.\nmore")
-    approved([*told, actions_for(["slack_unknown", "no_break", "gap", "saturation", "cut", "gap"])])
-
-
-@pytest.mark.slow
-def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
-    folders = find_campaign(lab.raw.parent)
-    watched = WatchedCampaign(folders, local(1))
-    from labpipe.campaign.refreshing import open_campaign
-
-    with open_campaign(folders) as sync:
-        sync.refresh()
-        assert sync.catalog.claim("T1")
-        with pytest.raises(ProcessingError, match=r"another labpipe at work on it"):
-            watched.process(lab.sheet)
-        sync.catalog.release("T1")
-    outcome = watched.process(lab.sheet)
-    assert outcome is not None
-    assert outcome.state == "ok"
-    assert watched.process(lab.sheet) is None
-    assert watched.process(lab.sheet, again=True) is not None
-    assert watched.unprocessed([lab.sheet]) == []
-    assert list(watched.results()) == [lab.processed.resolve()]

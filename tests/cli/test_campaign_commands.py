@@ -182,32 +182,6 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_campaign")
-def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Path) -> None:
-    ran = run("demo", tmp_path, "--full", "--no-figures", "--jobs", 1)
-    assert ran.status == 0
-    assert ran.err.startswith("making synthetic campaigns in ")
-    done = tmp_path / "processed" / "demo"
-    for name in ("wires/T1", "wires/T2", "tensile/P-1", "tensile/P-2"):
-        assert (done / name / "summary.json").is_file()
-        assert f"{name.partition('/')[2]}  (" in ran.out
-    one, other = (ran.out.index(f"{name}  (tensile): ") for name in ("P-1", "P-2"))
-    assert "failure_displacement" in ran.out[one:other]
-    assert "failure_displacement" not in ran.out[other:]
-    for name in ("wires", "tensile"):
-        page = done / name / "report" / "report.html"
-        assert f"Synthetic demo campaign: {name}" in page.read_text(encoding="utf-8")
-        assert f"  {page}\n" in ran.out
-    assert "radial_friction" in ran.out
-    line = json.loads((done / "lines" / "harness-push" / "summary.json").read_text())
-    assert [element["role"] for element in line["inputs"]] == ["harness", "wires", "calibration"]
-    assert line["bands"]["kind"] == "pointwise 95 %", "it has the law that was calibrated"
-    assert "\nharness-push: " in ran.out
-    assert (done / "wires" / "calibration" / "calibration.json").is_file()
-    assert "figures to look at" not in ran.out
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick_campaign")
 def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--png", "--jobs", 1)
     assert ran.status == 0
@@ -245,20 +219,6 @@ def test_an_example_is_of_the_wire_that_the_demo_calibrates() -> None:
     assert CALIBRATED_WORDS.startswith(SHEET_WORDS[:-1])
 
 
-NO_WAY = """\
-version: 1
-line: {length: 100 mm, elements: 8, section: %s}
-boundaries:
-  - {kind: clip, name: one, at: start, position: [0 mm, 0 mm, 0 mm], direction: [1, 0, 0]}
-  - kind: grip
-    name: knot
-    at: 1 mm
-    path: [{step: 4, direction: [-1, 0, 0]}]
-steps: 4
-"""
-"""A grip that turns a millimetre of a line right round."""
-
-
 @pytest.mark.slow
 def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
     file, out = written(tmp_path, pushed()), tmp_path / "out"
@@ -275,18 +235,6 @@ def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
     assert not (out / "figures").exists()
     ran = run("harness", file, "--out", out, "--json", "--no-figures")
     assert json.loads(ran.out) == json.loads((out / "summary.json").read_text(encoding="utf-8"))
-
-
-@pytest.mark.slow
-def test_a_line_that_cannot_follow_is_a_failure(run: Run, tmp_path: Path) -> None:
-    file, out = written(tmp_path, NO_WAY % STIFFNESS), tmp_path / "out"
-    ran = run("harness", file, "--out", out)
-    assert ran.status == SOME_FAILED
-    assert ran.out.startswith("line: failed; 100 mm of stiffness 150 N mm^2, ")
-    assert "earlier results stay" in ran.out
-    assert ran.err.startswith(f"labpipe harness: {file}: ")
-    assert ": step " in ran.err
-    assert [path.name for path in out.iterdir()] == ["failure.json"]
 
 
 def test_statuses_of_a_report() -> None:

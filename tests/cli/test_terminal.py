@@ -25,7 +25,6 @@ from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Specimen, Status, TestResult
 from labpipe.records.wire import WireTable
 from labpipe.records.wire_calibration import Calibration, Identifiability, ParameterChoice
-from labpipe.store.write import write_result
 from labpipe.studies.bundle_bounds import Conduit, ModelledBundle
 from labpipe.studies.calibration_study import Calibrated
 from labpipe.studies.first_loadings import FirstLoading
@@ -34,7 +33,6 @@ from labpipe.studies.wire_models import ModelledWires
 from labpipe.wire.bundle_model import bundle_model
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from tests.approved import Approve
-from tests.builders.bent_bundles import bent_bundle
 from tests.builders.bundles import EXAMPLES, bundle, example_wires
 from tests.builders.campaigns import build_group, build_number, six_samples, troubled_samples
 from tests.builders.external_curves import external_comparison, unmodelled, untested
@@ -144,21 +142,6 @@ def test_means_in_the_display_unit(approved: Approve) -> None:
     approved(of_group(number, apart, some, replace(some, name="slack", mean=None)))
 
 
-@pytest.mark.slow
-def test_a_processed_bundle_predicts_its_cycles(run: Run, tmp_path: Path) -> None:
-    write_result(bent_bundle(), tmp_path / "result.h5")
-    out = ("--wire", EXAMPLES, "--out", tmp_path / "out", "--no-figures")
-    ran = run("bundle", tmp_path, *out)
-    assert ran.status == DONE, ran
-    lines = ran.out.splitlines()
-    assert lines[0] == "TWB-1: 7 B1, packed"
-    assert any(line.startswith("  error of what was left out, of the peak force") for line in lines)
-    assert any(line.startswith("  work lost over the cycles left out") for line in lines)
-    write_result(replace(bent_bundle(), results=()), tmp_path / "result.h5")
-    ran = run("bundle", tmp_path, *out)
-    assert "  no hysteresis loop predicted: the test has no kink (kink_displacement" in ran.out
-
-
 @pytest.mark.parametrize("bore", ["10.7", "0 mm", "2 N"])
 def test_a_bore_that_is_none(run: Run, tmp_path: Path, bore: str) -> None:
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, f"--bore={bore}", "--out", tmp_path / "x")
@@ -209,18 +192,6 @@ def test_rejected_tests_are_not_handed_over(
 def model_lines(*tables: WireTable, refused: dict[str, str] | None = None) -> list[str]:
     modelled = ModelledWires(Path("wires.xlsx"), Path("processed/wires"), tables, refused or {}, ())
     return model_table(modelled).splitlines()
-
-
-def test_numbers_are_those_of_the_table() -> None:
-    table = wire_table("A2")
-    name, strands, kind, stick, slip, onset, end, force = model_lines(table)[2].split()
-    assert (name, strands, kind) == ("A2", "7", "hexagonal")
-    assert float(stick) == float(f"{1e6 * table.stick_stiffness:.5g}")
-    assert float(slip) == float(f"{1e6 * table.slip_stiffness:.5g}")
-    assert float(onset) == float(f"{table.slip_onsets[0]:.3g}")
-    assert float(end) == float(f"{table.curvature[-1]:.4g}")
-    at = 0.3 * table.spec.length
-    assert np.isclose(float(force), np.interp(at, table.tip_deflection, table.tip_force), rtol=1e-3)
 
 
 def test_table_of_bundles(approved: Approve) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
-from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.wording import (
     as_label,
@@ -19,10 +17,8 @@ from labpipe.report.wording import (
     is_main,
     printable,
     replace_names,
-    shortened,
     shown_in,
     unit_words,
-    why_missing,
     write_number,
 )
 from labpipe.report.workbook_cells import (
@@ -35,23 +31,6 @@ from labpipe.report.workbook_cells import (
     percent_cell,
 )
 from labpipe.results import KINDS
-from tests.store.builders_result import build_result
-
-
-def test_reason_is_the_first_error() -> None:
-    result = build_result(half_cycle=0.2, cycles=1, force_rate=50.0)
-    note = QualityNote("no_overlap", Severity.ERROR, "force", "The clocks do not overlap.")
-    failed = replace(result, quality=(*result.quality, note))
-    assert why_missing(result, "curve") == "There is no curve to draw."
-    assert why_missing(failed, "curve") == "There is no curve to draw. The clocks do not overlap."
-
-
-@pytest.mark.parametrize("most", [3, 4, 9, 10])
-def test_shortened_names_have_their_ends(most: int) -> None:
-    assert shortened("0123456789", 10) == "0123456789"
-    short = shortened("0123456789abc", most)
-    assert len(short) == most
-    assert (short[0], short[-1]) == ("0", "c")
 
 
 def test_only_what_cannot_be_shown_is_replaced() -> None:
