@@ -21,8 +21,7 @@ from labpipe.report.group_tables import (
     slip_table,
     spool_mean_table,
 )
-from labpipe.report.issue_ranking import find_causes
-from labpipe.report.issues import sentences
+from labpipe.report.issues import find_causes, sentences
 from labpipe.report.page_comparisons import questions
 from labpipe.report.page_facts import (
     PageTests,

@@ -16,7 +16,6 @@ from labpipe.report.group_plots import count_words
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentences
 from labpipe.report.page_facts import PageTests, days_words, key_of, operators_words
-from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.page_plots import mean_strip
 from labpipe.report.wording import (
     as_label,
@@ -24,8 +23,10 @@ from labpipe.report.wording import (
     display_of,
     heading,
     is_main,
+    mean_with_interval,
     shown_in,
     unit_words,
+    with_interval,
     write_number,
 )
 from labpipe.statistics.group_budgets import group_budget

@@ -32,15 +32,19 @@ from labpipe.report.page_facts import (
     samples_of,
 )
 from labpipe.report.wording import Scale, as_label, count_of, display_of, shown_in, unit_words
-from labpipe.report.workbook_cells import (
+from labpipe.report.workbook_file import (
+    About,
+    Chart,
+    Line,
     NumberCell,
     Row,
+    Sheet,
     Value,
     interval_cells,
     number_cell,
     percent_cell,
+    save_book,
 )
-from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book
 
 _ABOUT = (
     "Cells hold all digits of a number and show two digits of its interval. Lower and upper are the"

@@ -17,13 +17,18 @@ from labpipe.records.result import Result
 from labpipe.report.comparisons import Pair, answer_cells, field_words, single_field_pairs
 from labpipe.report.group_plots import first_loading
 from labpipe.report.group_tables import DASH, Cell, Line, Table, cause_lines
-from labpipe.report.issue_ranking import Cause
-from labpipe.report.issues import Kind
+from labpipe.report.issues import Cause, Kind
 from labpipe.report.page_facts import PageTest, PageTests, samples_of
-from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.page_plots import mean_strip, sparkline
 from labpipe.report.plot_thinning import simplify_line
-from labpipe.report.wording import count_of, display_of, heading, shown_in
+from labpipe.report.wording import (
+    count_of,
+    display_of,
+    heading,
+    mean_with_interval,
+    shown_in,
+    with_interval,
+)
 from labpipe.statistics.group_fields import in_order
 
 if TYPE_CHECKING:

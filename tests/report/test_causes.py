@@ -13,8 +13,7 @@ from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report.group_tables import cause_lines, method_tables, note_table
-from labpipe.report.issue_ranking import find_causes, find_notes
-from labpipe.report.issues import Kind, find_issues, sentence
+from labpipe.report.issues import Kind, find_causes, find_issues, find_notes, sentence
 from labpipe.statistics import groups
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_sample

@@ -18,7 +18,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument
 from labpipe.report.group_panels import group_panels
 from labpipe.report.group_tables import Table, slip_table, spool_mean_table
-from labpipe.report.issue_ranking import find_causes
+from labpipe.report.issues import find_causes
 from labpipe.report.page_facts import (
     PageTests,
     days_words,
