@@ -43,7 +43,6 @@ from labpipe.report.calibration_summary import (
 )
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
-    GREY,
     WIDTH,
     Look,
     PageTexts,
@@ -347,7 +346,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
         there is one
     """
     if not parameter.profiles:
-        _write_sentence(axes, typeset(parameter.words))
+        write_reason(axes, typeset(parameter.words), line_length=30)
         return
     axis = DISPLAYS[parameter.name]
     low, high = panel_range(parameter)
@@ -446,15 +445,6 @@ def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
     fine: Floats = np.union1d(np.linspace(logs[0], logs[-1], fine_points), logs)
     root = np.interp(fine, logs, side * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
     return np.exp(fine), root**2 + height
-
-
-def _write_sentence(axes: Axes, sentence: str) -> None:
-    line_length = 30
-    axes.set_axis_off()
-    axes.text(
-        0.5, 0.5, textwrap.fill(sentence, line_length), transform=axes.transAxes, ha="center",
-        va="center", color=GREY,
-    )  # fmt: skip
 
 
 def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:

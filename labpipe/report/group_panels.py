@@ -162,12 +162,10 @@ def _window_lines(drawn: _GroupView) -> Iterator[Line]:
             look = "segment" if line.result.startswith("segment") else "window"
             parts.setdefault(look, []).append(line)
         for look, lines in parts.items():
-            x = np.array([part for line in lines for part in (line.start, line.stop, np.nan)])
-            rise = [line.slope * (line.stop - line.start) for line in lines]
-            ends = [
-                (one.level, one.level + up, np.nan) for one, up in zip(lines, rise, strict=True)
-            ]
-            y = np.ravel(ends)
+            start, stop, slope, level = np.array(
+                [(line.start, line.stop, line.slope, line.level) for line in lines]
+            ).T
+            x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
             yield Line(look, x * drawn.across.factor, y * drawn.up.factor, test)
 
 
@@ -187,10 +185,13 @@ def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
 
 
 def _dot_line(look: str, places: Floats, heights: Floats, drawn: _GroupView, test: int) -> Line:
-    gaps = np.full(len(places), np.nan)
-    x = np.column_stack([places, gaps]).ravel() * drawn.across.factor
-    y = np.column_stack([heights, gaps]).ravel() * drawn.up.factor
+    x, y = _with_gaps(places) * drawn.across.factor, _with_gaps(heights) * drawn.up.factor
     return Line(look, x, y, test)
+
+
+def _with_gaps(*columns: Floats) -> Floats:
+    """Return points row by row, with NaN after each row, which interrupts a line."""
+    return np.column_stack([*columns, np.full(len(columns[0]), np.nan)]).ravel()
 
 
 def band_lines(
@@ -246,10 +247,9 @@ def mean_lines(
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        gaps = np.full(len(marks), np.nan)
         at = band.displacement[marks] * across
-        ends = np.column_stack([band.lower[marks] * up, band.upper[marks] * up, gaps]).ravel()
-        x = np.column_stack([at, at, gaps]).ravel()
+        ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
+        x = _with_gaps(at, at)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
@@ -304,9 +304,7 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
         if shapes is None or not len(shapes.deflection):
             continue
         places = shapes.positions[-drawn.points.shapes :]
-        gaps = np.full((len(places), 1), np.nan)
-        x = np.column_stack([places[:, :, 0], gaps]).ravel() * drawn.across.factor
-        y = np.column_stack([places[:, :, 1], gaps]).ravel() * drawn.across.factor
+        x, y = (_with_gaps(*places[:, :, way].T) * drawn.across.factor for way in (0, 1))
         look = f"shape {drawn.colour(sample)}"
         lines.append(Line(look, x, y, drawn.number(sample)))
     if not lines:

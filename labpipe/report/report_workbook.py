@@ -31,7 +31,15 @@ from labpipe.report.page_facts import (
     report_id,
     samples_of,
 )
-from labpipe.report.wording import Scale, as_label, count_of, display_of, shown_in, unit_words
+from labpipe.report.wording import (
+    Scale,
+    as_label,
+    count_of,
+    display_of,
+    is_first_cycle,
+    shown_in,
+    unit_words,
+)
 from labpipe.report.workbook_file import (
     About,
     Chart,
@@ -187,7 +195,7 @@ def _key_numbers_of(group: Group) -> dict[Column, _Ends]:
     numbers = [
         number
         for number in group.numbers
-        if not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
+        if not number.is_set_by_rig and is_first_cycle(number.name)
     ]
     return dict(_key_number(group, number) for number in numbers[:3])
 

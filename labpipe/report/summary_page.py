@@ -25,6 +25,7 @@ from labpipe.report.wording import (
     count_of,
     display_of,
     heading,
+    is_first_cycle,
     mean_with_interval,
     shown_in,
     with_interval,
@@ -147,18 +148,18 @@ def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
 
 
 def _key_block(groups: Sequence[tuple[Group, str]]) -> KeyBlock:
-    every = [(number, group) for group, _ in groups for number in group.numbers if _is_key(number)]
+    every = [
+        (number, group)
+        for group, _ in groups
+        for number in group.numbers
+        if is_first_cycle(number.name) and not number.is_set_by_rig
+    ]
     numbers_by_name = {number.name: (number, group) for number, group in reversed(every)}
     names = list(dict.fromkeys(number.name for number, _ in every))[:3]
     heads = tuple(_heading(*numbers_by_name[name]) for name in names)
     ends = _ends([first for group, _ in groups if (first := _number(group, names[:1])) is not None])
     rows = tuple(_key_row(group, stem, names, ends) for group, stem in groups)
     return KeyBlock(heads, rows)
-
-
-def _is_key(number: GroupNumber) -> bool:
-    """Return whether a number belongs to the whole specimen or to its first cycle."""
-    return not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
 
 
 def _heading(number: GroupNumber, group: Group) -> str:

@@ -212,6 +212,11 @@ def is_main(name: str) -> bool:
     return not name.startswith(("slip_", "clock_"))
 
 
+def is_first_cycle(name: str) -> bool:
+    """Return whether a number is of the whole specimen or of its first cycle."""
+    return name.partition(".")[2] in {"", "1"}
+
+
 def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
     """Return the display unit of a result.
 
