@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,7 +11,13 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, SlipDecision
 from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.group_plots import first_loading, force_limits, group_scale, value_of
+from labpipe.report.group_plots import (
+    display_scale,
+    first_loading,
+    force_limits,
+    group_scale,
+    value_of,
+)
 from labpipe.report.issues import sentence
 from labpipe.report.page_facts import PageTests, key_of
 from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, equal_scale_height
@@ -346,7 +352,7 @@ def _widened(axis: Axis, span: float) -> Axis:
 def _moment_plot(drawn: _GroupView) -> Plot | None:
     """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
     display = display_of(drawn.group)
-    across, up = shown_in("", "1/m", display), _moment_scale(display)
+    across, up = shown_in("", "1/m", display), display_scale("N*m", display.get("moment", "N*m"))
     samples_with_laws = [
         (sample, sample.law) for sample in drawn.group.samples if sample.law is not None
     ]
@@ -368,13 +374,6 @@ def _moment_plot(drawn: _GroupView) -> Plot | None:
     title = f"Bending moment against curvature of {drawn.group.name}."
     every = [*areas, *lines]
     return Plot("moment", drawn.stem, title, caption, x_axis, y_axis, every, (), _SMALL_PLOT)
-
-
-def _moment_scale(display: Mapping[str, str]) -> Scale:
-    wanted = display.get("moment", "N*m")
-    from labpipe.units import si_factor
-
-    return Scale(1.0 / si_factor(wanted, "N*m"), wanted)
 
 
 def _scaled_plot(drawn: _GroupView) -> Plot | None:

@@ -544,8 +544,8 @@ def plot_laws(group: Group, axes: Axes) -> None:
     """
     display = display_of(group)
     across, up = (
-        _display_scale("1/m", display.get("curvature", "1/m")),
-        _display_scale("N*m", display.get("moment", "N*m")),
+        display_scale("1/m", display.get("curvature", "1/m")),
+        display_scale("N*m", display.get("moment", "N*m")),
     )
     looks = spool_looks(group)
     for sample in group.samples:
@@ -561,5 +561,6 @@ def plot_laws(group: Group, axes: Axes) -> None:
     axes.set_ylabel(up.label("Bending moment"))
 
 
-def _display_scale(si_unit: str, unit: str) -> Scale:
+def display_scale(si_unit: str, unit: str) -> Scale:
+    """Return the factor from an SI unit to a display unit, and that unit typeset."""
     return Scale(1.0 / si_factor(unit, si_unit), unit_words(unit))
