@@ -20,8 +20,8 @@ from labpipe.campaign.workers import (
 )
 from labpipe.errors import LabpipeError, UsageError, error_text
 from labpipe.process.output_paths import refuse_repeated
-from labpipe.process.run import Processed, name_of, results_folder_of
-from labpipe.process.test_runner import Refused, Say, Task, attempt, refuse
+from labpipe.process.run import Processed, Say, name_of, results_folder_of
+from labpipe.process.test_runner import Refused, Task, attempt, refuse
 from labpipe.records.result import Status
 
 __all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local", "process_tests"]

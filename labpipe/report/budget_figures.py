@@ -54,6 +54,7 @@ from labpipe.report.wording import (
     as_label,
     display_of,
     footnote,
+    is_first_cycle,
     is_main,
     place_of,
     rounded,
@@ -126,7 +127,9 @@ def draw_budget(result: TestResult) -> Figure:
     Numbers of later cycles, of single slips and of the clocks are left out.
     """
     budgeted = [result for result in result.results if result.largest_share is not None]
-    numbers = [one for one in budgeted if is_main(one.name) and _is_first(one.name)][:MOST_BARS]
+    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)][
+        :MOST_BARS
+    ]
     if not numbers:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
         write_reason(page.subplots(), "No number of this test has a budget of its interval.")
@@ -151,10 +154,6 @@ def _set_side_margins(page: Figure) -> None:
     if isinstance(engine, ConstrainedLayoutEngine):
         _, low, _, height = engine.get()["rect"]
         engine.set(rect=(left_margin, low, 1.0 - left_margin - right_margin, height))
-
-
-def _is_first(name: str) -> bool:
-    return name.partition(".")[2] in {"", "1"}
 
 
 def _bar(result: Result, display: Mapping[str, str]) -> Bar:
@@ -273,12 +272,22 @@ def _bar_style(cause: str) -> dict[str, Any]:
     return {**look, "hatch": _HATCH} if is_common else look
 
 
+def causes_in_key(bars: Sequence[Mapping[str, float]]) -> list[str]:
+    """List the causes that bars show, `SMALLER` last if any bar has a rest.
+
+    Parameters
+    ----------
+    bars : shares by cause
+    """
+    named = named_causes(bars)
+    has_rest = any(SMALLER in bar_parts(shares, set(named)) for shares in bars)
+    return [*named, *([SMALLER] if has_rest else [])]
+
+
 def _keys(bars: Sequence[Bar]) -> list[Artist]:
-    named = named_causes([bar.shares for bar in bars])
-    rest = any(SMALLER in bar_parts(bar.shares, set(named)) for bar in bars)
-    causes = [*named, *([SMALLER] if rest else [])]
+    causes = causes_in_key([bar.shares for bar in bars])
     keys = [area_key(cause, **_bar_style(cause)) for cause in causes]
-    if any(IS_COMMON.get(cause, False) for cause in named):
+    if any(IS_COMMON.get(cause, False) for cause in causes):
         hatched = {"facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": _HATCH}
         keys.append(area_key("hatched: common to all tests", **hatched))
     return keys
@@ -291,7 +300,7 @@ def budgets_to_draw(group: Group) -> list[GroupNumber]:
     ----------
     group : with or without samples
     """
-    numbers = [one for one in group.numbers if is_main(one.name) and _is_first(one.name)]
+    numbers = [one for one in group.numbers if is_main(one.name) and is_first_cycle(one.name)]
     return [number for number in numbers if group_budget(number).of_tests][:MOST_BARS]
 
 

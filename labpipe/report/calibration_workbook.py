@@ -29,8 +29,7 @@ from labpipe.report.calibration_summary import (
     parameter_row,
     typeset,
 )
-from labpipe.report.workbook_cells import Row, Value
-from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book
+from labpipe.report.workbook_file import About, Chart, Line, Row, Sheet, Value, save_book
 
 EXTERNAL_CURVES, EXTERNAL_POINTS = "external curves", "external curves, points"
 

@@ -13,11 +13,17 @@ from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import sort_causes
 from labpipe.report.bundle_figures import place_scales
 from labpipe.report.comparisons import fields_in_words, multi_field_differences
-from labpipe.report.issue_ranking import Cause, find_causes, find_notes
+from labpipe.report.issues import Cause, find_causes, find_notes
 from labpipe.report.page_facts import state_of
 from labpipe.report.wording import Scale, as_label, display_of, is_main, shown_in, unit_words
-from labpipe.report.workbook_cells import Row, Value, interval_cells, number_cell, percent_cell
-from labpipe.report.workbook_file import Sheet
+from labpipe.report.workbook_file import (
+    Row,
+    Sheet,
+    Value,
+    interval_cells,
+    number_cell,
+    percent_cell,
+)
 from labpipe.statistics.group_budgets import group_budget
 
 Column: TypeAlias = tuple[str, str]

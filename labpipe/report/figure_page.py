@@ -337,13 +337,13 @@ def panel_letter(axes: Axes, letter: str, heading: str) -> None:
     axes.set_title(f"({letter}) {heading}", loc="left")
 
 
-def write_reason(axes: Axes, sentence: str) -> None:
+def write_reason(axes: Axes, sentence: str, line_length: int = 60) -> None:
     """Write into an empty panel why it is empty."""
     axes.set_axis_off()
     axes.text(
         0.5,
         0.5,
-        textwrap.fill(sentence, 60),
+        textwrap.fill(sentence, line_length),
         transform=axes.transAxes,
         ha="center",
         va="center",

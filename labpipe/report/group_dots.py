@@ -13,7 +13,7 @@ from labpipe.records.group import Group, GroupNumber, MeanInterval
 from labpipe.records.result import Status
 from labpipe.report.figure_page import GREY, limit_to_values, line_key, panel_grid
 from labpipe.report.group_plots import RED, group_page, spool_looks
-from labpipe.report.wording import as_label, display_of, shown_in, unit_words
+from labpipe.report.wording import as_label, display_of, is_first_cycle, shown_in, unit_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -61,7 +61,9 @@ def numbers_to_draw(group: Group) -> list[GroupNumber]:
     numbers = [
         number
         for number in group.numbers
-        if _is_first(number.name) and number.mean is not None and number.mean.over_samples.n > 1
+        if is_first_cycle(number.name)
+        and number.mean is not None
+        and number.mean.over_samples.n > 1
     ]
     return numbers[:MAX_DOT_NUMBERS]
 
@@ -81,7 +83,7 @@ def draw_dots(group: Group) -> Figure:
     left_out = [
         number.name
         for number in group.numbers
-        if _is_first(number.name) and number.name not in drawn
+        if is_first_cycle(number.name) and number.name not in drawn
     ]
     rows = math.ceil(len(numbers) / panel_columns)
     lines = _next_height(dot_rows(group, numbers[0]))
@@ -200,11 +202,6 @@ def _plot_row(row: Row, factor: float, axes: Axes) -> None:
     axes.plot(factor * row.value, row.height, row.marker, color=row.colour, markerfacecolor=face)
     if row.is_marked:
         axes.plot(factor * row.value, row.height, **_RING)
-
-
-def _is_first(name: str) -> bool:
-    """Return whether a number belongs to the whole specimen or to its first cycle."""
-    return name.partition(".")[2] in {"", "1"}
 
 
 def _keys(numbers: list[GroupNumber]) -> list[Artist]:

@@ -19,6 +19,8 @@ from labpipe.report.group_plots import (
     RED,
     count_words,
     draw_curves,
+    draw_group_laws,
+    draw_group_shapes,
     draw_lines,
     draw_scaled,
     finite_end,
@@ -26,12 +28,13 @@ from labpipe.report.group_plots import (
     force_limits,
     group_page,
     group_scale,
+    has_laws,
     has_lines,
+    has_shapes,
     label_axes,
     spool_looks,
     thin,
 )
-from labpipe.report.group_shapes import draw_group_laws, draw_group_shapes, has_laws, has_shapes
 from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import as_label, shortened
 

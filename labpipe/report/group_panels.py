@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,7 +11,13 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, SlipDecision
 from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.group_plots import first_loading, force_limits, group_scale, value_of
+from labpipe.report.group_plots import (
+    display_scale,
+    first_loading,
+    force_limits,
+    group_scale,
+    value_of,
+)
 from labpipe.report.issues import sentence
 from labpipe.report.page_facts import PageTests, key_of
 from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, equal_scale_height
@@ -162,12 +168,10 @@ def _window_lines(drawn: _GroupView) -> Iterator[Line]:
             look = "segment" if line.result.startswith("segment") else "window"
             parts.setdefault(look, []).append(line)
         for look, lines in parts.items():
-            x = np.array([part for line in lines for part in (line.start, line.stop, np.nan)])
-            rise = [line.slope * (line.stop - line.start) for line in lines]
-            ends = [
-                (one.level, one.level + up, np.nan) for one, up in zip(lines, rise, strict=True)
-            ]
-            y = np.ravel(ends)
+            start, stop, slope, level = np.array(
+                [(line.start, line.stop, line.slope, line.level) for line in lines]
+            ).T
+            x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
             yield Line(look, x * drawn.across.factor, y * drawn.up.factor, test)
 
 
@@ -187,10 +191,13 @@ def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
 
 
 def _dot_line(look: str, places: Floats, heights: Floats, drawn: _GroupView, test: int) -> Line:
-    gaps = np.full(len(places), np.nan)
-    x = np.column_stack([places, gaps]).ravel() * drawn.across.factor
-    y = np.column_stack([heights, gaps]).ravel() * drawn.up.factor
+    x, y = _with_gaps(places) * drawn.across.factor, _with_gaps(heights) * drawn.up.factor
     return Line(look, x, y, test)
+
+
+def _with_gaps(*columns: Floats) -> Floats:
+    """Return points row by row, with NaN after each row, which interrupts a line."""
+    return np.column_stack([*columns, np.full(len(columns[0]), np.nan)]).ravel()
 
 
 def band_lines(
@@ -246,10 +253,9 @@ def mean_lines(
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        gaps = np.full(len(marks), np.nan)
         at = band.displacement[marks] * across
-        ends = np.column_stack([band.lower[marks] * up, band.upper[marks] * up, gaps]).ravel()
-        x = np.column_stack([at, at, gaps]).ravel()
+        ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
+        x = _with_gaps(at, at)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
@@ -304,9 +310,7 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
         if shapes is None or not len(shapes.deflection):
             continue
         places = shapes.positions[-drawn.points.shapes :]
-        gaps = np.full((len(places), 1), np.nan)
-        x = np.column_stack([places[:, :, 0], gaps]).ravel() * drawn.across.factor
-        y = np.column_stack([places[:, :, 1], gaps]).ravel() * drawn.across.factor
+        x, y = (_with_gaps(*places[:, :, way].T) * drawn.across.factor for way in (0, 1))
         look = f"shape {drawn.colour(sample)}"
         lines.append(Line(look, x, y, drawn.number(sample)))
     if not lines:
@@ -348,7 +352,7 @@ def _widened(axis: Axis, span: float) -> Axis:
 def _moment_plot(drawn: _GroupView) -> Plot | None:
     """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
     display = display_of(drawn.group)
-    across, up = shown_in("", "1/m", display), _moment_scale(display)
+    across, up = shown_in("", "1/m", display), display_scale("N*m", display.get("moment", "N*m"))
     samples_with_laws = [
         (sample, sample.law) for sample in drawn.group.samples if sample.law is not None
     ]
@@ -370,13 +374,6 @@ def _moment_plot(drawn: _GroupView) -> Plot | None:
     title = f"Bending moment against curvature of {drawn.group.name}."
     every = [*areas, *lines]
     return Plot("moment", drawn.stem, title, caption, x_axis, y_axis, every, (), _SMALL_PLOT)
-
-
-def _moment_scale(display: Mapping[str, str]) -> Scale:
-    wanted = display.get("moment", "N*m")
-    from labpipe.units import si_factor
-
-    return Scale(1.0 / si_factor(wanted, "N*m"), wanted)
 
 
 def _scaled_plot(drawn: _GroupView) -> Plot | None:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from labpipe.records.group import Campaign, Decision, Group, GroupNumber, NestedMean, Sample
-from labpipe.report.issue_ranking import Cause, find_notes
-from labpipe.report.issues import Issue, Kind, decision_words
+from labpipe.report.issues import Cause, Issue, Kind, decision_words, find_notes
 from labpipe.report.wording import (
     as_label,
     display_of,

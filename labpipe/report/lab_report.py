@@ -21,8 +21,7 @@ from labpipe.report.group_tables import (
     slip_table,
     spool_mean_table,
 )
-from labpipe.report.issue_ranking import find_causes
-from labpipe.report.issues import sentences
+from labpipe.report.issues import find_causes, sentences
 from labpipe.report.page_comparisons import questions
 from labpipe.report.page_facts import (
     PageTests,
@@ -51,7 +50,7 @@ from labpipe.report.page_parts import (
 )
 from labpipe.report.page_tests import export_table, test_rows
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.saving import save_report_figures, written_to
+from labpipe.report.saving import save_pages, written_to
 from labpipe.report.summary_page import (
     KeyBlock,
     answers,
@@ -278,9 +277,9 @@ def _save_page(path: Path, text: str) -> Path:
 
 def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> list[Path]:
     """Draw the figures of each group and those that compare groups, for papers and slides."""
+    report_dpi = 200
     if not formats:
         return []
-    folder.mkdir(parents=True, exist_ok=True)
     names = stems(group.name for group in campaign.groups)
     wanted = [
         drawing._replace(name=f"{stem}-{drawing.name}")
@@ -289,8 +288,12 @@ def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> l
     ]
     wanted += [figure for _, figure in figures_of_families(campaign)]
     wanted += place_figures(campaign)
-    return [
-        file
-        for saved in save_report_figures(wanted, folder, formats=formats)
-        for file in saved.files
-    ]
+    return save_pages(
+        wanted,
+        folder,
+        what="figures",
+        again="make the report",
+        png="png" in formats,
+        pdf="pdf" in formats,
+        dpi=report_dpi,
+    )

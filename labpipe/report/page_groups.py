@@ -10,22 +10,24 @@ from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Group, GroupNumber, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.report.budget_figures import COLOURS_OF_CAUSES, SMALLER, bar_parts, named_causes
+from labpipe.report.budget_figures import COLOURS_OF_CAUSES, bar_parts, causes_in_key, named_causes
 from labpipe.report.figure_page import split_pages
 from labpipe.report.group_plots import count_words
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentences
 from labpipe.report.page_facts import PageTests, days_words, key_of, operators_words
-from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.page_plots import mean_strip
 from labpipe.report.wording import (
     as_label,
     count_of,
     display_of,
     heading,
+    is_first_cycle,
     is_main,
+    mean_with_interval,
     shown_in,
     unit_words,
+    with_interval,
     write_number,
 )
 from labpipe.statistics.group_budgets import group_budget
@@ -298,19 +300,16 @@ def _bar(shares: Mapping[str, float]) -> Iterator[str]:
 
 def budget_causes(group: Group) -> list[tuple[str, str, bool]]:
     """List the causes in the drawing of the budget: name, colour, common to all tests."""
-    bars = _budget_bars(group)
-    named = named_causes([shares for _, _, shares in bars])
-    rest = any(SMALLER in bar_parts(shares, set(named)) for _, _, shares in bars)
-    every = [*named, *([SMALLER] if rest else [])]
+    causes = causes_in_key([shares for _, _, shares in _budget_bars(group)])
     return [(cause, COLOURS_OF_CAUSES.get(cause, "#ededed"), IS_COMMON.get(cause, False))
-            for cause in every]  # fmt: skip
+            for cause in causes]  # fmt: skip
 
 
 def _budget_bars(group: Group) -> list[tuple[str, str, Mapping[str, float]]]:
     """Return name, half width and shares of the first numbers with budgets."""
     display, bars = display_of(group), []
     for number in group.numbers:
-        if not is_main(number.name) or number.name.partition(".")[2] not in {"", "1"}:
+        if not (is_main(number.name) and is_first_cycle(number.name)):
             continue
         budget = group_budget(number)
         shares = budget.of_mean or budget.of_tests

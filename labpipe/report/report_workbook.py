@@ -31,16 +31,28 @@ from labpipe.report.page_facts import (
     report_id,
     samples_of,
 )
-from labpipe.report.wording import Scale, as_label, count_of, display_of, shown_in, unit_words
-from labpipe.report.workbook_cells import (
+from labpipe.report.wording import (
+    Scale,
+    as_label,
+    count_of,
+    display_of,
+    is_first_cycle,
+    shown_in,
+    unit_words,
+)
+from labpipe.report.workbook_file import (
+    About,
+    Chart,
+    Line,
     NumberCell,
     Row,
+    Sheet,
     Value,
     interval_cells,
     number_cell,
     percent_cell,
+    save_book,
 )
-from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book
 
 _ABOUT = (
     "Cells hold all digits of a number and show two digits of its interval. Lower and upper are the"
@@ -183,7 +195,7 @@ def _key_numbers_of(group: Group) -> dict[Column, _Ends]:
     numbers = [
         number
         for number in group.numbers
-        if not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
+        if not number.is_set_by_rig and is_first_cycle(number.name)
     ]
     return dict(_key_number(group, number) for number in numbers[:3])
 

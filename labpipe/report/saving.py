@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree as ET
-
-import numpy as np
 
 from labpipe.errors import StoreError, error_text
 from labpipe.report.figure_page import finish_layout, style
@@ -175,8 +171,6 @@ def _describe(root: ET.Element, title: str) -> None:
     root.set("aria-label", title)
 
 
-PNG_DPI, _REPORT_DPI = 300, 200
-_NO_METADATA: Mapping[str, str] = {}
 FORMATS = ("svg", "png", "pdf")
 """Formats of the figures of a report; SVG is always written."""
 
@@ -198,36 +192,6 @@ class FigureToSave(NamedTuple):
     alt: str = ""
 
 
-class Saving(NamedTuple):
-    """Files of a figure, whose PNG may still be in work.
-
-    Parameters
-    ----------
-    files : SVG, and PNG if requested
-    packing : done when the PNG is written; None without one
-    """
-
-    files: tuple[Path, ...]
-    packing: Future[None] | None = None
-
-    def whole(self) -> tuple[Path, ...]:
-        """Return the files when all are written; raises errors of the PNG."""
-        if self.packing is not None:
-            self.packing.result()
-        return self.files
-
-
-class SavedFigure(NamedTuple):
-    """Saved figure of a report.
-
-    Parameters
-    ----------
-    files : SVG, and PNG and PDF if requested
-    """
-
-    files: tuple[Path, ...]
-
-
 def save_pages(
     wanted: Iterable[FigureToSave],
     folder: Path,
@@ -237,8 +201,10 @@ def save_pages(
     say: Callable[[str], None] = lambda _: None,
     run: str = "",
     png: bool = False,
+    pdf: bool = False,
+    dpi: int = 300,
 ) -> list[Path]:
-    """Draw figures in labpipe's style, each as SVG, and as PNG on request.
+    """Draw figures in labpipe's style, each as SVG, and as PNG and PDF on request.
 
     Parameters
     ----------
@@ -246,12 +212,13 @@ def save_pages(
     folder : made if it is not there
     what, again : name of the figures, and how to draw them again, for a message
     say : called with the name of each figure as it is drawn
-    run : key of the run of the figures, written to the files; may be empty
-    png : each as PNG, too; the SVG is identical
+    run : key of the run of the figures, written to SVG and PNG; may be empty
+    png, pdf : each as PNG or PDF, too; the SVG is identical
+    dpi : of the PNG, dots per inch
 
     Returns
     -------
-    The files, in the order of the figures.
+    The files, in the order of the figures: SVG, PNG, PDF of each.
 
     Raises
     ------
@@ -262,19 +229,15 @@ def save_pages(
     -----
     The same figure gives the same bytes with the same version of matplotlib.
     """
-    dpi = PNG_DPI if png else None
-    with written_to(folder, what, again=again):
+    with written_to(folder, what, again=again), style():
         folder.mkdir(parents=True, exist_ok=True)
-        with style(), ThreadPoolExecutor(max_workers=1) as packer:
-            saved = []
-            for figure_to_save in wanted:
-                say(figure_to_save.name)
-                saved.append(
-                    save_page(
-                        figure_to_save.draw(), folder, figure_to_save.name, packer, dpi=dpi, run=run
-                    )
-                )
-            return [path for saving in saved for path in saving.whole()]
+        files = []
+        for figure_to_save in wanted:
+            say(figure_to_save.name)
+            files += save_page(
+                figure_to_save, folder, run=run, dpi=dpi if png else None, is_pdf=pdf
+            )
+        return files
 
 
 def pngs_of(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
@@ -315,109 +278,47 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
         raise StoreError(message) from error
 
 
-def save_report_figures(
-    wanted: Iterable[FigureToSave], folder: Path, *, formats: Collection[str] = ("svg",)
-) -> list[SavedFigure]:
-    """Draw the figures of a report and save each as SVG and, on request, as PNG and PDF.
+def save_page(
+    wanted: FigureToSave, folder: Path, *, run: str, dpi: int | None, is_pdf: bool
+) -> list[Path]:
+    """Draw and lay out one figure in the current style and write it in each format.
 
     Parameters
     ----------
-    wanted : each is drawn and released before the next
+    wanted : figure, with the texts of its files
     folder : existing
-    formats : some of `FORMATS`; SVG is always written
-
-    Returns
-    -------
-    In the order of `wanted`.
+    run : key in the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
+    dpi : of the PNG; None for no PNG
+    is_pdf : write a PDF, too
 
     Raises
     ------
     OSError
         If a file cannot be written.
-
-    Notes
-    -----
-    The same figure gives the same bytes with the same version of matplotlib.
-    """
-    with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = [
-            _save_for_report(figure_to_save, folder, packer, formats) for figure_to_save in wanted
-        ]
-        return [figure for figure, saving in saved if saving.whole()]
-
-
-def _save_for_report(
-    wanted: FigureToSave, folder: Path, packer: Executor, formats: Collection[str]
-) -> tuple[SavedFigure, Saving]:
-    """Draw and lay out a figure once, and write it in each format."""
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
-
-    page = wanted.draw()
-    dpi = _REPORT_DPI if "png" in formats else None
-    about = {"Title": printable(wanted.alt), "Description": printable(wanted.caption)}
-    saving = save_page(page, folder, wanted.name, packer, dpi=dpi, about=about)
-    files = list(saving.files)
-    if "pdf" in formats:
-        files.append(folder / f"{wanted.name}.pdf")
-        paper: Any = FigureCanvasPdf(page)
-        named = {"Title": about["Title"], "Subject": about["Description"]}
-        paper.print_pdf(str(files[-1]), metadata={"CreationDate": None, **named})
-    return SavedFigure(tuple(files)), saving
-
-
-def save_page(
-    page: Figure,
-    folder: Path,
-    name: str,
-    packer: Executor,
-    *,
-    dpi: int | None = PNG_DPI,
-    run: str = "",
-    about: Mapping[str, str] = _NO_METADATA,
-) -> Saving:
-    """Lay out a page in the current style and save it as SVG and PNG.
-
-    Parameters
-    ----------
-    page : as drawn
-    folder : existing
-    name : of the files, without the ending
-    packer : compresses the PNG while the next figure is drawn
-    dpi : of the PNG; None for no PNG
-    run : key in the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
-    about : other metadata of the SVG (``Title``, ``Description``)
-
-    Returns
-    -------
-    The files. The same page gives the same bytes with the same version of matplotlib.
-
-    Raises
-    ------
-    OSError
-        If the SVG cannot be written.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
+    page = wanted.draw()
     finish_layout(page)
-    packing = None if dpi is None else packer.submit(_png_writer(page, dpi, run), png)
+    svg, png, pdf = (folder / f"{wanted.name}.{ending}" for ending in FORMATS)
+    texts = {"Title": printable(wanted.alt), "Description": printable(wanted.caption)}
+    stated = {name: text for name, text in texts.items() if text}
     vector: Any = FigureCanvasSVG(page)
-    metadata = {"Date": None, "Identifier": run or None, **about}
-    vector.print_svg(str(svg), metadata=metadata)
-    return Saving((svg,)) if packing is None else Saving((svg, png), packing)
+    vector.print_svg(str(svg), metadata={"Date": None, "Identifier": run or None, **stated})
+    files = [svg]
+    if dpi is not None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+        page.set_dpi(dpi)
+        pixels: Any = FigureCanvasAgg(page)
+        about = {"Software": None, "run": run or None}
+        pixels.print_png(str(png), metadata=about, pil_kwargs={"compress_level": 3})
+        files.append(png)
+    if is_pdf:
+        from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
-def _png_writer(page: Figure, dpi: int, run: str) -> Callable[[Path], None]:
-    """Draw a page in pixels and return a function that writes them to a file."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
-    page.set_dpi(dpi)
-    pixels: Any = FigureCanvasAgg(page)
-    pixels.draw()
-    image = Image.fromarray(np.array(pixels.buffer_rgba()))
-    about = PngInfo()
-    if run:
-        about.add_text("run", run)
-    return partial(image.save, dpi=(dpi, dpi), compress_level=3, pnginfo=about)
+        paper: Any = FigureCanvasPdf(page)
+        about = {"Title": texts["Title"], "Subject": texts["Description"]}
+        paper.print_pdf(str(pdf), metadata={"CreationDate": None, **about})
+        files.append(pdf)
+    return files

@@ -13,10 +13,9 @@ from labpipe.report.figure_page import finish_layout, style
 from labpipe.report.figures import FIGURES
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentence, sentences
-from labpipe.report.page_numbers import with_interval
 from labpipe.report.page_parts import css_string, fill_template, style_hash, style_of
 from labpipe.report.saving import Inline, inline_svg
-from labpipe.report.wording import heading, replace_names, shown_in, unit_words
+from labpipe.report.wording import heading, replace_names, shown_in, unit_words, with_interval
 
 if TYPE_CHECKING:
     from markupsafe import Markup

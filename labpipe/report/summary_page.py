@@ -17,13 +17,19 @@ from labpipe.records.result import Result
 from labpipe.report.comparisons import Pair, answer_cells, field_words, single_field_pairs
 from labpipe.report.group_plots import first_loading
 from labpipe.report.group_tables import DASH, Cell, Line, Table, cause_lines
-from labpipe.report.issue_ranking import Cause
-from labpipe.report.issues import Kind
+from labpipe.report.issues import Cause, Kind
 from labpipe.report.page_facts import PageTest, PageTests, samples_of
-from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.page_plots import mean_strip, sparkline
 from labpipe.report.plot_thinning import simplify_line
-from labpipe.report.wording import count_of, display_of, heading, shown_in
+from labpipe.report.wording import (
+    count_of,
+    display_of,
+    heading,
+    is_first_cycle,
+    mean_with_interval,
+    shown_in,
+    with_interval,
+)
 from labpipe.statistics.group_fields import in_order
 
 if TYPE_CHECKING:
@@ -142,18 +148,18 @@ def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
 
 
 def _key_block(groups: Sequence[tuple[Group, str]]) -> KeyBlock:
-    every = [(number, group) for group, _ in groups for number in group.numbers if _is_key(number)]
+    every = [
+        (number, group)
+        for group, _ in groups
+        for number in group.numbers
+        if is_first_cycle(number.name) and not number.is_set_by_rig
+    ]
     numbers_by_name = {number.name: (number, group) for number, group in reversed(every)}
     names = list(dict.fromkeys(number.name for number, _ in every))[:3]
     heads = tuple(_heading(*numbers_by_name[name]) for name in names)
     ends = _ends([first for group, _ in groups if (first := _number(group, names[:1])) is not None])
     rows = tuple(_key_row(group, stem, names, ends) for group, stem in groups)
     return KeyBlock(heads, rows)
-
-
-def _is_key(number: GroupNumber) -> bool:
-    """Return whether a number belongs to the whole specimen or to its first cycle."""
-    return not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
 
 
 def _heading(number: GroupNumber, group: Group) -> str:

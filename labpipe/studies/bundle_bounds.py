@@ -21,9 +21,7 @@ from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleM
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import FIGURE, save_bundle_figure
-from labpipe.report.bundle_loop_figure import FIGURE as LOOP_FIGURE
-from labpipe.report.bundle_loop_figure import save_loop_figure
+from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, save_bundle_figure, save_loop_figure
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.studies.bundle_loops import bundle_loop, friction_as_json, processed_test
 from labpipe.studies.wire_specs import read_wire_sheet

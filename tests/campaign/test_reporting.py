@@ -17,8 +17,6 @@ from labpipe.campaign.reporting import (
     ReportContext,
     ReportOptions,
     make_campaign,
-    page_of_test,
-    pages_of,
     report_tests,
 )
 from labpipe.errors import StoreError, UsageError

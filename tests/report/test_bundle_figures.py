@@ -18,10 +18,10 @@ from labpipe.report.bundle_figures import (
     bundle_figure,
     draw_places,
     has_bundles,
+    loop_figure,
     place_figures,
     place_table,
 )
-from labpipe.report.bundle_loop_figure import loop_figure
 from labpipe.report.figure_page import style
 from labpipe.report.harness_figure import (
     DrawnHarness,

@@ -14,8 +14,12 @@ from matplotlib.figure import Figure
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import ExternalCurveComparison
 from labpipe.report.calibration_agreement import external_figure, external_pages, validation_figure
-from labpipe.report.calibration_card import calibration_card, plot_profile, plot_residuals
-from labpipe.report.calibration_figures import shapes_figure
+from labpipe.report.calibration_figures import (
+    calibration_card,
+    plot_profile,
+    plot_residuals,
+    shapes_figure,
+)
 from labpipe.report.calibration_summary import (
     BentShape,
     CalibrationReport,

@@ -17,8 +17,8 @@ from labpipe.records.arrays import Floats
 from labpipe.report.figure_page import (
     titled_page,
 )
+from labpipe.report.marker_figures import Rig, rig_of
 from labpipe.report.plot_thinning import extremes, simplify_line, worst
-from labpipe.report.rig_drawing import Rig, rig_of
 from tests.store.builders_result import build_result
 
 

@@ -34,13 +34,13 @@ from labpipe.report.curve_figures import (
 from labpipe.report.figure_page import style
 from labpipe.report.marker_figures import (
     FLAG_COLOURS,
+    Rig,
     choose_frames,
     draw_marker_quality,
     draw_wire_shapes,
     plot_flags,
     plot_shapes,
 )
-from labpipe.report.rig_drawing import Rig
 from labpipe.report.timeline_figure import draw_timeline
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud

@@ -17,10 +17,11 @@ from labpipe.report.group_dots import dot_rows, draw_dots, numbers_to_draw
 from labpipe.report.group_figures import MAX_SLIP_PANELS, draw_slips, group_drawings, stems
 from labpipe.report.group_plots import (
     draw_curves,
+    draw_group_laws,
+    draw_group_shapes,
     draw_lines,
     draw_scaled,
 )
-from labpipe.report.group_shapes import draw_group_laws, draw_group_shapes
 from labpipe.statistics.mean_curves import without_band
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples

@@ -15,7 +15,7 @@ from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_panels import group_panels
-from labpipe.report.issue_ranking import find_causes
+from labpipe.report.issues import find_causes
 from labpipe.report.page_facts import (
     PageTests,
     days_words,

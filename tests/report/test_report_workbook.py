@@ -24,8 +24,15 @@ from labpipe.records.result import Contribution, Result
 from labpipe.report.page_facts import report_id
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import shown_in
-from labpipe.report.workbook_cells import NumberCell
-from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book, unique_heads
+from labpipe.report.workbook_file import (
+    About,
+    Chart,
+    Line,
+    NumberCell,
+    Sheet,
+    save_book,
+    unique_heads,
+)
 from labpipe.statistics.groups import build_group as grouped
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -19,15 +18,13 @@ from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import save_calibration_figures
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.figure_page import style, titled_page
+from labpipe.report.figure_page import titled_page
 from labpipe.report.figures import FIGURES, save_figures
 from labpipe.report.lab_report import write_report
 from labpipe.report.saving import (
     FigureToSave,
     inline_svg,
-    save_page,
     save_pages,
-    save_report_figures,
 )
 from labpipe.report.wire_figures import save_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
@@ -53,9 +50,7 @@ def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
     assert [path.name for path in both] == ["a.svg", "a.png"]
     assert alone.read_bytes() == both[0].read_bytes()
     assert list((tmp_path / "alone").iterdir()) == [alone]
-    (one,) = save_report_figures(wanted, tmp_path, formats=("svg",))
-    assert [file.name for file in one.files] == ["a.svg"]
-    drawn = one.files[0].read_text(encoding="utf-8")
+    drawn = alone.read_text(encoding="utf-8")
     assert "<dc:title>One &amp; two</dc:title>" in drawn
     assert "<dc:description>How to\ufffd read it.</dc:description>" in drawn
     assert "<text" not in drawn
@@ -137,9 +132,7 @@ def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
     with pytest.raises(ValueError, match=r"^figures: expected names of .*, found \['pie'\]$"):
         save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()
-    with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = save_page(page(), tmp_path, "a", packer)
-    with pytest.raises(IsADirectoryError):
-        saved.whole()
+    with pytest.raises(StoreError, match="Is a directory"):
+        save_pages([FigureToSave("a", page)], tmp_path, what="figures", again="draw", png=True)
     assert {path.name for path in tmp_path.iterdir()} == {"x", "a.png", "a.svg"}
     approved(messages)

@@ -10,18 +10,19 @@ from hypothesis import strategies as st
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
-from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.wording import (
     as_label,
     heading,
     is_main,
+    mean_with_interval,
     printable,
     replace_names,
     shown_in,
     unit_words,
+    with_interval,
     write_number,
 )
-from labpipe.report.workbook_cells import (
+from labpipe.report.workbook_file import (
     NumberCell,
     column_place,
     format_in_column,
