@@ -92,12 +92,10 @@ def test_fields_that_are_asked_for_come_first_and_sort(campaign: Path) -> None:
 
 DAMAGED = {
     "empty": ("", "a damaged one"),
-    "half": ('{"schema": 2, "te', "a damaged one"),
     "list": ("[]", "something else"),
     "newer": ('{"schema": 3}', "one of a newer labpipe, schema 3. Update labpipe."),
     "bare": ('{"schema": 2}', "a damaged one ('test')"),
     "deep": ("[" * 200_000, "a damaged one"),
-    "word": ('{"schema": 2, "test": "a", "specimen": {}, "results": 3, "protocol": ""}', "damaged"),
     "no number": (
         '{"schema": 2, "test": "a", "specimen": {}, "protocol": "", '
         '"results": [{"name": "a", "value": "x", "unit": "N", "status": "ok"}]}',

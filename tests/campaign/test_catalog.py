@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
+from pathlib import Path
 
 import pytest
 
@@ -18,7 +18,6 @@ from labpipe.campaign import machine
 from labpipe.campaign.campaign_folders import (
     CampaignFolders,
     find_campaign,
-    find_outcome,
     list_processed,
     list_raw,
 )
@@ -30,13 +29,12 @@ from labpipe.campaign.catalog import (
     Entry,
     Seen,
     TestRow,
-    file_uri,
     sqlite_errors,
 )
-from labpipe.campaign.catalog_file import new_catalog, open_catalog
+from labpipe.campaign.catalog_file import new_catalog
 from labpipe.campaign.machine import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.outcome_rows import ResultRow
-from labpipe.campaign.remote_drives import is_on_this_machine, shared_kind
+from labpipe.campaign.remote_drives import shared_kind
 from labpipe.campaign.running import read_overview
 from labpipe.campaign.test_locks import MAX_CLAIM_AGE, is_alive, new_claim
 from labpipe.errors import StoreError, UsageError
@@ -83,18 +81,6 @@ def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatc
     assert catalog.claim("T1")
     catalog.release_dead()
     assert catalog._all("select * from running") == []
-
-
-@pytest.mark.parametrize(
-    ("path", "uri"),
-    [
-        (PurePosixPath("/a b/c?d#e%"), "file:///a%20b/c%3Fd%23e%25"),
-        (PureWindowsPath("C:/lab/ü.sqlite"), "file:///C:/lab/%C3%BC.sqlite"),
-        (PureWindowsPath("//server/share/c.sqlite"), "file:////server/share/c.sqlite"),
-    ],
-)
-def test_paths_as_sqlite_takes_them(path: PurePath, uri: str) -> None:
-    assert file_uri(path) == uri
 
 
 @pytest.mark.parametrize(
@@ -160,18 +146,6 @@ def test_a_data_base_of_another_program_is_refused(
     assert not (kept.processed / "catalog.sqlite.damaged").exists()
 
 
-@pytest.mark.parametrize(("is_own", "mode"), [(True, "wal"), (False, "delete")])
-def test_the_journal_fits_the_drive(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_own: bool, mode: str
-) -> None:
-    monkeypatch.setattr("labpipe.campaign.catalog_file.is_on_this_machine", lambda _: is_own)
-    new_catalog(tmp_path).close()
-    catalog = open_catalog(tmp_path)
-    ((found,),) = catalog._all("pragma journal_mode")
-    catalog.close()
-    assert found == mode
-
-
 @pytest.fixture
 def campaign(tmp_path: Path) -> CampaignFolders:
     for name in ("T1", "more/T2", "figures", ".hidden/T3"):
@@ -228,24 +202,6 @@ def test_a_name_of_other_bytes_is_said(campaign: CampaignFolders) -> None:
     )
 
 
-def test_outcomes_and_what_changes_their_marks(campaign: CampaignFolders) -> None:
-    folder = campaign.processed / "T1"
-    (folder / "figures").mkdir(parents=True)
-    assert list_processed(campaign) == {}
-    marks = []
-    for name, text, has_results, has_failure in (
-        ("summary.json", "{}", False, False),
-        ("result.h5", "", True, False),
-        ("failure.json", "{}", True, True),
-        ("summary.json", "{ }", True, True),
-    ):
-        (folder / name).write_text(text, "utf-8")
-        marks.append(list_processed(campaign)["T1"])
-        assert marks[-1] == find_outcome(campaign, "T1")
-        assert (marks[-1].has_results, marks[-1].has_failure) == (has_results, has_failure)
-        assert marks.count(marks[-1]) == 1
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when a process began")
 def test_a_process_that_ended_does_not_hold_its_claim() -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
@@ -284,16 +240,6 @@ def test_the_deepest_mount_counts() -> None:
         "/mnt/win/C": "cifs",
     }
     assert {path: shared_kind(MOUNTS, path) for path in kinds} == kinds
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the table of mounts is that of Linux")
-def test_a_shared_drive_is_not_of_this_machine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert is_on_this_machine(Path("/proc").resolve())
-    for kind, own in (("nfs4", False), ("fuse.sshfs", False), ("", False), ("ext4", True)):
-        monkeypatch.setattr("labpipe.campaign.remote_drives.shared_kind", lambda *_, k=kind: k)
-        assert is_on_this_machine(tmp_path) is own
 
 
 @pytest.mark.parametrize(

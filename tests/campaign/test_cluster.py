@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from distributed import Client
 
-from labpipe.campaign import batches, cluster
+from labpipe.campaign import cluster
 from labpipe.campaign.executors import Outcome, Task, dask, local
 from labpipe.errors import ProcessingError, UsageError
 from tests.builders.clusters import Cluster, start_cluster
@@ -110,20 +110,6 @@ def test_what_cannot_be_processed_fails_as_on_one_machine(
     outcomes = by_name(dask(alone.address)(tasks_of(labs, tmp_path / "out")))
     codes = {name: outcome.code for name, outcome in outcomes.items() if outcome.state == "failed"}
     assert codes == {"S-0001": "missing_export", "S-0002": "bad_sheet"}
-
-
-@pytest.mark.slow
-def test_workers_with_another_labpipe(
-    machines: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 2.0)
-    monkeypatch.setattr(batches, "__version__", "9.9")  # of labpipe here
-    said = (
-        r"expected workers with labpipe 9\.9, found workers with another version, \('.*', \d+\)\. "
-    )
-    with pytest.raises(UsageError, match=said) as raised:
-        list(dask(machines.address)(tasks_of(small_pulls(tmp_path, 1), tmp_path / "out")))
-    assert raised.value.code == "no_cluster"
 
 
 @pytest.fixture

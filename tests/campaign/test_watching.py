@@ -18,23 +18,19 @@ from typing import Any
 import pytest
 
 from labpipe.campaign.campaign_folders import find_campaign
-from labpipe.campaign.executors import Outcome, local
+from labpipe.campaign.executors import Outcome
 from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.quick_look import (
     CampaignGroups,
     DisplaySettings,
     actions,
-    actions_for,
-    failure_lines,
     verdict,
 )
 from labpipe.campaign.running import read_overview
-from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.campaign.watching import Watcher
-from labpipe.errors import CODES, ProcessingError, ProtocolError
+from labpipe.errors import CODES
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.records.quality import Severity
-from tests.approved import Approve
 from tests.builders.small_tests import Lab
 
 PLAN = """\
@@ -155,18 +151,6 @@ def test_a_test_is_paired_processed_and_judged_once(
     assert "(so far 1); n = 1 so far, too few to judge" in bench.go(3)
 
 
-def test_a_role_that_is_missing_is_said_and_does_not_delay(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
-    put(bench, "A2-085-1", exports, "force.mat")
-    assert bench.go(60) == "A2-085-1: waits for markers"
-    put(bench, "A2-085-1", exports, "take.csv")
-    began = bench.now
-    while not bench.campaign.done:
-        bench.go(0.5)
-    assert bench.now - began <= 3.0
-
-
 @pytest.mark.slow
 def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_can_be(
     bench: Bench, exports: dict[str, bytes]
@@ -239,20 +223,6 @@ def test_a_test_that_fails_or_has_gaps_is_processed_again_once_it_changed(
     assert "A2-085-1: WELL" in bench.go(4)
 
 
-def test_a_campaign_yaml_that_is_wrong_does_not_count(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
-    bench.go(1)
-    (bench.campaign.raw / "campaign.yaml").write_text("version: 1\nprotocl: x\n", encoding="utf-8")
-    message = bench.go(10)
-    assert "Did you mean 'protocol'?" in message
-    assert message.count("the last valid campaign.yaml is used") == 1
-    put(bench, "A2-085-1", exports)
-    assert "A2-085-1: WELL" in bench.go(4)
-    with pytest.raises(ProtocolError):
-        bench.begin()
-
-
 def test_a_restart_does_nothing_twice(bench: Bench, exports: dict[str, bytes]) -> None:
     for number in (1, 2):
         put(bench, f"A2-085-{number}", exports)
@@ -264,20 +234,6 @@ def test_a_restart_does_nothing_twice(bench: Bench, exports: dict[str, bytes]) -
     assert sorted(bench.campaign.asked) == ["A2-085-1", "A2-085-2", "A2-085-3"]
     verdicts = [sentence for sentence in bench.said[before:] if "WELL" in sentence]
     assert len(verdicts) == 1
-
-
-def test_what_is_not_used_is_said_once(bench: Bench, exports: dict[str, bytes]) -> None:
-    raw = bench.campaign.raw
-    (raw / "loose.csv").write_bytes(b"x")
-    folder = put(bench, "A2-085-1", exports)
-    (folder / "a\nb\x1b[2J.csv").write_bytes(exports["take.csv"])
-    said = bench.go(200, step=2)
-    assert "loose.csv: not used: it is not in the folder of a test" in said
-    assert "A2-085-1/a\\nb\\x1b[2J.csv: not used: its name has control characters" in said
-    assert "\x1b" not in said
-    assert "A2-085-1: WELL" in said
-    assert bench.go(200, step=2) == ""
-    assert (folder / "a\nb\x1b[2J.csv").read_bytes() == exports["take.csv"]
 
 
 PLAN_OF_ONE = """\
@@ -420,41 +376,3 @@ def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None
     assert not missing
     known = {kind.code for kind in kinds_of_notes()} | said | set(CODES)
     assert not set(actions()) - known  # no action for a code that there is not
-
-
-def test_words_of_verdicts(tmp_path: Path, approved: Approve) -> None:
-    doubtful = summary(status="doubtful", codes=["zero_not_at_rest", "slip_in_window"])
-    some = [summary(peak) for peak in (1.0, 1.1, 0.9)]
-    unlike = [summary(), summary(status="doubtful", codes=["gap"])]
-    cases: list[tuple[Summary, list[Summary]]] = [
-        (summary(), []), (doubtful, []), (summary(status="failed", codes=["no_cycle"]), []),
-        (summary(5.0), some), (summary(), unlike),
-    ]  # fmt: skip
-    told = [
-        line
-        for number, (said, before) in enumerate(cases)
-        for line in lines(tmp_path / str(number), said, before)
-    ]
-    told += failure_lines("T", "unreadable_export", "f.mat: expected a, found b. Do.\nmore")
-    approved([*told, actions_for(["slack_unknown", "no_break", "gap", "saturation", "cut", "gap"])])
-
-
-@pytest.mark.slow
-def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
-    folders = find_campaign(lab.raw.parent)
-    watched = WatchedCampaign(folders, local(1))
-    from labpipe.campaign.refreshing import open_campaign
-
-    with open_campaign(folders) as sync:
-        sync.refresh()
-        assert sync.catalog.claim("T1")
-        with pytest.raises(ProcessingError, match=r"another labpipe at work on it"):
-            watched.process(lab.sheet)
-        sync.catalog.release("T1")
-    outcome = watched.process(lab.sheet)
-    assert outcome is not None
-    assert outcome.state == "ok"
-    assert watched.process(lab.sheet) is None
-    assert watched.process(lab.sheet, again=True) is not None
-    assert watched.unprocessed([lab.sheet]) == []
-    assert list(watched.results()) == [lab.processed.resolve()]

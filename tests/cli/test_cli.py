@@ -38,28 +38,6 @@ def test_message_names_the_command(
     assert (ran.status, ran.out) == (BAD_INPUT, "")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="pipes are another matter on Windows")
-def test_reader_of_a_pipe_that_goes_away(pristine: Lab) -> None:
-    command = (
-        f'"{sys.executable}" -c "import sys; from labpipe.cli import main; sys.exit(main())" '
-        f'inspect "{pristine.raw / "take.csv"}" --json | head -c 1; exit ${{PIPESTATUS[0]}}'
-    )
-    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
-    assert ended.stdout == "{"
-    assert ended.stderr == ""
-    assert ended.returncode == DONE
-
-
-def test_inspect(run: Run, pristine: Lab) -> None:
-    ran = run("inspect", pristine.raw / "force.mat")
-    assert ran.status == DONE
-    assert "Model Root/Load Cell/Out1" in ran.out
-    ran = run("inspect", pristine.raw / "test.yaml")
-    assert ran.status == 2
-    assert "expected an export of a known format" in ran.err
-
-
 def test_new_then_check(run: Run, lab: Lab) -> None:
     lab.sheet.unlink()
     facts = ["--type", "A2", "--spool", "A2-s1", "--sample", "1", "--length", "85 mm"]
@@ -92,18 +70,6 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     assert run("new", tmp_path / "raw", "--from", sheet).out.count("kept ") == 2
 
 
-def test_new_sees_what_lies_there(run: Run, lab: Lab) -> None:
-    folder = lab.raw.rename(lab.raw.with_name("A2-085-3"))
-    (folder / "test.yaml").unlink()
-    ran = run("new", folder)
-    assert (ran.status, ran.err) == (DONE, "")
-    assert ran.out.splitlines()[0] == f"wrote {folder / 'test.yaml'}"
-    assert ran.out.splitlines()[-1] == "  to fill in: spool"
-    assert "(specimen.spool): expected text, found nothing." in run("check", folder).err
-    assert run("new", folder, "--spool", "A2-s1", "--overwrite").status == DONE
-    assert run("check", folder).status == DONE
-
-
 @pytest.mark.parametrize("command", ["inspect", "check", "process", "report", "model"])
 def test_a_name_that_the_file_system_refuses(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
@@ -132,14 +98,6 @@ def test_a_name_that_the_system_cannot_write(lab: Lab) -> None:
     assert ended.returncode == 2
     assert b"Traceback" not in ended.stderr
     assert b"whose encoding is ascii, found '\\xe4'. Choose a locale of UTF-8" in ended.stderr
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "powershell"])
-def test_a_script_for_each_shell(run: Run, shell: str) -> None:
-    ran = run("completion", shell)
-    assert ran.status == DONE
-    assert "labpipe" in ran.out
-    assert "ARGCOMPLETE" in ran.out
 
 
 @pytest.mark.parametrize(

@@ -49,13 +49,6 @@ def troubled() -> Calibration:
 
 
 @cache
-def one_sample() -> Calibration:
-    """Friction alone, from one sample."""
-    choices = {"copper_scale": _FIXED, "insulation_modulus": _FIXED}
-    return _calibrated(TESTS[:1], Settings(choices))
-
-
-@cache
 def predicted(name: str = "A2", length: float = 0.085) -> Prediction:
     return predict(
         usual(), wire_of(name), length, GRID, rig=rig_of(length), noise=0.002, n_samples=2

@@ -117,14 +117,6 @@ def test_a_view_has_the_line_in_mm_with_its_radius() -> None:
     assert corners.max(axis=0) == pytest.approx([104.0, 104.0])
 
 
-def test_the_way_of_a_gripper_is_seen_whole() -> None:
-    way = np.array([[0.1, 0.0, 0.1], [0.1, 0.09, 0.25], [0.1, 0.0, 0.1]])
-    axes = Figure().subplots()
-    plot_view(replace(HARNESS, marks=(DrawnMark("hand", "grip", ARC[-1], way),)), 1, 2, axes)
-    for number, (low, high) in ((1, axes.get_xlim()), (2, axes.get_ylim())):
-        assert low < 1e3 * way[:, number].min() <= 1e3 * way[:, number].max() < high
-
-
 def test_many_rows_are_several_figures_with_whole_groups() -> None:
     groups = grouped([*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))])
     places = [replace(PLACE, group=group.name) for group in groups for _ in range(MAX_ROWS - 4)]

@@ -12,14 +12,12 @@ from scipy import stats
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report.group_tables import cause_lines, method_tables, note_table
+from labpipe.report.group_tables import note_table
 from labpipe.report.issue_ranking import find_causes, find_notes
-from labpipe.report.issues import Kind, find_issues, sentence
+from labpipe.report.issues import Kind, find_issues
 from labpipe.statistics import groups
-from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_sample
-from tests.builders.campaigns import build_campaign, build_group, build_sample, troubled_samples
-from tests.report.figure_words import table_words
+from tests.builders.campaigns import build_group, build_sample, troubled_samples
 
 
 def warning(code: str, where: str, message: str = "odd", *tests: str) -> QualityNote:
@@ -166,15 +164,3 @@ def test_what_a_cause_does_to_a_mean(
     set_by_rig = tuple(replace(number, is_set_by_rig=True) for number in own.numbers)
     (cause,) = find_causes(campaign_of(replace(own, numbers=set_by_rig)))
     assert cause.effect is None
-
-
-def test_lines_of_causes(approved: Approve) -> None:
-    lines = cause_lines(find_causes(build_campaign()))
-    heads = [f"{line.head}: {line.reason} {line.subject}: {line.effect}" for line in lines]
-    tables = [row for line in lines for row in table_words(line.details)]
-    (methods,) = method_tables(build_campaign())
-    approved([*heads, *tables, *table_words(methods)])
-    texts = ("the end.", "no stop", "", "doubtful: peak_force.1 (tt-a)")
-    assert [sentence(text) for text in texts] == [
-        "The end.", "No stop.", "", "Doubtful: peak force, cycle 1 (tt-a).",
-    ]  # fmt: skip

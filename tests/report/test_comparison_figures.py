@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from labpipe.records.group import Group
+from labpipe.records.curve import Interval
+from labpipe.records.group import Contrast, Group, MeanInterval
+from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
-from labpipe.report.budget_figures import (
-    budgets_to_draw,
-    draw_budget,
-    draw_group_budgets,
+from labpipe.report.budget_figures import draw_budget, draw_group_budgets
+from labpipe.report.comparison_figures import caption, draw_family, figures_of_families
+from labpipe.report.comparisons import (
+    MAX_COMPARED_GROUPS,
+    Family,
+    Pair,
+    families,
+    multi_field_differences,
+    question_table,
+    question_words,
+    single_field_pairs,
 )
-from labpipe.report.comparison_figures import (
-    caption,
-    draw_family,
-    figures_of_families,
-    main_number,
-    plot_means,
-)
-from labpipe.report.comparisons import Family, families
 from labpipe.report.figure_page import style
-from labpipe.report.page_comparisons import questions
 from labpipe.statistics.groups import build_group
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
@@ -36,25 +33,11 @@ from tests.builders.bundle_campaigns import (
     conduit_cases,
     three_of,
 )
-from tests.builders.campaigns import build_campaign, six_samples
-from tests.report.figure_words import all_words
+from tests.builders.campaigns import build_campaign, build_difference, six_samples
+from tests.report.figure_words import all_words, table_words
 from tests.store.builders_result import build_result
 
 TAPING = families(bundle_campaign(conduit_cases(), alone="taping"))[0]
-
-
-def test_the_main_number_with_its_samples() -> None:
-    assert main_number(TAPING) == "bending_stiffness"
-    with style():
-        axes = Figure().subplots()
-        plot_means(TAPING, "bending_stiffness", axes)
-        means = [float(np.asarray(line.get_xdata())[0]) for line in axes.lines[2::3]]
-        for mean, group in zip(means, TAPING.groups, strict=True):
-            assert group.numbers[0].mean is not None
-            assert mean == pytest.approx(1e6 * group.numbers[0].mean.chosen.mean)
-    first = TAPING.groups[0]
-    lacking = replace(first, numbers=first.numbers[1:])
-    assert main_number(Family("taping", (lacking, *TAPING.groups[1:]))) == "peak_force.1"
 
 
 def pieces(axes: Axes) -> list[tuple[float, float, bool]]:
@@ -77,38 +60,6 @@ def group_with_budgets(count: int = 6) -> Group:
         for sample in six_samples()[:count]
     ]
     return build_group("tube", "twist-tube", samples)
-
-
-def test_a_group_shows_its_tests_and_its_means() -> None:
-    own = group_with_budgets()
-    count = len(budgets_to_draw(own))
-    assert count >= 3
-    with style():
-        left, right = draw_group_budgets(own).axes
-    assert pieces(left) == [(0.0, 50.0, False), (50.0, 50.0, True)] * count
-    assert len(pieces(right)) == 2 * count
-    assert sum(width for _, width, _ in pieces(right)) == pytest.approx(100.0 * count)
-    assert budgets_to_draw(build_group("tube", "twist-tube", six_samples())) == []
-
-
-def test_groups_that_differ_in_one_field_are_drawn_together() -> None:
-    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
-    campaign = bundle_campaign(samples)
-    stems = {group.name: f"g{at}" for at, group in enumerate(campaign.groups)}
-    (question,) = questions(campaign, stems)
-    assert (question.field, question.name) == ("wire", "Wire")
-    assert [row[0].text for row in question.answers.rows] == ["Wire: B2 against B1"]
-    (comparison,) = question.comparisons
-    means, numbers = comparison.plots
-    assert {line.group for line in means.lines} == {"g0", "g1"}
-    assert [key.label for key in means.keys] == ["B1 (n = 3)", "B2 (n = 3)"]
-    dots = [line for line in numbers.lines if line.look.startswith("dot")]
-    group = campaign.groups[0]
-    mean = next(number.mean for number in group.numbers if number.name == "bending_stiffness")
-    assert mean is not None
-    np.testing.assert_allclose(dots[0].x, 1e6 * mean.chosen.mean)
-    assert [float(line.y[0]) for line in dots] == [0.0, -1.0]
-    assert numbers.y.is_bare
 
 
 def test_figures_of_families(approved: Approve) -> None:
@@ -148,3 +99,67 @@ def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
         }
     assert pieces(page.axes[0]) == [(0.0, 36.0, False), (36.0, 64.0, True)]
     approved(all_words(pages))
+
+
+def test_families_hold_all_that_differ_in_one_field() -> None:
+    cases = families(bundle_campaign(conduit_cases()))
+    assert [(family.field, family.labels) for family in cases] == [
+        ("wire", ("B1", "B1 & B2", "B2")),
+        ("wire", ("B1", "B2")),
+        ("number", ("12", "19")),
+        ("taping", ("none", "coarse", "half-lap")),
+        ("conduit", ("corrugated-tube", "twist-tube")),
+        ("conduit", ("corrugated-tube", "twist-tube")),
+    ]
+
+
+def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
+    counts = (3, 4, 5, 6, 7, 8, 9, 12)
+    samples = [sample for count in counts for sample in three_of(bundle_of(f"{count} B1"))]
+    first, second = families(bundle_campaign(samples))
+    assert len(first.groups) == MAX_COMPARED_GROUPS
+    assert first.labels == ("3", "4", "5", "6", "7", "8")
+    assert second.labels == ("3", "9", "12")
+
+
+def test_types_are_a_question_too_and_two_fields_at_once_are_not() -> None:
+    tubes = three_of(None)
+    hoses = [
+        replace(tube, specimen=replace(tube.specimen, type="hose"), source=f"{tube.source}-hose")
+        for tube in tubes
+    ]
+    (pair,) = single_field_pairs(bundle_campaign([*tubes, *hoses]))
+    assert question_words(pair) == "Type: tube against hose, all else equal (length 114.3 mm)"
+    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
+    campaign = bundle_campaign(samples)
+    assert not single_field_pairs(campaign)
+    assert not families(campaign)
+    assert len(multi_field_differences(campaign)) == 2
+
+
+def test_tables_of_questions(approved: Approve) -> None:
+    """A share, a number that can be negative, no interval, no bounds, a mean of zero, a caveat."""
+    contrast = Contrast(-1423.4, (60.0, 60.0), (6, 3))
+    first, second, _ = build_campaign().groups
+    known = build_difference()
+    usual = Pair(first, second, (known,))
+    in_newtons = replace(known, contrast=contrast, interval=Interval(-1650.0, -1200.0))
+    lone = MeanInterval(-1423.4, None, 120.0, 7, Reason("one_sample", "there is one sample"))
+    without = replace(known, contrast=None, interval=None, margin=None, difference=lone)
+    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
+    (pair,) = single_field_pairs(bundle_campaign(samples))
+    number, other = pair.differences
+    odd = replace(number, caveats=(*number.caveats, "not made alike: this against that"))
+    zero = [*three_of(bundle_of("7 B1"), scale=0.0), *three_of(bundle_of("7 B2"))]
+    pairs = [
+        usual,
+        replace(usual, differences=(in_newtons,)),
+        replace(usual, differences=(without,)),
+        replace(usual, differences=(replace(known, interval=Interval(-0.99, 5e8)),)),
+        pair,
+        replace(pair, differences=(odd, other)),
+        *single_field_pairs(bundle_campaign(zero)),
+    ]
+    approved(line for pair in pairs for line in table_words(question_table(pair)))
+    share = question_table(pair).rows[0][1].text.partition(" ")[0]
+    assert 50.0 < float(share) < 60.0  # 1.4 / 0.9

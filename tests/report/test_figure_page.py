@@ -6,43 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.text import Text
 
 from labpipe.records.arrays import Floats
 from labpipe.report.figure_page import (
-    STYLE_FILE,
-    finish_layout,
-    limit_to_values,
-    new_page,
-    panel_letter,
-    put_key,
-    require_room,
-    split_pages,
-    style,
     titled_page,
 )
 from labpipe.report.plot_thinning import extremes, simplify_line, worst
 from labpipe.report.rig_drawing import Rig, rig_of
 from tests.store.builders_result import build_result
-
-RESULT = build_result(half_cycle=0.2, cycles=1, force_rate=50.0)
-
-
-def test_style_is_given_back() -> None:
-    before = dict(mpl.rcParams)
-    with style():
-        assert mpl.rcParams["svg.hashsalt"] == "labpipe"
-        assert mpl.rcParams["font.size"] == 8
-    assert dict(mpl.rcParams) == before
 
 
 def drawn(heading: str) -> bytes:
@@ -51,79 +28,6 @@ def drawn(heading: str) -> bytes:
     pixels: Any = FigureCanvasAgg(page)
     pixels.draw()
     return bytes(pixels.buffer_rgba())
-
-
-def test_letters_that_the_first_font_lacks_come_from_another() -> None:
-    """Else matplotlib warns, which is an error here."""
-    with mpl.rc_context(fname=str(STYLE_FILE)):
-        drawn("عين")
-        with pytest.raises(UserWarning, match="missing from font"):
-            drawn("\U000f0000")
-
-
-def test_page_has_title_footnote_and_room_for_them() -> None:
-    with style():
-        page = new_page(RESULT, width_mm=180, height_mm=60, has_key=True)
-        axes = page.subplots()
-        put_key(page, [Line2D([], [], label="cycle 1")])
-        panel_letter(axes, "a", "Raw")
-        finish_layout(page)
-    assert page.get_size_inches() == pytest.approx([180 / 25.4, 60 / 25.4])
-    texts = [text.get_text() for text in page.texts]
-    assert texts[0].startswith("A2-085-1")
-    assert texts[1] == "Of 3 results: 1 doubtful, 1 failed."
-    assert axes.get_title(loc="left") == "(a) Raw"
-    box = axes.get_tightbbox()
-    assert box is not None
-    note, key, title = (
-        part.get_window_extent() for part in (page.texts[1], page.legends[0], page.texts[0])
-    )
-    assert note.y1 < box.y0 < box.y1 < key.y0 < title.y0 < page.bbox.height
-
-
-def texts(page: Figure) -> list[str]:
-    return [text.get_text() for text in page.findobj(Text) if text.get_text()]
-
-
-def test_names_leave_the_panel_its_room() -> None:
-    """Else matplotlib warns that axes collapsed, which is an error here."""
-    long = "".join(f"{number:03d}" for number in range(100))
-    with style():
-        page = titled_page(long, f"{long}\na note", width_mm=120, height_mm=60)
-        axes = page.subplots()
-        axes.set_yticks([0, 1], [long, "short"])
-        finish_layout(page)
-        assert axes.get_position().width > 0.2
-    shown = texts(page)
-    assert {f"{long[:20]}\u2026{long[-19:]}", "short"} <= set(shown)
-    assert max(map(len, shown)) == 150 + len("\na note")
-    assert any(text.endswith("099\na note") for text in shown)
-
-
-def test_what_cannot_be_drawn_is_shown_as_such() -> None:
-    with style():
-        page = titled_page("A\x07\x002 \ud800", "one\nother\x1b", width_mm=90, height_mm=60)
-        page.subplots().set_yticks([0], ["\x07"])
-        finish_layout(page)
-    assert {"A\ufffd\ufffd2 \ufffd", "one\nother\ufffd", "\ufffd"} <= set(texts(page))
-
-
-def test_things_on_pages() -> None:
-    assert split_pages(range(25), 12) == [range(12), range(12, 24), range(24, 25)]
-    assert split_pages([], 12) == []
-    require_room(12, 12, "wires")
-    for count in (0, 13):
-        with pytest.raises(ValueError, match=f"^wires: expected 1 to 12 on a page, found {count}$"):
-            require_room(count, 12, "wires")
-
-
-def test_wide_intervals_are_cut_and_values_are_not() -> None:
-    axes = Figure().subplots()
-    axes.set_xlim(-100.0, 5.0)
-    limit_to_values([1.0, float("nan"), 3.0], axes)
-    assert axes.get_xlim() == (-2.0, 5.0)
-    limit_to_values([1.0], axes)
-    assert axes.get_xlim() == (-2.0, 5.0)
 
 
 @given(

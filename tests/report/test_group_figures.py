@@ -13,13 +13,12 @@ from labpipe.records.curve import FittedLine
 from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.group import Group, Outlier
 from labpipe.report.figure_page import style
-from labpipe.report.group_dots import MAX_DOT_ROWS, dot_rows, draw_dots, numbers_to_draw
+from labpipe.report.group_dots import dot_rows, draw_dots, numbers_to_draw
 from labpipe.report.group_figures import MAX_SLIP_PANELS, draw_slips, group_drawings, stems
 from labpipe.report.group_plots import (
     draw_curves,
     draw_lines,
     draw_scaled,
-    force_limits,
 )
 from labpipe.report.group_shapes import draw_group_laws, draw_group_shapes
 from labpipe.statistics.mean_curves import without_band
@@ -61,39 +60,10 @@ def test_rows_are_samples_spool_means_and_the_mean() -> None:
     assert rows[-1].value == number.mean.chosen.mean
 
 
-def test_samples_of_large_groups_share_a_row() -> None:
-    samples = [build_sample(f"s{n % 2}", str(n), seed=n) for n in range(MAX_DOT_ROWS + 2)]
-    group = build_group("A", samples)
-    rows = dot_rows(group, group.numbers[0])
-    half = len(samples) // 2
-    assert {row.label for row in rows[:half]} == {f"{half} samples"}
-    assert all(abs(row.height) < 0.5 and row.interval is None for row in rows[:half])
-    assert rows[half].height == 1.0
-    assert rows[-1].height == 4.0
-
-
 @pytest.fixture(autouse=True)
 def _in_style() -> Iterator[None]:
     with style():
         yield
-
-
-def test_the_axis_follows_curves_and_pointwise_band() -> None:
-    group = build_group("A", six_samples())
-    wide = replace(group.band, upper_all=group.band.mean + 90.0, lower_all=group.band.mean - 90.0)
-    low, high = force_limits(group, wide)
-    peaks = [float(sample.loading[0].force.max()) for sample in group.samples]
-    assert max(peaks) < high < 1.1 * max(*peaks, group.band.upper.max())
-    near = replace(group.band, upper_all=group.band.upper + 9.0, lower_all=group.band.lower - 9.0)
-    assert force_limits(group, near)[1] > near.upper_all.max()
-    assert force_limits(group, near)[0] < near.lower_all.min() < low
-    few = without_band(replace(group.band, n=3))
-    axes = draw_curves(replace(group, band=few)).axes[0]
-    assert not axes.collections
-    marks = [line for line in axes.lines if len(np.asarray(line.get_xdata())) == 2]
-    for line, at in zip(marks, few.marks, strict=True):
-        ends = [group.band.lower[at], group.band.upper[at]]
-        np.testing.assert_allclose(np.asarray(line.get_ydata(), float), ends)
 
 
 X = np.linspace(0.0, 0.08, 5)
@@ -145,16 +115,3 @@ def test_words(approved: Approve) -> None:
         "no laws": draw_group_laws(group),
     }
     approved(all_words(pages))
-
-
-def test_figures_told_without_being_seen(approved: Approve) -> None:
-    group = build_group("A", six_samples())
-    half = np.linspace(0.0, 90.0, len(group.band.mean))
-    wide = replace(group.band, lower_all=group.band.mean - half, upper_all=group.band.mean + half)
-    lone = build_group("A", [build_sample("s1", "a")])
-    figures = [
-        *group_drawings(group),
-        next(group_drawings(lone)),
-        next(group_drawings(replace(group, band=wide))),
-    ]
-    approved(f"{drawing.name}: {drawing.alt}\n  {drawing.caption}" for drawing in figures)

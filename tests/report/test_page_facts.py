@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from datetime import date
+from xml.etree import ElementTree
 
-from labpipe.records.group import Campaign, Decision, Outlier
-from labpipe.records.quality import Reason
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.figure_data import DrawnLaw, DrawnShapes
+from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.result import Instrument
-from labpipe.report.group_tables import Table, slip_table, spool_mean_table
+from labpipe.report.group_panels import group_panels
 from labpipe.report.issue_ranking import find_causes
 from labpipe.report.page_facts import (
     PageTests,
@@ -18,24 +24,24 @@ from labpipe.report.page_facts import (
     operators_words,
     report_id,
 )
-from labpipe.report.page_groups import (
-    about_group,
-    number_table,
-    result_cell,
-    samples_tables,
+from labpipe.report.page_plots import (
+    FULL,
+    Axis,
+    Line,
+    Plot,
+    path_steps,
+    svg,
+    tick_words,
+    ticks,
 )
 from labpipe.report.page_tests import page_file, test_rows
-from labpipe.report.summary_page import answers, count_words, key_blocks, open_decisions
-from tests.approved import Approve
-from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
+from labpipe.report.summary_page import count_words, open_decisions
 from tests.builders.campaigns import (
     build_campaign,
     build_group,
     build_sample,
     six_samples,
-    troubled_samples,
 )
-from tests.report.figure_words import table_words
 
 test_rows.__test__ = False  # type: ignore[attr-defined] # a function of the page, no test
 STEMS = ["a", "b", "c"]
@@ -92,22 +98,6 @@ def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
     assert len(set(map(report_id, (campaign, *others)))) == 4
 
 
-def test_rows_say_state_day_first_number_and_decision() -> None:
-    """The worst number is the state of a test."""
-    campaign = build_campaign()
-    tests = PageTests(campaign, STEMS)
-    rows = test_rows(campaign, tests, {"a": "twist-tube-10", "b": "twist-tube-7", "c": "x"})
-    states = ["doubtful", "ok", "ok", "ok", "failed", "ok", "ok"]
-    assert [row.test.state for row in rows] == states
-    assert (rows[0].why, rows[0].first.small) == ("A slip at 5.2 mm.", "Peak force, cycle 1 (N)")
-    assert rows[4].first.text == "\u2013"
-    assert (rows[6].group, rows[6].day, rows[6].operator) == ("twist-tube-7", "", "")
-    (samples,) = samples_tables(campaign.groups[0], tests)
-    assert len(samples.heads) == 2 + 7
-    assert [cells[0].text for cells in samples.rows] == [f"tt-s{n}{x}" for n in "12" for x in "abc"]
-    assert (samples.rows[3][0].link, samples.rows[0][3].mark) == ("#t3", "?")
-
-
 def test_decided_and_rejected() -> None:
     samples = six_samples(slips=0)
     kept = replace(samples[0], decided="fine (me)", date=date(2026, 3, 2), operator="me")
@@ -122,37 +112,6 @@ def test_decided_and_rejected() -> None:
     assert odd.address == "tests/a%231%2050%20%25%3F.html"
 
 
-def test_pairs_are_folded_by_their_question() -> None:
-    by_field = {answer.field: answer for answer in answers(bundle_campaign(conduit_cases()))}
-    wire = by_field["wire"]
-    assert (wire.question, wire.counts) == ("Wire: B1, B1 & B2, B2", "3 v 3")
-    assert wire.verdict.startswith("DIFFERENT ")
-    assert wire.difference.startswith("Bending stiffness +")
-    assert wire.difference.endswith(f", largest of {len(wire.pairs.rows)} pairs")
-    assert not answers(Campaign("S", ()))
-
-
-def test_key_numbers_of_each_protocol() -> None:
-    campaign = build_campaign()
-    (block,) = key_blocks(campaign, STEMS)
-    assert block.heads == (
-        "Peak force, cycle 1 (N)", "Stiffness, first region (N/mm)",
-        "Stiffness, second region (N/mm)",
-    )  # fmt: skip
-    counts = [("twist-tube-10", 6), ("twist-tube-7", 1), ("twist-tube-5", 0)]
-    assert [(row.name, row.n) for row in block.rows] == counts
-    first, lone, empty = block.rows
-    # of the lone test: how well it was measured
-    assert all("\u00b1" in row.numbers[0].text for row in (first, lone))
-    assert "one test" in lone.numbers[0].tip
-    assert [cell.text for cell in empty.numbers] == ["\u2013"] * 3
-    assert first.sparkline is not None
-    assert (empty.sparkline, empty.strip) == (None, None)
-    other = replace(campaign.groups[1], protocol="another")
-    two = key_blocks(replace(campaign, groups=(campaign.groups[0], other)), ["a", "b"])
-    assert [len(side.rows) for side in two] == [1, 1]
-
-
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
     open_ones = open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
@@ -165,57 +124,101 @@ def test_what_is_to_be_decided_until_somebody_did() -> None:
     assert count_words(settled, []).endswith(" 0 to decide")
 
 
-def with_decisions(*decisions: Decision) -> Table:
-    group = build_group("A", six_samples())
-    numbers = [
-        replace(number, mean=replace(number.mean, decision=decision))
-        for number, decision in zip(group.numbers, decisions, strict=False)
-        if number.mean is not None
-    ]
-    return spool_mean_table(replace(group, numbers=tuple(numbers)))
-
-
-def test_tables_of_a_group(approved: Approve) -> None:
-    """Days and operators; numbers, means of spools, reasons, outliers, slips; what was decided.
-
-    A decision that holds for all numbers stands once, and what they share below the table.
-    """
-    six, failed = six_samples(), troubled_samples()[4]
-    few = build_group("A", six[:3])
+def test_days_and_operators_of_some_tests() -> None:
+    six = six_samples()
     march = replace(six[0], date=date(2026, 3, 6), operator="A. Tester")
     later = replace(six[1], date=date(2026, 3, 2), operator="A. Tester")
-    days = ([six[0]], [march, later], [march, six[2]], [march, later, six[2]])
-    odd = Outlier("tt-s1b", 1.0, "Grubbs' test", 0.01)
-    marked = (replace(few.numbers[0], outliers=(odd,)), *few.numbers[1:])
-    reasons = (Reason("x", "the corner is at the end"),)
-    lost = tuple(replace(result, reasons=reasons) for result in failed.results)
-    assert not samples_tables(few, PageTests(build_campaign(), STEMS))
-    assert slip_table(build_group("A", six_samples(slips=0))) is None
-    slips = slip_table(build_group("A", six))
-    assert slips is not None
-    one, over_two = "Over 3 samples of one spool", "Over 2 spool means"
-    unsure = "the test cannot tell"
-    tables = [
-        number_table(few),
-        number_table(build_group("A", troubled_samples())),
-        number_table(build_group("A", [build_sample("s1", "a")])),
-        number_table(replace(few, numbers=marked)),
-        number_table(build_group("A", [failed])),
-        number_table(build_group("A", [replace(failed, results=lost)])),
-        spool_mean_table(build_group("A", six)),
-        slips,
-        with_decisions(*[Decision(one, ("the type is not known",))] * 2),
-        with_decisions(
-            Decision(over_two, ("90 % lies between", unsure)),
-            Decision(over_two, ("80 % lies between", unsure)),
+    expected = (
+        ([six[0]], "on an unknown day (no sheet states one) by operator not stated"),
+        ([march, later], "2026-03-02 to 2026-03-06 by A. Tester"),
+        (
+            [march, six[2]],
+            "2026-03-06, 1 test of unknown day by A. Tester (1 test without operator)",
         ),
-        with_decisions(
-            Decision(over_two, ("no scatter", "no test")), Decision(over_two, ("no test",))
-        ),
+    )
+    for samples, words in expected:
+        assert f"{days_words(samples)} by {operators_words(samples)}" == words
+
+
+X, Y = Axis("Displacement", "mm", 0.0, 10.0), Axis("Force", "N", -1.0, 9.0)
+
+
+def points(path: str, x: Axis, y: Axis) -> list[Floats]:
+    """What a browser makes of a path: its strokes, in the units of the axes."""
+    strokes = []
+    for stroke in filter(None, re.split("M", path.rstrip("z"))):
+        numbers = np.array(re.findall(r"-?\d+", stroke), dtype=np.float64)
+        steps = np.reshape(numbers, (-1, 2)).cumsum(axis=0) / FULL
+        across = x.low + steps[:, 0] * (x.high - x.low)
+        strokes.append(np.column_stack([across, y.high - steps[:, 1] * (y.high - y.low)]))
+    return strokes
+
+
+def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
+    noise = np.random.default_rng(7)
+    x, y = np.sort(noise.uniform(0, 10, 120)), noise.uniform(-1, 9, 120)
+    y[40] = np.nan
+    first, second = points(path_steps(Line("curve", x, y), X, Y), X, Y)
+    np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / FULL)
+    np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / FULL)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
+def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
+    values = ticks(Axis("", "", low, high), 6)
+    assert 3 <= len(values) <= 7
+    assert low <= values[0] * (1 + 1e-9) + 1e-12
+    assert values[-1] <= high * (1 + 1e-9)
+    steps = np.diff(values)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    assert len(set(tick_words(values))) == len(values)
+
+
+def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
+    line = Line("curve c0", np.array([0.0, 10.0]), np.array([0.0, 8.0]), test=3, group='a"b')
+    plot = Plot("curves", "g", "<b>", "", Axis('"mm" <', "mm", 0.0, 10.0), Y, [line])
+    root = ElementTree.fromstring(str(svg(plot)))
+    assert root.get("aria-label") == "<b>"
+    (area,) = (element for element in root.iter() if element.get("class") == "area")
+    assert [area.get(f"data-{name}") for name in ("x0", "x1", "y0", "y1")] == [
+        "0", "10", "-1", "9",
+    ]  # fmt: skip
+    assert area.get("data-x-name") == '"mm" <'
+    (path,) = area
+    assert (path.get("data-t"), path.get("data-group")) == ("3", 'a"b')
+
+
+def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
+    campaign = Campaign("S", (group,), rejected_samples=rejected)
+    return {plot.kind: plot for plot in group_panels(group, "g", PageTests(campaign, ["g"]))}
+
+
+def test_curves_are_drawn_where_they_are() -> None:
+    sample = build_sample("s1", "a")
+    plot = panels(build_group("A", [sample], scaled=False))["curves"]
+    (line,) = (line for line in plot.lines if line.look == "curve c0")
+    assert len(line.x) <= 90
+    curve = sample.loading[0]
+    force = np.interp(line.x / 1e3, curve.displacement, curve.force)
+    np.testing.assert_allclose(line.y, force, atol=1e-9)
+    assert "mean" not in [line.look for line in plot.lines]
+
+
+def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
+    rise = np.array([0.0, 0.01, 0.02])
+    along = np.linspace(0.0, 0.1, 6)
+    places = np.stack([np.stack([along, way * along / 0.1], axis=1) for way in rise])
+    law = DrawnLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
+    samples = [
+        replace(sample, shapes=DrawnShapes(rise, places), law=law) for sample in six_samples()[:2]
     ]
-    approved([
-        *(f"{days_words(some)} by {operators_words(some)}" for some in days),
-        about_group(build_group("A", six)),
-        *(line for table in tables for line in table_words(table)),
-    ])  # fmt: skip
-    assert result_cell(None, 1.0).tip == "not requested"
+    drawn = panels(build_group("A", samples))
+    shapes, moment = drawn["shapes"], drawn["moment"]
+    width, height = shapes.size
+    across = (shapes.x.high - shapes.x.low) / width
+    assert (shapes.y.high - shapes.y.low) / height == pytest.approx(across)
+    assert shapes.caption.startswith("Markers at 0, 10, 20 mm")
+    assert np.isnan(shapes.lines[0].x).sum() == 3
+    looks = [line.look for line in moment.lines]
+    assert looks == ["band c0", "band c1", "curve c0", "curve c1"]
+    assert moment.lines[2].y[-1] == pytest.approx(0.02)

@@ -23,14 +23,12 @@ from labpipe.campaign.reporting import report_tests
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.campaign.test_pages import page_of_test
 from labpipe.records.group import Campaign
-from labpipe.report.lab_report import Letterhead, render_page
+from labpipe.report.lab_report import render_page
 from labpipe.report.wording import printable
-from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import (
     build_difference,
     build_group,
     build_sample,
-    six_samples,
     troubled_samples,
 )
 from tests.builders.pulled_campaigns import make_pulls
@@ -40,19 +38,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 WIDE = {"width": 1400, "height": 900}
-PHONE = {"width": 390, "height": 844}
 NAMES = [f"T-{number}" for number in range(1, 13)]
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
-HOSTILE = [
-    "<script>document.title='X'</script>",
-    "<img src=x onerror=\"document.title='X'\">",
-    "' onfocus='alert(1)' autofocus='",
-    "</script><script>document.title='X'</script>",
-    "javascript:alert(1)",
-    "&lt;b&gt;",
-    "a\u202eb\u0000\x1b[31m\ud800",
-    "x" * 200,
-]
 
 
 @pytest.fixture(scope="module")
@@ -75,15 +61,6 @@ class Shown:
     page: Page
     requests: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
-
-    def press(self, *keys: str) -> None:
-        for key in keys:
-            self.page.keyboard.press(key)
-
-    def focused(self) -> str:
-        """What a screen reader would say of what has the focus."""
-        script = "() => document.activeElement.ariaLabel || document.activeElement.textContent"
-        return str(self.page.evaluate(script))
 
     def status(self) -> str:
         return self.page.locator("#said").text_content() or ""
@@ -108,20 +85,10 @@ class Shown:
     def sign(self) -> None:
         self.page.get_by_label("Decided by").fill("A. Tester")
 
-    def names(self) -> list[str]:
-        """Names of the tests that are shown, in the order of the table."""
-        script = """() => [...document.querySelectorAll("#tests tbody tr:not([hidden]) > th")]
-            .map((head) => head.firstChild.textContent)"""
-        names: list[str] = self.page.evaluate(script)
-        return names
-
-    def saved(self, *keys: str) -> dict[str, Any]:
-        """What the page saves, by mouse or by some keys."""
+    def saved(self) -> dict[str, Any]:
+        """What the page saves."""
         with self.page.expect_download() as download:
-            if keys:
-                self.press(*keys)
-            else:
-                self.button("Save decisions.json").click()
+            self.button("Save decisions.json").click()
         assert download.value.suggested_filename == "decisions.json"
         content: dict[str, Any] = json.loads(Path(download.value.path()).read_text("utf-8"))
         return content
@@ -218,81 +185,6 @@ def test_its_policy_lets_nothing_else_run(browser: Browser, twelve: Path, tmp_pa
         seen.complaints.clear()
 
 
-def test_without_its_script_it_is_a_page_all_the_same(browser: Browser, twelve: Path) -> None:
-    with shown(browser, twelve, java_script_enabled=False) as seen:
-        assert seen.page.locator("#tests tbody tr").count() == len(NAMES)
-        assert seen.page.locator("figure.plot path.curve").count() > 5
-        assert seen.page.get_by_role("button").count() == 0
-        assert seen.page.locator("#tools").is_hidden()
-
-
-@pytest.mark.parametrize(
-    "look",
-    [{"color_scheme": "dark"}, {"viewport": PHONE, "is_mobile": True, "has_touch": True}],
-    ids=["dark", "phone"],
-)
-def test_rules_of_accessibility(browser: Browser, twelve: Path, look: dict[str, Any]) -> None:
-    """Those of axe-core: contrast, names of controls, order of headings, tables, ids."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
-    with shown(browser, twelve, **look) as seen:
-        seen.page.locator("#t2").get_by_role("button", name="reject").click()
-        seen.page.locator("details").evaluate_all("(all) => all.forEach((d) => { d.open = true; })")
-        # With a mouse rows are close by design: page one is one screen. A finger gets its 24 px.
-        rules = {"target-size": {"enabled": "viewport" in look}}
-        options = {"runOnly": {"type": "tag", "values": RULES}, "rules": rules}
-        results = axe.Axe().run(seen.page, options=options)
-    broken = [(rule["id"], rule["nodes"][:3]) for rule in results.response["violations"]]
-    assert len(results.response["passes"]) > 20
-    assert broken == []
-
-
-def test_a_table_sorts_by_number_with_those_without_last(browser: Browser, twelve: Path) -> None:
-    script = """() => [...document.querySelectorAll("#tests tbody tr")]
-        .map((row) => Number(row.querySelector("td[data-v]")?.dataset.v ?? NaN))"""
-    orders = []
-    with shown(browser, twelve) as seen:
-        head = seen.page.locator("#tests thead th[data-sort=number]").first
-        for _ in ("up", "down"):
-            head.get_by_role("button").click()
-            orders.append(np.array(seen.page.evaluate(script)))
-    up, down = (order[np.isfinite(order)] for order in orders)
-    assert 0 < len(up) < len(NAMES)  # the failed one has no number
-    assert (np.diff(up) >= 0.0).all()
-    assert down.tolist() == up[::-1].tolist()
-    assert np.isnan([order[-1] for order in orders]).all()
-
-
-def test_a_table_is_filtered_by_words_and_states(browser: Browser, twelve: Path) -> None:
-    with shown(browser, twelve) as seen:
-        finder = seen.page.get_by_role("search").filter(has=seen.page.get_by_role("searchbox"))
-        search = seen.page.get_by_role("searchbox").last
-        search.fill("t-1")
-        assert seen.names() == ["T-1", "T-10", "T-11", "T-12"]
-        assert finder.last.locator("output").text_content() == "4 of 12 rows"
-        search.fill("LAB t-11")
-        assert seen.names() == ["T-11"]
-        search.fill("")
-        for state, names in (
-            ("doubtful", ["T-1"]), ("failed", ["T-1", "T-5"]), ("doubtful", ["T-5"]),
-        ):  # fmt: skip
-            seen.button(state).click()
-            assert seen.names() == names
-
-
-def test_hostile_names_are_shown_as_text(browser: Browser, tmp_path: Path) -> None:
-    with shown(browser, page_of(tmp_path, campaign_of([*HOSTILE, "T-1"]))) as seen:
-        assert seen.names()[:4:3] == HOSTILE[:4:3]
-        script = "document.querySelectorAll('img, script:not([type]), [onerror], [onfocus]').length"
-        assert seen.page.evaluate(script) == 1  # the page's own script
-        seen.page.locator("#t7 .reject").click()
-        seen.button("Save decisions.json").click()
-        assert seen.status() == f"{HOSTILE[7]}: a rejection requires a reason."
-        assert seen.page.evaluate("document.documentElement.scrollWidth") <= 1400
-        for number in range(len(HOSTILE)):
-            seen.page.locator(f"#t{number} .reject").click()
-        assert seen.page.title() == "Synthetic"
-
-
 def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, tmp_path: Path) -> None:
     """Along the curve of one sample, by keyboard, against the samples it was drawn of."""
     campaign, read = campaign_of(NAMES[:6]), []
@@ -303,7 +195,7 @@ def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, tmp_path: Pat
         figure.locator(".legend li[data-t='2'] button").click()
         figure.locator("svg.frame").focus()
         for _ in range(25):
-            seen.press("ArrowRight")
+            seen.page.keyboard.press("ArrowRight")
             readout = figure.locator(".readout").text_content() or ""
             value = re.fullmatch(r"T-3 · ([-\u2212\d.]+) mm · ([-\u2212\d.]+) N", readout)
             assert value, readout
@@ -313,49 +205,6 @@ def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, tmp_path: Pat
     # The curve was drawn to 1/65535 of its axes, and its values are read to four figures.
     gap = np.abs(np.interp(1e-3 * x, curve.displacement, curve.force) - force)
     assert gap.max() < 0.003 * float(np.ptp(curve.force))
-
-
-FAULTS = """() => {
-  const found = [], wide = document.documentElement.clientWidth;
-  if (document.documentElement.scrollWidth > wide) found.push("the page scrolls sideways");
-  for (const node of document.querySelectorAll("#first *")) {
-    const box = node.getBoundingClientRect();
-    if (!box.width || !box.height || node.closest("svg, #said")) continue;
-    const words = `${node.tagName}.${node.className}: ${node.textContent.trim().slice(0, 30)}`;
-    if (!node.closest(".wide") && box.right > wide + 1) found.push(`beyond the page: ${words}`);
-    if (node.matches("td, th, span, b, dd") && node.textContent.trim().length > 12)
-      if (box.width < 40) found.push(`a letter a line: ${words}`);
-    if (node.matches("td, th") && node.scrollWidth > node.clientWidth + 1)
-      found.push(`over its neighbour: ${words}`);
-  }
-  const table = document.querySelector("details.answer[open] table");
-  if (table && table.getBoundingClientRect().width < 0.9 * table.closest("#first").clientWidth)
-    found.push("an opened question does not take the width of the page");
-  return found;
-}"""
-
-
-@pytest.mark.parametrize("width", [360, 800, 1400, 1920])
-def test_page_one_at_every_width(browser: Browser, tmp_path: Path, width: int) -> None:
-    """Of 25 groups and four questions: one screen; nothing too wide, or over its neighbour."""
-    bundles = bundle_campaign(conduit_cases())
-    more = [build_group(f"tube {n}", six_samples()[:3], scaled=False) for n in range(16)]
-    odd = build_group("odd", troubled_samples()[:5])
-    crowded = replace(bundles, groups=(*bundles.groups, *more, odd), made_on=date(2026, 3, 9))
-    letterhead = Letterhead((("Lab", "Bench 3"), ("Customer", "Somebody"), ("Order", "42")))
-    page = page_of(tmp_path, crowded, letterhead=letterhead)
-    with shown(browser, page, viewport={"width": width, "height": 900}) as seen:
-        end = seen.page.evaluate("document.getElementById('first').getBoundingClientRect().bottom")
-        assert width != WIDE["width"] or end <= WIDE["height"]
-        assert seen.page.evaluate(FAULTS) == []
-        for readout in ("Tested", "Checked", "Date"):
-            assert seen.page.locator(".sign span", has_text=readout).first.is_visible()
-        assert seen.page.locator("#to-decide li").first.is_visible()
-        assert seen.page.locator("details.answer").count() == 4
-        for details in seen.page.locator("#first details").all():
-            details.evaluate("(node) => { node.open = true; }")
-        assert seen.page.locator("details.answer table").first.is_visible()
-        assert seen.page.evaluate(FAULTS) == []
 
 
 def test_a_decision_by_mouse_is_saved_behind_those_there_are(
@@ -381,38 +230,6 @@ def test_a_decision_by_mouse_is_saved_behind_those_there_are(
         "because": "slipped <b>twice</b>", "by": "A. Tester",
     }  # fmt: skip
     assert accepted["because"] == "accepted on the page of the report, without a remark"
-
-
-def test_the_keyboard_alone(browser: Browser, twelve: Path) -> None:
-    """From the top of the page to a saved file, without a mouse."""
-    inside = "!!document.activeElement.closest('#tests')"
-    with shown(browser, twelve) as seen:
-        stops = 0
-        while seen.focused() != "accept T-1" or not seen.page.evaluate(inside):
-            seen.press("Tab")
-            stops += 1
-            assert stops < 150
-        seen.press("ArrowDown", "ArrowDown", "r")
-        assert seen.focused() == "why, T-3"
-        seen.page.keyboard.type("slipped")
-        seen.press("Enter")
-        assert seen.focused() == "reject T-3"
-        seen.press("ArrowDown", "a", "ArrowDown", "c")
-        assert seen.focused() == "why, T-5"
-        seen.press("Escape", "r", "ArrowUp", "a")  # no reason; and T-4 taken back: typed into why
-        seen.press("Shift+Tab", "Shift+Tab")
-        assert [seen.decided(name) for name in NAMES[2:5]] == [["reject"], ["accept"], ["reject"]]
-        seen.button("Save decisions.json").press("Enter")
-        assert "T-5: a rejection requires a reason." in seen.status()
-        assert seen.focused() == "why, T-5"
-        seen.page.keyboard.type("no signal")
-        seen.button("Save decisions.json").press("Enter")
-        assert "Enter the name" in seen.status()
-        seen.page.keyboard.type("A. Tester")  # the field has the focus
-        entries = seen.saved("Tab", "Enter")["decisions"][1:]
-    assert [(entry["test"], entry["decision"]) for entry in entries] == [
-        ("T-3", "reject"), ("T-4", "accept"), ("T-5", "reject"),
-    ]  # fmt: skip
 
 
 def test_decisions_outlive_the_page_and_end_when_a_report_knows_them(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.patches import Annulus, Circle, Rectangle, Wedge
+from matplotlib.patches import Annulus, Circle, Wedge
+from openpyxl import load_workbook
+from openpyxl.workbook import Workbook
+from python_calamine import CalamineWorkbook
 
 from labpipe.records.wire import WireTable
 from labpipe.report.figure_page import style
@@ -16,18 +21,20 @@ from labpipe.report.wire_figures import (
     cantilever_figure,
     comparison_figure,
     moment_figure,
-    moment_parts,
-    plot_cantilever,
-    plot_parts,
-    plot_shares,
-    plot_stiffness,
     stiffness_figure,
-    wire_drawings,
 )
 from labpipe.report.wire_sections import plot_section, section_figure, strand_patches
+from labpipe.report.wire_workbook import (
+    SUMMARY,
+    orientation_spread,
+    row_error,
+    save_wire_workbook,
+    shown_rows,
+)
+from labpipe.wire.cantilever_curve import force_at
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
-from tests.report.builders_wires import compressed_wire, troubled
+from tests.report.builders_wires import CUT, compressed_wire, troubled
 from tests.report.figure_words import all_words
 
 
@@ -35,51 +42,6 @@ from tests.report.figure_words import all_words
 def _in_style() -> Iterator[None]:
     with style():
         yield
-
-
-@pytest.mark.parametrize(
-    ("count", "start"),
-    [
-        (0, []),
-        (1, ["sections-1", "w0.stiffness", "w0.moment", "w0.cantilever"]),
-        (2, ["sections-1", "comparison-1", "w0.stiffness"]),
-        (13, ["sections-1", "comparison-1", "sections-2", "w0.stiffness"]),
-    ],
-)
-def test_names_of_figures(count: int, start: list[str]) -> None:
-    tables = [replace(wire_table("A1"), name=f"w{number}") for number in range(count)]
-    names = [drawing.name for drawing in wire_drawings(tables)]
-    assert names[: len(start)] == start
-    assert len([name for name in names if name.startswith("w")]) == 3 * count
-
-
-def test_what_is_doubtful_is_lighter() -> None:
-    """White is laid over curves beyond the range of the insulation, and over no others."""
-    table = wire_table("A2")
-    sure = replace(table, doubtful_curvature=float("inf"), doubtful_deflection=float("inf"))
-    for draw, start in (
-        (plot_stiffness, table.doubtful_curvature),
-        (plot_parts, table.doubtful_curvature),
-        (plot_shares, table.doubtful_curvature),
-        (plot_cantilever, 1e3 * table.doubtful_deflection),
-    ):
-        doubtful, plain = Figure().subplots(2)
-        draw(table, doubtful)
-        draw(sure, plain)
-        (cover,) = (patch for patch in doubtful.patches if isinstance(patch, Rectangle))
-        assert cover.get_x() == pytest.approx(start)
-        assert cover.get_facecolor() == (1.0, 1.0, 1.0, 0.6)
-        assert not [patch for patch in plain.patches if isinstance(patch, Rectangle)]
-
-
-def test_stacked_parts_reach_the_moment() -> None:
-    table = wire_table("A3")
-    axes = Figure().subplots()
-    plot_parts(table, axes)
-    assert len(axes.collections) == 4
-    top = np.asarray(axes.collections[-1].get_paths()[0].vertices)[:, 1].max()
-    assert top == pytest.approx(1e3 * table.moment[-1])
-    np.testing.assert_allclose(sum(moment_parts(table)), table.moment, rtol=1e-12)
 
 
 def scaled(table: WireTable, factor: float) -> WireTable:
@@ -120,13 +82,6 @@ def test_strands_wall_bore_and_bar_to_scale() -> None:
     assert np.ptp(np.asarray(axes.lines[1].get_xdata())) == pytest.approx(0.5)
 
 
-def test_sections_on_a_page_have_one_scale() -> None:
-    tables = [wire_table("A1"), wire_table("C5"), scaled(wire_table("A1"), 5.0)]
-    for shown, factor in ((tables[:2], 1.0), (tables[::2], 5.0)):
-        one, other = (float(np.ptp(axes.get_xlim())) for axes in section_figure(shown).axes)
-        assert other == pytest.approx(factor * one)
-
-
 def test_words(approved: Approve) -> None:
     a1, a3 = wire_table("A1"), wire_table("A3")
     own = a1.layout
@@ -154,3 +109,101 @@ def test_words(approved: Approve) -> None:
         "section without core": section_figure([replace(a1, layout=coreless)]),
     }
     approved(all_words(pages))
+
+
+REFUSED = {"Z1": "wires.xlsx, row 4: expected a wire that can be built, found this: no room."}
+TABLE = wire_table("A1")
+
+
+def saved(tables: Sequence[WireTable], folder: Path) -> Workbook:
+    save_wire_workbook(tables, folder / "wires.xlsx", refused=REFUSED)
+    return load_workbook(folder / "wires.xlsx")
+
+
+def rows(book: Workbook, name: str, wire: str = "A1") -> list[dict[str, Any]]:
+    """Rows of a wire by their heads."""
+    heads, *below = book[name].iter_rows(values_only=True)
+    every = [dict(zip(map(str, heads), row, strict=True)) for row in below]
+    return [row for row in every if row["wire"] == wire]
+
+
+def test_sheets_of_two_wires_and_a_refused_one(tmp_path: Path) -> None:
+    book = saved([TABLE, troubled()], tmp_path)
+    (refused,), (first,), (second,) = (rows(book, "wires", name) for name in ("Z1", "A1", "A3"))
+    assert refused["warnings"] == f"not modelled: {REFUSED['Z1']}"
+    assert refused["strands"] is None
+    assert first["rows of the law"] == first["rows shown"] == len(TABLE.curvature)
+    assert first["error between the rows shown, largest (% of moment)"] == 0.0
+    assert first["doubtful beyond, deflection (mm)"] == pytest.approx(
+        1e3 * TABLE.doubtful_deflection
+    )
+    assert (second["end load at 20 mm (N)"], second["warnings"]) == (None, CUT.message)
+    for sheet, head, values in (
+        ("laws", "curvature (1/m)", TABLE.curvature),
+        ("laws", "moment (N·mm)", 1e3 * TABLE.moment),
+        ("laws", "lost to yielding (N·mm)", 1e3 * TABLE.plastic),
+        ("laws", "secant stiffness (N·mm²)", 1e6 * TABLE.secant_stiffness),
+        ("laws", "highest moment of all orientations (N·mm)", 1e3 * TABLE.highest_moment),
+        ("cantilevers", "end load (N)", TABLE.tip_force),
+        ("onsets of slip", "strands begin to slip (1/m)", TABLE.slip_onsets),
+        ("strands", "x (mm)", 1e3 * TABLE.layout.x),
+    ):
+        np.testing.assert_allclose([row[head] for row in rows(book, sheet)], values, rtol=1e-14)
+    doubts = [row["doubtful"] == "yes" for row in rows(book, "cantilevers")]
+    assert doubts == (TABLE.tip_deflection > TABLE.doubtful_deflection).tolist()
+    assert book.active is not None
+    assert book.active.title == "wires"
+    other = CalamineWorkbook.from_path(tmp_path / "wires.xlsx")  # as other programs read it
+    sheets = ["read me", "wires", "laws", "cantilevers", "onsets of slip", "strands", "notes"]
+    assert other.sheet_names == book.sheetnames == sheets
+    for name in sheets:
+        own = [[value or 0 for value in row] for row in book[name].iter_rows(values_only=True)]
+        read = [[value or 0 for value in row] for row in other.get_sheet_by_name(name).to_python()]
+        assert read == own
+
+
+def test_numbers_of_a_wire_in_the_units_of_the_headings() -> None:
+    table = wire_table("C4")
+    row = {column.heading: column.value(table) for column in SUMMARY}
+    texts = {"strands": 37, "layers": "1 + 6 + 12 + 18", "lay angles (deg)": "12; -15; 12"}
+    assert {head: row[head] for head in texts} == texts
+    for head, value in {
+        "wire diameter (mm)": 2.1,
+        "bore diameter (mm)": 1.5,
+        "conductor area (mm²)": 37 * np.pi / 4 * 0.21**2,
+        "range, bending radius (mm)": 10.5,
+        "cantilever length (mm)": 85.0,
+        "moment at the end (N·mm)": 1e3 * table.moment[-1],
+    }.items():
+        assert row[head] == pytest.approx(value), head
+    # Table 3.5 of the source, with its misprints put right: a hexagon has 15.6e-3 N m^2
+    assert row["stick stiffness (N·mm²)"] == pytest.approx(15.6e3, rel=5e-3)
+
+
+def test_force_on_the_curve_and_none_beyond_its_end() -> None:
+    end_load = next(column.value for column in SUMMARY if "end load at 5 mm" in column.heading)
+    middle = (TABLE.tip_deflection[3] + TABLE.tip_deflection[4]) / 2.0
+    assert TABLE.tip_force[3] < force_at(TABLE, middle) < TABLE.tip_force[4]
+    assert force_at(TABLE, TABLE.tip_deflection[-1]) == TABLE.tip_force[-1]
+    assert end_load(TABLE) == force_at(TABLE, 5e-3)
+    short = replace(TABLE, tip_deflection=TABLE.tip_deflection[:2], tip_force=TABLE.tip_force[:2])
+    assert np.isnan(force_at(short, 5e-3))
+    assert end_load(short) is None
+    # PHYSICS: of the friction moment, which is all but the whole moment when slip begins
+    assert orientation_spread(TABLE) == pytest.approx(11.0, abs=1.0)
+
+
+@pytest.mark.parametrize("name", ["A1", "A3", "C5"])
+@pytest.mark.parametrize("most", [40, 10_000])
+def test_rows_that_are_shown_keep_the_law(name: str, most: int) -> None:
+    table = wire_table(name)
+    shown = shown_rows(table, most)
+    last = len(table.curvature) - 1
+    assert len(shown) == min(most, last + 1)
+    assert (shown[0], shown[-1]) == (0, last)
+    assert np.all(np.diff(shown) > 0)
+    even = np.linspace(0, last, len(shown)).round().astype(np.int64)
+    assert row_error(table, shown) <= min(row_error(table, even), 1.0)
+    slope = table.moment[-1] / table.curvature[-1]
+    worst = np.max(np.abs(slope * table.curvature[1:] / table.moment[1:] - 1.0))
+    assert row_error(table, np.array([0, last])) == pytest.approx(100.0 * worst)

