@@ -9,7 +9,6 @@ from labpipe.records.result import Result
 from labpipe.virtual_lab import observe
 from tests.builders.tensile_tests import reduced_in_memory, shipped
 from tests.coverage import lab_bending, lab_tensile
-from tests.coverage.lab_bending import CheckReport
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ON_A_STRING = {
@@ -18,38 +17,27 @@ ON_A_STRING = {
     "taped-bundle": lab_bending.taped_bundle,
 }
 KINDS = (*lab_tensile.KINDS, *ON_A_STRING, "conduit-bundle")
-PROTOCOLS = {"stranded-wire": "wire-cantilever"}
-"""Of kinds that are not called as their protocol is."""
 
 
-def made(kind: str, seed: int, folder: Path) -> CheckReport:
-    """Observe and process a test.
+def rows(kind: str, seed: int, folder: Path) -> list[dict[str, Any]]:
+    """Observe and process a test: of each result whose truth is known truth, numbers, status, why.
 
     Parameters
     ----------
     kind, seed : one of `KINDS`; of all chance
     folder : for its sheet
-
-    Returns
-    -------
-    All results, and what is true, by their names.
     """
     protocols = REPOSITORY / "protocols"
     if kind in lab_tensile.KINDS:
         test = observe(lab_tensile.drawn(kind, seed), seed)
         seen = lab_tensile.as_recorded(kind, seed, test)
         results = reduced_in_memory(seen, shipped(REPOSITORY, kind))
-        return results, lab_tensile.truth(kind, seed, test)
+        return compared(results, lab_tensile.truth(kind, seed, test))
     if kind in ON_A_STRING:
-        return lab_bending.on_a_string(ON_A_STRING[kind](seed), seed, folder, protocols)
-    scenario = lab_bending.conduit_bundle(seed)
-    return lab_bending.on_two_supports(scenario, seed, folder, protocols)
-
-
-def rows(kind: str, seed: int, folder: Path) -> list[dict[str, Any]]:
-    """Of each result whose truth is known: truth, numbers, status, and why."""
-    results, truth = made(kind, seed, folder)
-    return compared(results, truth)
+        scenario = ON_A_STRING[kind](seed)
+        return compared(*lab_bending.on_a_string(scenario, seed, folder, protocols))
+    conduit = lab_bending.conduit_bundle(seed)
+    return compared(*lab_bending.on_two_supports(conduit, seed, folder, protocols))
 
 
 def compared(results: tuple[Result, ...], truth: dict[str, float]) -> list[dict[str, Any]]:

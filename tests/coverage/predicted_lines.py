@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -151,81 +151,49 @@ def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputD
     return tuple(join_distributions([each, *stated]) for each in calibrated)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solver:
-    """Follows a line for named inputs, with the laws of one solution."""
-
-    kind: LineKind
-    drawn: Drawn
-    family: LawFamily
-
-    def __call__(self, inputs: Mapping[str, float]) -> RodPath:
-        """The whole path."""
-        law = self.family.at(inputs)
-        laid = PreparedLine(
-            law.law,
-            law.torsional_stiffness,
-            law.mass_per_length,
-            self.drawn.length * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))),
-            (inputs.get("free_curvature_1", 0.0), inputs.get("free_curvature_2", 0.0)),
-            inputs,
-        )
-        return laid.follow(self.kind, self.drawn)
-
-
-def solvers_of(kind: LineKind, drawn: Drawn, found: Calibration) -> list[Solver]:
-    """One for each solution."""
-    return [
-        Solver(
-            kind,
-            drawn,
-            family_of(
-                spec_of(drawn.wire), dict(zip(PARAMETERS, solution.values.tolist(), strict=True))
-            ),
-        )
-        for solution in found.solutions
-        if solution.is_allowed
-    ]
+def path_of(
+    kind: LineKind, drawn: Drawn, family: LawFamily, inputs: Mapping[str, float]
+) -> RodPath:
+    """Follow a line for named inputs, with the laws of one solution."""
+    law = family.at(inputs)
+    laid = PreparedLine(
+        *(law.law, law.torsional_stiffness, law.mass_per_length),
+        drawn.length * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))),
+        (inputs.get("free_curvature_1", 0.0), inputs.get("free_curvature_2", 0.0)),
+        inputs,
+    )
+    return laid.follow(kind, drawn)
 
 
 def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | None:
     """The line with bands, held and on its way back."""
+    values = [
+        dict(zip(PARAMETERS, solution.values.tolist(), strict=True))
+        for solution in what.calibration.solutions
+        if solution.is_allowed
+    ]
     return bands_of(
-        solvers_of(kind, drawn, what.calibration),
+        [partial(path_of, kind, drawn, family_of(spec_of(drawn.wire), own)) for own in values],
         beliefs_of(kind, drawn, what.calibration),
         at=(held_at(kind), -1),
         tested_curvature=what.tested_curvature,
     )
 
 
-def looked_at(drawn: Drawn, truth: TrueLine) -> dict[str, float]:
-    """The numbers that are looked at: one of each sort, chosen with the line."""
-    which = drawn.asked
-    return {
-        "shape": float(truth.held[which["node"], which["axis"]]),
-        "moment": float(truth.moment[which["moment axis"]]),
-        "bend radius": truth.bend_radius,
-        "shape on the way back": float(truth.back[which["free node"], which["free axis"]]),
-    }
-
-
 def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[dict[str, Any]]:
-    """The same, with their bands."""
+    """Numbers that are looked at, with their bands: one of each sort, chosen with the line."""
     (held, back), which = bands.states, drawn.asked
-    places: tuple[tuple[Band, tuple[int, ...]], ...] = (
-        (held.positions, (which["node"], which["axis"])),
-        (held.reaction_moments, (0, which["moment axis"])),
-        (held.smallest_bend_radius, ()),
-        (back.positions, (which["free node"], which["free axis"])),
+    node, turned = (which["node"], which["axis"]), which["moment axis"]
+    free = which["free node"], which["free axis"]
+    numbers: tuple[tuple[str, float, Band, tuple[int, ...]], ...] = (
+        ("shape", float(truth.held[node]), held.positions, node),
+        ("moment", float(truth.moment[turned]), held.reaction_moments, (0, turned)),
+        ("bend radius", truth.bend_radius, held.smallest_bend_radius, ()),
+        ("shape on the way back", float(truth.back[free]), back.positions, free),
     )
-    for (name, number), (band, place) in zip(looked_at(drawn, truth).items(), places, strict=True):
+    for name, number, band, place in numbers:
         value, lower, upper = (float(each[place]) for each in (band.value, band.lower, band.upper))
         yield {"name": name, "truth": number, "value": value, "lower": lower, "upper": upper}
-
-
-def nominal_torsion(wire: str) -> float:
-    """N m^2, of a wire as its sheet has it."""
-    return family_of(spec_of(wire)).at({}).torsional_stiffness
 
 
 def shares_inside(truth: TrueLine, bands: LineBands) -> dict[str, float]:
@@ -254,7 +222,7 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
         failed : without a prediction
     """
     drawn, what = draw(kind, seed), known_of(seed)
-    truth = true_line(kind, drawn, nominal_torsion(drawn.wire))
+    truth = true_line(kind, drawn, family_of(spec_of(drawn.wire)).at({}).torsional_stiffness)
     bands = predicted(kind, drawn, what)
     if bands is None:
         return {"about": {"wire": drawn.wire, "failed": "no_equilibrium"}}

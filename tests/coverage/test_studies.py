@@ -19,15 +19,14 @@ from tests.coverage.drawn_lines import KINDS as LINES
 from tests.coverage.drawn_lines import NODES, draw
 from tests.coverage.judgement import (
     Held,
+    Row,
     Verdict,
     counted,
-    holds,
     holm,
     judged,
 )
 from tests.coverage.line_judgement import ASKED
-from tests.coverage.page import by_fault, by_noise
-from tests.coverage.study import BY_KIND, STUDIES, Cost, append, differences
+from tests.coverage.study import BY_KIND, STUDIES, Cost, Study, append, differences
 from tests.coverage.true_lines import PreparedLine, held_at, true_line, true_stops
 from tests.coverage.wire_campaigns import (
     DEEPEST,
@@ -37,72 +36,82 @@ from tests.coverage.wire_campaigns import (
     true_curve,
     wire_of,
 )
-from tests.coverage.wire_judgement import NAMES, bands, too_seldom
-from tests.coverage.wire_judgement import counted as parameters_counted
+from tests.coverage.wire_judgement import NAMES, too_seldom
 from tests.judges.foreign import wire_section as foreign
 from tests.judges.foreign.processed import chance_of
 
-KIND = "foreign/tensile"
 
-
-def result(truth: float, *, half: float = 0.1, value: float = 1.0, **more: Any) -> dict[str, Any]:
+def band(name: str, truth: float, *, half: float = 0.1, value: float = 1.0, **more: Any) -> Row:
     ends = {"lower": value - half, "upper": value + half}
-    return {"name": "slack", "status": "ok", "value": value, "truth": truth, **ends, **more}
-
-
-def row(*results: dict[str, Any], noise: str = "white", fault: str = "") -> dict[str, Any]:
-    return {"kind": KIND, "about": {"noise": noise, "fault": fault}, "rows": list(results)}
-
-
-def test_chance_of_so_few() -> None:
-    """Of 30, 26 or fewer: one less the chance of 27 and more."""
-    more = sum(comb(30, k) * 0.95**k * 0.05 ** (30 - k) for k in range(27, 31))
-    assert Held(26, 30).chance == pytest.approx(1.0 - more)
+    return {"name": name, "status": "ok", "value": value, "truth": truth, **ends, **more}
 
 
 def test_holm_by_the_usual_example() -> None:
-    """Four hypotheses at 5 %: 0.005 < 0.0125, 0.01 < 0.0167, but 0.03 > 0.025 ends it."""
+    """Four hypotheses at 5 %: 0.005 < 0.0125, 0.01 < 0.0167, but 0.03 > 0.025 ends it.
+
+    The chance of 26 of 30 or fewer is one less that of 27 and more.
+    """
     assert holm([0.01, 0.04, 0.03, 0.005], 0.05) == [True, False, False, True]
-
-
-def test_wide_and_few() -> None:
+    more = sum(comb(30, k) * 0.95**k * 0.05 ** (30 - k) for k in range(27, 31))
+    assert Held(26, 30).chance == pytest.approx(1.0 - more)
     assert judged([Held(182, 182), Held(180, 182)]) == [Verdict.WIDE, Verdict.HOLDS]
     assert judged([Held(5, 19)]) == [Verdict.FEW]
 
 
-def test_what_is_counted() -> None:
-    doubtful, failed = result(1.05, status="doubtful"), result(1.0, status="failed")
-    rows = [row(result(1.05)), row(result(1.2)), row(doubtful), row(failed)]
-    rows += [row(result(1.2), fault="slip"), row({**result(1.0), "lower": None, "upper": None})]
-    (found,) = counted(rows)
-    assert (found.ok, found.doubtful, found.failed) == (Held(1, 3), Held(1, 1), 1)
-
-
-def test_width_is_that_of_the_same_noise() -> None:
+def test_how_often_a_result_holds_and_how_wide_it_is() -> None:
     """Errors of 1 and 10 in two noises, intervals of twice the ideal in each."""
     random = np.random.default_rng(3)
-    rows = []
-    for noise, size in (("white", 1.0), ("pink", 10.0)):
-        for off in size * random.standard_normal(4000):
-            made = result(0.0, half=2.0 * 1.96 * size, value=9.0, estimate=float(off))
-            rows.append(row(made, noise=noise))
-    assert counted(rows)[0].width == pytest.approx(2.0, rel=0.03)
+    results = [
+        (noise, band("slack", 0.0, half=2.0 * 1.96 * size, value=9.0, estimate=float(off)))
+        for noise, size in (("white", 1.0), ("pink", 10.0))
+        for off in size * random.standard_normal(4000)
+    ]
+    empty = {**band("slack", 0.0), "lower": None, "upper": None}
+    parts = [[-0.1, 0.1], [3.0, 4.0]]
+    results += [("", empty), ("", band("slack", 3.5, status="doubtful", parts=parts))]
+    results += [("", band("slack", 0.0, status="failed"))]
+    rows = [
+        {"kind": BAR, "about": {"noise": noise, "fault": ""}, "rows": [each]}
+        for noise, each in results
+    ]
+    (found,) = counted([*rows, {**rows[0], "about": {"noise": "white", "fault": "slip"}}])
+    assert (found.ok, found.doubtful, found.failed) == (Held(4000, 8001), Held(1, 1), 1)
+    assert found.width == pytest.approx(2.0, rel=0.03)
 
 
-def test_any_part_of_an_interval_may_hold_the_truth() -> None:
-    parts = [[0.5, 0.9], [3.0, 4.0]]
-    assert holds(result(3.5, parts=parts))
-    assert not holds(result(1.0, parts=parts))
+@pytest.mark.parametrize("own", STUDIES, ids=lambda own: own.name)
+def test_a_page_says_what_is_counted_of_the_kept_rows(own: Study) -> None:
+    """All tables of all pages: shares, verdicts, widths, faults and noises."""
+    page = (study.ROOT / "docs" / "explanations" / own.page).read_text(encoding="utf-8")
+    shown = page.partition(f"<!-- {own.name}: begin -->")[2].partition(f"<!-- {own.name}: end")[0]
+    assert shown.strip() == study.published(own, study.kept_rows(own.seeds))
+    too_seldom = [line.split("|")[1:3] for line in shown.splitlines() if "| **too" in line]
+    explained = [[" twist-tube ", " `break_point` "]] if own.name == "tests" else []
+    assert too_seldom == explained
 
 
-MOST = 4.5 / 1.96
-"""Half widths beyond which chance is no explanation in some hundred intervals."""
-
-
-def halves(row: dict[str, float]) -> float:
-    """How far the truth is from the middle of the interval."""
-    middle, half = 0.5 * (row["upper"] + row["lower"]), 0.5 * (row["upper"] - row["lower"])
-    return abs(middle - row["truth"]) / half
+@pytest.mark.parametrize(("tenths", "is_seldom"), [(10, False), (9, False), (8, True)])
+def test_what_holds_too_seldom(tenths: int, *, is_seldom: bool) -> None:
+    """Nine of ten of 60 is chance, eight of ten is not."""
+    kinds = {"calibrations": list(NAMES), "lines": list(ASKED)}
+    rows = {
+        study_name: [
+            {
+                "kind": "push",
+                "about": {"notes": []},
+                "rows": [
+                    band(name, 1.0 if seed % 10 < tenths else 5.0, status="identified")
+                    for name in names
+                ],
+            }
+            for seed in range(60)
+        ]
+        for study_name, names in kinds.items()
+    }
+    parameters = too_seldom(rows["calibrations"])
+    held = Held(6 * tenths, 60)
+    assert parameters == {("push", name): (held, is_seldom) for name in NAMES}
+    assert line_judgement.judged(rows["lines"]) == dict.fromkeys(ASKED, is_seldom)
 
 
 def test_an_elastic_bar_is_as_stiff_as_itself() -> None:
@@ -111,35 +120,6 @@ def test_an_elastic_bar_is_as_stiff_as_itself() -> None:
     stiffness = lab_bending.windowed(replace(rig, bundle=ElasticModel(0.03)))
     assert lab_bending.as_elastic_bar(rig, stiffness) == pytest.approx(0.03, rel=1e-4)
     assert stiffness * rig.span**3 / 48.0 != pytest.approx(0.03, rel=0.01)
-
-
-def seldom(text: str) -> list[str]:
-    """Lines of tables that hold too seldom."""
-    return [line for line in text.splitlines() if line.startswith("|") and "**" in line]
-
-
-def test_only_what_the_page_explains_holds_too_seldom(repository: Path) -> None:
-    text = (repository / "docs" / "explanations" / "coverage.md").read_text(encoding="utf-8")
-    assert [line.split("|")[1:3] for line in seldom(text)] == [[" twist-tube ", " `break_point` "]]
-    assert text.count("**Break point of a twist tube.**") == 1
-
-
-def noise_row(truth: float, *, noise: str = "white", fault: str = "") -> dict[str, Any]:
-    result = {"name": "peak_force.1", "status": "ok", "value": 1.0, "lower": 0.9, "upper": 1.1}
-    about = {"noise": noise, "fault": fault}
-    return {"kind": KIND, "about": about, "error": "", "rows": [{**result, "truth": truth}]}
-
-
-def test_by_noise_and_by_fault() -> None:
-    made = [
-        noise_row(1.0),
-        noise_row(1.2),
-        noise_row(1.0, noise="hum"),
-        noise_row(1.0, fault="cut"),
-    ]
-    made += [noise_row(1.5, fault="cut"), noise_row(-1.0, fault="counts-down")]
-    assert by_noise(made) == {(KIND, "white"): Held(1, 2), (KIND, "hum"): Held(1, 1)}
-    assert by_fault(made) == {(KIND, "cut"): (2, 2, 1), (KIND, "counts-down"): (1, 1, 0)}
 
 
 KEYS = ("truth", "value", "lower", "upper", "status")
@@ -265,18 +245,6 @@ def test_what_is_kept(kept: Path, tmp_path: Path) -> None:
     assert "python -m tests.coverage run 'lab/stiff-bar' --again" in told
 
 
-def campaign_row(kind: str, *, held: bool = True, status: str = "identified") -> dict[str, Any]:
-    ends = {"lower": 0.8, "upper": 1.2}
-    parameters = [
-        {"name": name, "truth": 1.0 if held else 5.0, "status": status, **ends} for name in NAMES
-    ]
-    band = [
-        {"name": f"band {at} mm", "truth": truth, **ends} for at, truth in ((5, 1.0), (50, 1.3))
-    ]
-    about = {"solutions": 1}
-    return {"kind": kind, "error": "", "about": about, "rows": parameters + band}
-
-
 def test_the_truth_is_solved_where_it_is_asked() -> None:
     """C5 slips in the first tenths of a millimetre: between other points it is 94 uN off."""
     at = tuple(np.linspace(0.0, DEEPEST, POINTS)[:8].tolist())
@@ -290,26 +258,7 @@ def test_the_truth_is_solved_where_it_is_asked() -> None:
     assert curve(asked) == pytest.approx(exact.tension - exact.rest_tension, abs=1e-6)
 
 
-def test_what_holds_too_seldom() -> None:
-    """Nine of ten is chance in 60 campaigns, and not in 400."""
-    rows = [campaign_row("few", held=seed % 10 > 0) for seed in range(60)]
-    assert parameters_counted(rows, "copper_scale", identified=True) == Held(54, 60)
-    assert bands(rows) == Held(60, 120)
-    assert not any(is_seldom for _, is_seldom in too_seldom(rows).values())
-    many = [campaign_row("many", held=seed % 10 > 0) for seed in range(400)]
-    assert all(is_seldom for _, is_seldom in too_seldom(many).values())
-    weak = campaign_row("weak", status="two solutions")
-    assert parameters_counted([weak], "copper_scale", identified=True) == Held(0, 0)
-    assert parameters_counted([weak], "copper_scale", identified=False) == Held(1, 1)
-
-
 BY_NAME = {kind.name: kind for kind in LINES}
-
-
-def line_row(kind: str, *, held: bool = True) -> dict[str, Any]:
-    band = {"truth": 1.0 if held else 3.0, "value": 1.0, "lower": 0.5, "upper": 2.0}
-    rows = [{"name": name, **band} for name in ASKED]
-    return {"kind": kind, "error": "", "about": {"notes": []}, "rows": rows}
 
 
 @pytest.mark.parametrize("name", ["push", "bow"])
@@ -332,10 +281,3 @@ def test_both_rods_agree_on_a_line_with_memory(name: str) -> None:
     assert np.abs(path.last.positions - truth.back).max() < 1e-3 * drawn.length
     assert held.reaction_moments[0, 1] == pytest.approx(truth.moment[1], rel=0.02)
     assert len(held.positions) == NODES + 1
-
-
-def test_bands_that_hold_too_seldom_are_found() -> None:
-    good = [line_row("push", held=n >= 5) for n in range(100)]
-    assert not any(line_judgement.judged(good).values())
-    assert str(line_judgement.counted(good, "moment")) == "95 of 100"
-    assert all(line_judgement.judged([*good, *[line_row("bow", held=False)] * 12]).values())

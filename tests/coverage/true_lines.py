@@ -164,26 +164,13 @@ def true_line(kind: LineKind, drawn: Drawn, torsional_stiffness: float) -> TrueL
     kind, drawn : the line
     torsional_stiffness : N m^2, before the factor that nobody knows
     """
-    length, weight = true_length(drawn), true_weight(drawn)
+    length = drawn.length * float(np.exp(drawn.off["length_factor"]))
+    own_weight = foreign.weight_of(foreign.BUILDS[drawn.wire])
+    weight = own_weight * float(np.exp(drawn.off["mass_factor"]))
     if kind.is_planar:
         return _in_plane(kind, drawn, length, weight)
-    torsion = true_torsion(drawn, torsional_stiffness)
+    torsion = torsional_stiffness * float(np.exp(drawn.off["torsion_factor"]))
     return _in_space(kind, drawn, length, weight / foreign.GRAVITY, torsion)
-
-
-def true_length(drawn: Drawn) -> float:
-    """m."""
-    return drawn.length * float(np.exp(drawn.off["length_factor"]))
-
-
-def true_weight(drawn: Drawn) -> float:
-    """N/m, by the standard gravity of the second simulator."""
-    return foreign.weight_of(foreign.BUILDS[drawn.wire]) * float(np.exp(drawn.off["mass_factor"]))
-
-
-def true_torsion(drawn: Drawn, torsional_stiffness: float) -> float:
-    """N m^2, from that before the factor that nobody knows."""
-    return torsional_stiffness * float(np.exp(drawn.off["torsion_factor"]))
 
 
 def _in_plane(kind: LineKind, drawn: Drawn, length: float, weight: float) -> TrueLine:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from labpipe.law.sliders import SliderLaw, linear_moment_law
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Demands, LineMemory, Shape
 from labpipe.rod.boundaries import Gravity, Held, Load, Plane
 from labpipe.rod.line import Line, Section, line_along
@@ -22,6 +22,7 @@ from labpipe.rod.statics import RodSettings, follow
 from labpipe.rod.supports import supports_of
 from tests.builders.rods import straight_line
 from tests.judges.rod_references import (
+    LEVEL,
     Kirchhoff,
     bend_of_45_degrees,
     buckled_column,
@@ -81,33 +82,23 @@ def buckled_column_error(elements: int, degrees: float, *, steps: int = 8) -> Fl
     return np.array([z - height, np.hypot(x, y) - offset])
 
 
-def turning(frame: Floats, angles: Floats) -> Floats:
-    """A frame turned about x by angles, rad, as a path."""
-    about = Rotation.from_rotvec(angles[:, None] * np.array([1.0, 0.0, 0.0]))
-    whole = about * Rotation.from_quat(frame, scalar_first=True)
-    return np.asarray(whole.as_quat(scalar_first=True))
-
-
-def shares_near_one(step: float, *, first: float = 0.9, last: float = 1.06) -> Floats:
-    """From 0 to the first share in 18 steps, then finely to the last."""
-    fine = np.arange(first, last + 0.5 * step, step)
-    return np.concatenate([np.linspace(0.0, first, 18, endpoint=False), fine])
-
-
-def twisted_rod(elements: int, shares: Floats, *, torsion: float) -> RodPath:
-    """A straight rod, one clamp turned by shares of the twist that buckles it in theory."""
-    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
-    frames = turning(line.frames[-1], shares * critical_torque() / torsion)
-    grips = [clamped(line), Held(-1, line.positions[-1], frames)]
-    return follow(line, grips, steps=len(shares) - 1)
-
-
 def torque_that_buckles(elements: int, *, torsion: float = 0.8, step: float = 1e-3) -> float:
-    """M L / B at which a clamped straight rod leaves its line, over the least that theory has."""
-    shares = shares_near_one(step)
-    path = twisted_rod(elements, shares, torsion=torsion)
+    """M L / B at which a clamped straight rod leaves its line, over the least that theory has.
+
+    One clamp is turned by shares of the twist that buckles it in theory, in the end in small steps.
+    """
+    shares = np.append(np.linspace(0.0, 0.9, 19)[:-1], np.arange(0.9, 1.06 + 0.5 * step, step))
+    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
+    twist = Rotation.from_rotvec(np.outer(shares * critical_torque() / torsion, [1.0, 0.0, 0.0]))
+    frames = (twist * Rotation.from_quat(line.frames[-1], scalar_first=True)).as_quat(
+        scalar_first=True
+    )
+    grips = [clamped(line), Held(-1, line.positions[-1], frames)]
+    path = follow(line, grips, steps=len(shares) - 1)
     aside = [float(np.max(np.abs(state.positions[:, 1:]))) for state in path.states]
-    return _left_at(shares, np.array(aside) > 1e-6)
+    at = int(np.argmax(np.array(aside) > 1e-6))
+    assert at > 0
+    return float(0.5 * (shares[at - 1] + shares[at]))
 
 
 def rate_on_joints(
@@ -166,13 +157,6 @@ def moment_that_buckles(elements: int, *, torsion: float = 0.8, tension: float =
         diverges = rate_on_joints(elements, middle, torsion=torsion, tension=tension) < -1e-6
         low, high = (low, middle) if diverges else (middle, high)
     return high / critical
-
-
-def _left_at(shares: Floats, has_left: Flags) -> float:
-    """Middle of the step in which something begins."""
-    at = int(np.argmax(has_left))
-    assert at > 0
-    return float(0.5 * (shares[at - 1] + shares[at]))
 
 
 def pressed_column_path(
@@ -238,7 +222,7 @@ def bend_error(elements: int, *, load: float = 600.0) -> Floats:
     return bend_tip(elements, load=load) - bend_of_45_degrees(load)
 
 
-POSED = Kirchhoff((1.0, 1.0, 0.7), 1.0, frame=(0.0, 0.5**0.5, 0.0, 0.5**0.5))
+POSED = Kirchhoff((1.0, 1.0, 0.7), 1.0, frame=LEVEL)
 """Of the rod posed in space; its weight is 3 N/m."""
 
 

@@ -7,6 +7,7 @@ and stiffnesses are whatever the caller measures in.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,34 +20,8 @@ from labpipe.decks.mujoco_sliders import REST
 from labpipe.records.arrays import Floats
 
 TOLERANCE = 1e-9
-
-
-def heavy_cantilever(weight: float) -> tuple[float, float, float]:
-    """Tip drop, shortening and angle of a level rod of length and stiffness 1 under its weight.
-
-    Parameters
-    ----------
-    weight : w L^3 / EI
-
-    Notes
-    -----
-    theta'' = -w (1 - s) cos(theta), downwards positive; theta(0) = 0, theta'(1) = 0. Heavier rods
-    start from lighter ones.
-    """
-    s, guess = np.linspace(0.0, 1.0, 41), np.zeros((4, 41))
-    for share in np.geomspace(min(weight, 0.5), weight, 8):
-
-        def slopes(at: Floats, y: Floats, w: float = share) -> Floats:
-            angle, bend = y[0], y[1]
-            return np.vstack([bend, -w * (1.0 - at) * np.cos(angle), np.cos(angle), np.sin(angle)])
-
-        def ends(a: Floats, b: Floats) -> Floats:
-            return np.array([a[0], b[1], a[2], a[3]])
-
-        found = solve_bvp(slopes, ends, s, guess, tol=TOLERANCE, max_nodes=50_000)
-        assert found.success, found.message
-        s, guess = found.x, found.y
-    return float(guess[3, -1]), float(1.0 - guess[2, -1]), float(guess[0, -1])
+LEVEL = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
+"""Frame of a clamp whose third axis is x and whose first axis is z."""
 
 
 def buckled_column(angle: float) -> tuple[float, float, float]:
@@ -116,10 +91,14 @@ def critical_torque(tension: float = 0.0) -> float:
         value = np.linalg.det(np.array(rows)) * np.exp(-0.5j * moment)
         return float((value / (p - q)).real if abs(value.real) > abs(value.imag) else value.imag)
 
-    scan = np.linspace(2.0 * np.sqrt(tension) + 1e-3, 2.0 * np.sqrt(tension) + 15.0, 1501)
-    signs = np.sign([determinant(float(each)) for each in scan])
+    least = 2.0 * np.sqrt(tension)
+    return _first_root(determinant, np.linspace(least + 1e-3, least + 15.0, 1501))
+
+
+def _first_root(function: Callable[[float], float], scan: Floats) -> float:
+    signs = np.sign([function(float(at)) for at in scan])
     at = int(np.flatnonzero(signs[:-1] * signs[1:] < 0.0)[0])
-    return float(brentq(determinant, scan[at], scan[at + 1], xtol=1e-12))
+    return float(brentq(function, scan[at], scan[at + 1], xtol=1e-12))
 
 
 def critical_moment_of_joints(tension: float = 0.0) -> float:
@@ -143,10 +122,8 @@ def critical_moment_of_joints(tension: float = 0.0) -> float:
         assert abs(value.imag) < 1e-9 * (1.0 + abs(value))
         return float(value.real)
 
-    scan = np.linspace(2.0 * np.sqrt(tension) + 1.0, 2.0 * np.sqrt(tension) + 8.0, 141)
-    signs = np.sign([determinant(float(each)) for each in scan])
-    at = int(np.flatnonzero(signs[:-1] * signs[1:] < 0.0)[0])
-    return float(brentq(determinant, scan[at], scan[at + 1], xtol=1e-12))
+    least = 2.0 * np.sqrt(tension)
+    return _first_root(determinant, np.linspace(least + 1.0, least + 8.0, 141))
 
 
 @dataclass(frozen=True)
@@ -251,6 +228,19 @@ class Kirchhoff:
         return y[:3].T, y[3:7].T, y[7:].T, np.asarray(found.p)
 
 
+def heavy_cantilever(weight: float) -> tuple[float, float, float]:
+    """Tip drop, shortening and angle of a level rod of length and stiffness 1 under its weight.
+
+    Parameters
+    ----------
+    weight : w L^3 / EI
+    """
+    rod = Kirchhoff((1.0, 1.0, 1.0), 1.0, frame=LEVEL)
+    places, frames, _ = rod.under(np.zeros(3), np.array([0.0, 0.0, -weight]))
+    x, _, z = turns(frames[-1][:, None])[:, 2, 0]
+    return float(-places[-1, 2]), float(1.0 - places[-1, 0]), float(np.arctan2(-z, x))
+
+
 def turns(q: Floats) -> Floats:
     """Rotation matrices, shape (3, 3, stations), of quaternions (4, stations)."""
     w, x, y, z = q
@@ -276,11 +266,8 @@ def bend_of_45_degrees(load: float = 600.0, *, torsion: float = 1.0 / 6.0) -> Fl
     -----
     Without shear and stretch, which the codes have: worth 0.2 % of the numbers they print.
     """
-    # The first axis of the frame is z, about which it is bent at rest; the third is x.
-    frame = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
-    whole = Kirchhoff(
-        (1e7 / 12.0, 1e7 / 12.0, 0.5e7 * torsion), 25.0 * np.pi, (0.01, 0.0, 0.0), frame
-    )
+    stiffness = (1e7 / 12.0, 1e7 / 12.0, 0.5e7 * torsion)
+    whole = Kirchhoff(stiffness, 25.0 * np.pi, (0.01, 0.0, 0.0), LEVEL)  # bent about z at rest
     return np.asarray(whole.under(np.array([0.0, 0.0, load]))[0][-1])
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -147,30 +145,6 @@ def test_a_reflection_is_dropped_and_told() -> None:
     )
     assert dropped[1].startswith("M3: track of no marker dropped, frames 400 to 402")
     np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=2e-4)
-
-
-@pytest.mark.realdata
-def test_soft_arm_take(realdata: Path) -> None:
-    from labpipe.readers import read_export
-
-    recording = read_export(realdata / "motive" / "softarm_sim-fk-400-2_1.23.csv")
-    tracks = recording.markers
-    assert tracks is not None
-    repaired = repair_tracks(
-        tracks, along=tracks.names, max_gap=0.5, max_jump=0.015, frozen=0.2, reference=None
-    )
-    assert len(repaired.names) == 13
-    assert np.isfinite(repaired.positions).all()
-    base = [repaired.names.index(f"SA-base:Marker{number}") for number in (1, 2, 3)]
-    assert (repaired.flags[:3932, base] == PointFlag.RELABELLED).all()
-    assert (repaired.flags == PointFlag.RELABELLED).sum() == 3 * 3932
-    low = repaired.names.index("SA-low:Marker4")
-    assert (repaired.flags[:, low] == PointFlag.FILLED).sum() == 10
-    assert (repaired.flags == PointFlag.FILLED).sum() == 10
-    merged = [note.message for note in repaired.notes if note.code == "unlabelled_merged"]
-    for marker, unlabelled in ((1, 1366), (2, 1364), (3, 1365)):
-        words = f"SA-base:Marker{marker} was labelled as Unlabeled {unlabelled}, frames 0 to 3931"
-        assert any(text.startswith(words) for text in merged)
 
 
 @pytest.mark.parametrize(("length", "flag"), [(25, PointFlag.FILLED), (26, PointFlag.MISSING)])

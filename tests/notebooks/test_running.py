@@ -14,6 +14,7 @@ import pytest
 from tests.notebooks.running import FOLDER
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+assert NOTEBOOKS
 MOST_BYTES = 400_000
 RUN = """
 import json, sys
@@ -46,10 +47,6 @@ def tables(notebook: Any) -> list[list[str]]:
     return [re.findall(r"<th>(\D[^<]*)</th>", page) for page in pages]
 
 
-def test_there_are_notebooks() -> None:
-    assert NOTEBOOKS
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_says_what_it_keeps(path: Path, repository: Path) -> None:
@@ -63,19 +60,14 @@ def test_a_notebook_runs_and_says_what_it_keeps(path: Path, repository: Path) ->
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_small_and_names_no_place(path: Path) -> None:
+def test_a_notebook_is_small_and_its_links_lead_somewhere(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert len(text) < MOST_BYTES
     assert "/tmp/" not in text
-    assert "execution" not in {key for cell in read(path)["cells"] for key in cell["metadata"]}
-    assert not [cell for cell in read(path)["cells"] if cell.get("execution_count", 1) is None]
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_links_of_a_notebook_lead_somewhere(path: Path) -> None:
-    words = "\n".join(
-        "".join(cell["source"]) for cell in read(path)["cells"] if cell["cell_type"] == "markdown"
-    )
-    links = re.findall(r"\]\(([^)#]+)", words)
+    cells = read(path)["cells"]
+    assert "execution" not in {key for cell in cells for key in cell["metadata"]}
+    assert not [cell for cell in cells if cell.get("execution_count", 1) is None]
+    words = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"]
+    links = re.findall(r"\]\(([^)#]+)", "\n".join(words))
     assert links
     assert [link for link in links if not (path.parent / link).exists()] == []

@@ -44,23 +44,15 @@ def test_spikes_are_bridged_across_gaps() -> None:
     np.testing.assert_array_equal(bridge_spikes(force, np.array([], dtype=np.int64)), force)
 
 
-@pytest.mark.parametrize(
-    ("force", "top", "behind", "is_spike"),
-    [
-        (0.0, 4.0, 0.0, False),
-        (0.0, 5.0, 0.0, True),
-        (0.0, 40.0, 0.0, True),
-        (10.0, 14.0, 8.5, True),
-        (10.0, 14.0, 7.5, False),
-    ],
-)
-def test_size_and_return_of_a_spike(
-    force: float, top: float, behind: float, *, is_spike: bool
-) -> None:
+def test_size_and_return_of_a_spike() -> None:
     """More than four steps of its neighbours, of one newton; a lasting drop is a loss of force."""
-    values = np.where(np.arange(60) < 30, force, behind)
-    values[[28, 30]] = force + 1.0 if force == 0.0 else force, top
-    assert find_spikes(values).tolist() == ([30] if is_spike else [])
+    for force, top, behind, is_spike in (
+        *((0.0, 4.0, 0.0, False), (0.0, 5.0, 0.0, True), (0.0, 40.0, 0.0, True)),
+        *((10.0, 14.0, 8.5, True), (10.0, 14.0, 7.5, False)),
+    ):
+        values = np.where(np.arange(60) < 30, force, behind)
+        values[[28, 30]] = force + 1.0 if force == 0.0 else force, top
+        assert find_spikes(values).tolist() == ([30] if is_spike else [])
 
 
 def runs_of(record: PlainRecord) -> list[StuckRun]:
@@ -141,15 +133,12 @@ def test_a_channel_clipped_near_its_start_and_empty_at_its_end() -> None:
     assert stuck_runs(time, force, 1e-3 * time) == [StuckRun(6, 26, is_clipped=True)]
 
 
-@pytest.mark.parametrize(("samples", "is_found"), [(5, False), (6, True)])
-def test_a_frozen_channel_jumps_faster_than_five_times_its_speed(
-    samples: int, *, is_found: bool
-) -> None:
+def test_a_frozen_channel_jumps_faster_than_five_times_its_speed() -> None:
     """A newton a sample; after so many equal samples it jumps by as many newtons."""
-    force = np.arange(100.0)
-    force[50 : 50 + samples] = 50.0
-    runs = stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0))
-    assert runs == ([StuckRun(50, 50 + samples, is_clipped=False)] if is_found else [])
+    for samples, runs in ((5, []), (6, [StuckRun(50, 56, is_clipped=False)])):
+        force = np.arange(100.0)
+        force[50 : 50 + samples] = 50.0
+        assert stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0)) == runs
 
 
 @pytest.mark.parametrize("since", [3.0, 9.0, 14.0])

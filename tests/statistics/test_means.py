@@ -8,8 +8,6 @@ from math import exp, hypot
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import stats
 from scipy.stats import binomtest
 
@@ -34,8 +32,6 @@ from labpipe.statistics.two_groups import (
 )
 from tests.builders.bundle_campaigns import bundle_sample
 
-VALUES = st.lists(st.floats(-1e3, 1e3).map(lambda value: round(value, 6)), min_size=2, max_size=8)
-
 
 def test_no_samples_and_one_sample_say_so() -> None:
     none, one = mean_interval([], "sample"), mean_interval([3.0], "spool")
@@ -47,15 +43,6 @@ def test_no_samples_and_one_sample_say_so() -> None:
     scatter = spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
     assert np.isnan([scatter.within, scatter.between, scatter.share]).all()
     assert scatter.share_upper == 1.0
-
-
-@given(VALUES, st.floats(-1e3, 1e3), st.floats(0.1, 10.0))
-def test_moves_and_scales_with_its_values(values: list[float], shift: float, scale: float) -> None:
-    first = mean_interval(values)
-    second = mean_interval([scale * value + shift for value in reversed(values)])
-    assert second.n == first.n == len(values)
-    expected = [scale * number + shift for number in (first.mean, *ends(first))]
-    assert [second.mean, *ends(second)] == pytest.approx(expected, rel=1e-9, abs=1e-6)
 
 
 def test_spools_count_alike() -> None:

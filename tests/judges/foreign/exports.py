@@ -22,7 +22,7 @@ def _single(value: float) -> str:
     return format(float(np.float32(value)), ".15g")
 
 
-def write_mts(path: Path, columns: Columns, *, quoted: bool = False) -> Path:
+def write_mts(path: Path, columns: Columns, *, quoted: bool = False) -> None:
     """TestSuite, `DAQ- Crosshead, ... - (Timed)`: csv with every cell quoted, or txt with tabs."""
     head = [
         r"File Path: C:\Synthetic\Test Run 7\DAQ- Crosshead, … - (Timed).txt   ",
@@ -40,10 +40,9 @@ def write_mts(path: Path, columns: Columns, *, quoted: bool = False) -> Path:
     else:
         lines = head + ["\t".join(row) for row in rows]
     path.write_bytes(("\r\n".join(lines) + "\r\n").encode("utf-8-sig"))
-    return path
 
 
-def write_tra(path: Path, columns: Columns) -> Path:
+def write_tra(path: Path, columns: Columns) -> None:
     """German testXpert text: parameters, quoted names, quoted units, samples parted by tabs."""
     head = [
         '"aktuelle Probe"\t"synthetisch"',
@@ -55,10 +54,9 @@ def write_tra(path: Path, columns: Columns) -> Path:
     table = np.column_stack([values for *_, values in columns])
     body = ["\t".join(f"{value:.6g}" for value in row) for row in table]
     path.write_bytes(("\n".join([*head, *names, *body]) + "\n").encode("latin-1"))
-    return path
 
 
-def write_mat(path: Path, time: Array, signals: Mapping[str, Array]) -> Path:
+def write_mat(path: Path, time: Array, signals: Mapping[str, Array]) -> None:
     """ControlDesk MAT v5, revision 2.1; signals of 32 bits by `path/name`, units empty."""
     from scipy.io import savemat
 
@@ -83,7 +81,6 @@ def write_mat(path: Path, time: Array, signals: Mapping[str, Array]) -> Path:
         "Description": {"General": said, "Measurement": measured},
     }
     savemat(path, {path.stem: content}, appendmat=False)
-    return path
 
 
 def _struct(full: str, values: Array) -> dict[str, Any]:
@@ -109,7 +106,7 @@ def _struct(full: str, values: Array) -> dict[str, Any]:
 
 def write_motive(
     path: Path, rate: float, body: Array | None, markers: Mapping[str, Array], turn: Array
-) -> Path:
+) -> None:
     """Motive table 1.23 in metres.
 
     Parameters
@@ -155,7 +152,6 @@ def write_motive(
     index = np.arange(frames)
     lines += [form % tuple(row) for row in np.column_stack([index, index / rate, table])]
     path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")
-    return path
 
 
 def write_sheet(folder: Path, sheet: Mapping[str, Any]) -> None:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
 
 from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.calibration.law_components import loading_curve, split_wire
 from labpipe.wire.first_loading import force_at
 from tests.coverage.wire_campaigns import rig_of, wire_of
-from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
 from tests.judges.foreign.rig import KINDS, MAKERS, wander
 from tests.judges.foreign.specimens import Bending, Wire, knives
 from tests.judges.foreign.wire_section import (
     BUILDS,
-    MODULUS,
     Truth,
     law,
     loading,
@@ -52,54 +49,8 @@ def test_a_zero_is_as_far_off_at_its_end_as_is_stated(lasts: float, half: float)
     assert made[:, [50, 100]].var(axis=0) == pytest.approx([half, 1.0], rel=0.08)
 
 
-SPRING = Stops(1e-3, np.zeros(0), np.zeros(0))
-LENGTH = 0.1
-
-
-def along_circle(angle: float, length: float = LENGTH) -> np.ndarray:
-    return np.array([np.sin(angle), 1.0 - np.cos(angle)]) * length / angle
-
-
-def test_stops_keep_what_they_slid() -> None:
-    """Bent evenly to 20 1/m and let go: the spring and the stop balance, 20 - M / (EI + K)."""
-    rod = PlanarRod(LENGTH, 40, stops_through(np.array([0.0, 5.0, 50.0]), np.array([0.0, 5.0, 14])))
-    for angle in np.linspace(0.2, 2.0, 10):
-        rod.hold(along_circle(float(angle)), float(angle))
-    assert rod.far_moment == pytest.approx(0.2 * 20.0 + 0.8 * 5.0, rel=1e-3)
-    rod.curvature_after_release()
-    assert rod.shape().curvature[:-1] == pytest.approx(np.full(40, 20.0 - 8.0), rel=3e-3)
-
-
-def test_weight_is_carried() -> None:
-    rod = PlanarRod(LENGTH, 60, SPRING, weight=2.0, has_far_clamp=False)
-    rod.hold(LENGTH * np.array([0.95, -0.2]))
-    assert rod.shape().start_force[1] + rod.force[1] == pytest.approx(2.0 * LENGTH)
-    rod.curvature_after_release()
-    fallen = solve_bvp(
-        lambda s, y: np.stack([y[1], 2.0 * (LENGTH - s) * np.cos(y[0]) / 1e-3, np.sin(y[0])]),
-        lambda clamp, tip: np.array([clamp[0], tip[1], clamp[2]]),
-        *(np.linspace(0.0, LENGTH, 50), np.zeros((3, 50))),
-        tol=1e-8,
-    )
-    assert -rod.shape().places[-1, 1] == pytest.approx(-fallen.y[2, -1], rel=1e-3)
-
-
 TRUE = Truth()
 VALUES = np.array([TRUE.friction, TRUE.modulus, TRUE.copper])
-
-
-def test_limits_of_the_law() -> None:
-    """Elastic and without friction at first; at last friction adds nothing to the slope."""
-    build = BUILDS["A2"]
-    curvature, moment = law("A2", Truth(friction=1e-9, copper=1e6))
-    bore = build.diameter - 2.0 * build.wall
-    tube = TRUE.modulus * np.pi / 64.0 * (build.diameter**4 - bore**4)
-    lay = np.radians(12.0)
-    turn = 0.5 * np.cos(lay) * (1.0 + np.cos(lay) ** 2 + np.sin(lay) ** 2 / 1.34)
-    strands = MODULUS * np.pi / 64.0 * build.strand**4 * (1.0 + 6.0 * turn)
-    assert moment[1:] / curvature[1:] == pytest.approx(tube + strands, rel=1e-4)
-    rubbing = law("A2", Truth(copper=1e6))[1] - moment
-    assert np.ptp(rubbing[-500:]) < 1e-9
 
 
 @pytest.mark.parametrize("name", sorted(BUILDS))

@@ -185,15 +185,8 @@ MODELS: dict[str, Callable[[Values], Bounds]] = {
 FOLDER = Path(__file__).resolve().parent / "cards"
 UNITS = {"g/m": 1e-3, "kg/m": 1.0, "MN": 1e6, "GPa": 1e9, "N mm2": 1e-6, "1": 1.0}
 """In SI units."""
-
-
-@dataclass(frozen=True)
-class Open:
-    """What a source leaves open: a range, and why it is that wide."""
-
-    low: float
-    high: float
-    why: str
+KEYS = {"title", "source", "read", "licence", "specimen", "method", "open", "number"}
+"""Of a card; `open` is what a source leaves open: ranges, and why they are that wide."""
 
 
 @dataclass(frozen=True)
@@ -223,44 +216,23 @@ class Number:
         return low <= self.value <= high
 
 
-@dataclass(frozen=True)
-class Card:
-    """One source."""
-
-    file: str
-    title: str
-    source: str
-    read: str
-    licence: str
-    specimen: str
-    method: str
-    numbers: tuple[Number, ...]
-    open: Mapping[str, Open]
-    files: Mapping[str, str]
-
-
-def read_card(path: Path) -> Card:
-    """Read a card; an unknown or missing key is a TypeError, an unknown model or unit too."""
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
-    ranges = {name: Open(**each) for name, each in table.pop("open").items()}
-    shared = table.pop("shared", {})
-    ends = {name: (each.low, each.high) for name, each in ranges.items()}
-    numbers = []
-    for each in table.pop("number"):
-        number = Number(**{**each, "given": {**shared, **each.get("given", {})}, "ranges": ends})
-        if number.model not in MODELS or number.unit not in UNITS:
-            message = f"{path.name}, {number.name}: model {number.model!r}, unit {number.unit!r}"
-            raise TypeError(message)
-        numbers.append(number)
-    files = table.pop("files", {})
-    return Card(path.stem, numbers=tuple(numbers), open=ranges, files=files, **table)
+def read_numbers(path: Path) -> list[Number]:
+    """Measured values of a card; an unknown or missing key, model or unit is an error."""
+    card = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert card.keys() - {"shared", "files"} == KEYS, path.name
+    assert all(own.keys() == {"low", "high", "why"} for own in card["open"].values()), path.name
+    ranges = {name: (own["low"], own["high"]) for name, own in card["open"].items()}
+    shared = card.get("shared", {})
+    numbers = [
+        Number(**{**own, "given": {**shared, **own.get("given", {})}, "ranges": ranges})
+        for own in card["number"]
+    ]
+    assert {number.model for number in numbers} <= MODELS.keys(), path.name
+    assert {number.unit for number in numbers} <= UNITS.keys(), path.name
+    return numbers
 
 
-def read_cards() -> list[Card]:
-    """All cards, by the names of their files."""
-    return [read_card(path) for path in sorted(FOLDER.glob("*.toml"))]
-
-
+NUMBERS = [number for path in sorted(FOLDER.glob("*.toml")) for number in read_numbers(path)]
 WINDOWS = {"first": (1.0 / 200.0, 1.0 / 50.0), "later": (1.0 / 20.0, 1.0 / 10.0)}
 """Deflection over span."""
 

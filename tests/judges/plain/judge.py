@@ -15,8 +15,6 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, TextIO
 
-import pytest
-
 from labpipe.cli import main
 from tests.builders.reasons import codes, why
 from tests.judges.plain.definitions import Plain
@@ -218,13 +216,3 @@ def _shown(plain: Plain | None) -> str:
     if plain.low == plain.high:
         return f"{plain.low:.6g}"
     return f"{plain.low:.6g} to {plain.high:.6g}"
-
-
-STILL_WRONG: dict[str, str] = {}
-
-
-def marked(name: str) -> list[pytest.MarkDecorator]:
-    """The mark of a case of the table: it must fail, and by the judge."""
-    if name not in STILL_WRONG:
-        return []
-    return [pytest.mark.xfail(strict=True, raises=AssertionError, reason=STILL_WRONG[name])]

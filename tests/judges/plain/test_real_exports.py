@@ -23,7 +23,7 @@ from tests.judges.plain.definitions import (
     stiffness,
     trapezoid,
 )
-from tests.judges.plain.judge import Expected, RunSummary, complaints, marked, process
+from tests.judges.plain.judge import Expected, RunSummary, complaints, process
 from tests.judges.plain.real_files import FRAMES, RECORDERS, Real, Recorder, Take, read
 
 TRAVEL = np.array([0.0, 1.0, 2.0, 3.0, 3.0, 2.0, 1.0, 0.0, 0.0, 1.0, 2.0])
@@ -191,13 +191,10 @@ CASES: dict[str, Frame | Recorder | Take] = {
 }
 
 
-def judged(name: str, root: Path, home: Path) -> list[str]:
-    case = CASES[name]
-    return complaints(process(home, case.sheet(), case.files(root)), case.expected(root))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in CASES])
+@pytest.mark.parametrize("name", CASES)
 def test_real_export(name: str, realdata: Path, tmp_path: Path) -> None:
-    found = judged(name, realdata, tmp_path)
+    case = CASES[name]
+    ran = process(tmp_path, case.sheet(), case.files(realdata))
+    found = complaints(ran, case.expected(realdata))
     assert not found, "\n".join(found)
