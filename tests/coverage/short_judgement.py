@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -35,12 +34,13 @@ def rows(shape: str, number: int, folder: Path) -> Row:
 
 def tables(made: Sequence[Row]) -> str:
     """Of each shape, result and count: percent held, half width over scatter, percent ok."""
-    cells: dict[tuple[str, str, int], list[dict[str, Any]]] = defaultdict(list)
+    cells: dict[tuple[str, str, int], list[Row]] = defaultdict(list)
     for row in made:
-        for result in row["rows"]:
+        shape, results = row["kind"].partition("/")[2], row["rows"]
+        largest = max(x["truth"] for x in results if x["name"].startswith("peak_force"))
+        for result in results:
             name = result["name"].partition(".")[0]
-            shape = row["kind"].partition("/")[2]
-            cells[shape, name, row["about"]["samples"]].append(result)
+            cells[shape, name, row["about"]["samples"]].append({**result, "largest": largest})
     results = sorted({key[:2] for key in cells}, key=lambda key: (SHAPES.index(key[0]), key[1]))
     lines = [
         [shape, f"`{name}`", *(_cell(cells[shape, name, count]) for count in COUNTS)]
@@ -50,16 +50,17 @@ def tables(made: Sequence[Row]) -> str:
     return "\n".join(table("ll" + "r" * len(COUNTS), heads, lines))
 
 
-def _cell(results: Sequence[dict[str, Any]]) -> str:
+def _cell(results: Sequence[Row]) -> str:
+    """Write a cell; errors and half widths are per newton of the largest force of their record."""
     sure = [result for result in results if result["status"] == "ok"]
     if not sure:
         return "none"
-    numbers = {
-        key: np.array([x[key] for x in sure]) for key in ("truth", "value", "lower", "upper")
-    }
-    truth, low, high = numbers["truth"], numbers["lower"], numbers["upper"]
+    truth, value, low, high, largest = (
+        np.array([result[key] for result in sure])
+        for key in ("truth", "value", "lower", "upper", "largest")
+    )
     held = float(np.mean((low <= truth) & (truth <= high)))
-    error = 2.0 * (numbers["value"] - truth) / (high - low)
-    scatter = float(np.std(error))
+    half = float(np.median((high - low) / (2.0 * largest)))
+    scatter = float(np.std((value - truth) / largest))
     share = len(sure) / len(results)
-    return f"{held:.0%}, {1.0 / scatter:.1f}" + (f" ({share:.0%})" if share < 1.0 else "")
+    return f"{held:.1%}, {half / scatter:.1f}" + (f" ({share:.0%})" if share < 1.0 else "")

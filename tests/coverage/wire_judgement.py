@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from tests.coverage.judgement import ENOUGH, LEAST, LEVEL, Held, Row, holm
@@ -83,12 +84,15 @@ def _table(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _lines(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
-    judged = too_seldom(rows)
-    for kind, own in by_kind(rows).items():
+    """Yield a line for each wire and noise, all lengths together."""
+    judged = {key[0] for key, (_, is_seldom) in too_seldom(rows).items() if is_seldom}
+    kinds: dict[str, list[str]] = {}
+    for kind in by_kind(rows):
+        kinds.setdefault(re.sub(r" \d+ mm", "", kind), []).append(kind)
+    for group, members in kinds.items():
+        own = [row for kind in members for row in by_kind(rows)[kind]]
         plain = [counted(own, name, identified=False).held for name in NAMES]
-        sure = {name: counted(own, name, identified=True) for name in NAMES}
-        is_seldom = any(judged.get((kind, name), (held, False))[1] for name, held in sure.items())
-        total = sum(sure.values(), Held(0, 0))
-        said = f"**{total}**" if is_seldom else str(total)
+        total = sum((counted(own, name, identified=True) for name in NAMES), Held(0, 0))
+        cell = f"**{total}**" if judged & set(members) else str(total)
         several = sum(row["about"]["solutions"] > 1 for row in own)
-        yield kind, len(own), *plain, said, f"{100.0 * bands(own).share:.0f} %", several
+        yield group, len(own), *plain, cell, f"{100.0 * bands(own).share:.0f} %", several
