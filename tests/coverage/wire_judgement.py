@@ -74,13 +74,8 @@ def _summary(rows: Sequence[Row]) -> str:
 
 
 def _table(rows: Sequence[Row]) -> Iterator[str]:
-    names = list(NAMES.values())
-    heads = ("campaigns", "n", *names, "identified")
-    return table(
-        "l" + "r" * (len(heads) + 1),
-        (*heads, "bands", "more than one solution"),
-        _lines(rows),
-    )
+    heads = ("campaigns", "n", *NAMES.values(), "identified", "bands", "more than one solution")
+    return table("l" + "r" * (len(heads) - 1), heads, _lines(rows))
 
 
 def _lines(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
