@@ -1,4 +1,4 @@
-"""Numbers that others have printed: NIST, Rosner, Student, tables of the source, worked examples.
+"""Numbers that others have printed: NIST, Rosner, Student, tables of the source.
 
 NIST StRD Norris, NoInt1 and NoInt2 (itl.nist.gov/div898/strd/lls); Rosner, Technometrics 25 (1983)
 165 with critical values of the NIST/SEMATECH handbook (1.3.5.17.3); Student, Biometrika 6 (1908) 1
@@ -9,7 +9,6 @@ its tension alone.
 
 from __future__ import annotations
 
-import doctest
 from pathlib import Path
 
 import numpy as np
@@ -208,10 +207,3 @@ def test_lay_lengths_and_shared_sliding_are_closer(
     published: tuple[Floats, Floats], orientation: float
 ) -> None:
     assert rms(SHARED, published, orientation) <= 1.5
-
-
-def test_worked_examples_of_a_page(repository: Path) -> None:
-    file = repository / "docs" / "explanations" / "extractors.md"
-    found = doctest.testfile(str(file), module_relative=False)
-    assert found.attempted >= 26
-    assert found.failed == 0
