@@ -38,10 +38,11 @@ def required_samples(other_values: Floats) -> int:
 
     Notes
     -----
-    Three are enough if the record has a hundred more: with 3 to 6 the intervals of `mean_level` and
-    `end_level` hold 94 to 96 of 100 true values, in white noise and in noise that is correlated
-    over ten samples. With 25 more they hold as many in noise correlated over two samples, and 73 in
-    noise correlated over ten, which so short a record cannot distinguish from its curve.
+    Three samples suffice if the rest of the record has at least 100. With 3 to 6 samples, the 95 %
+    intervals of `mean_level` and `end_level` then hold the true value in 94 to 96 % of cases, in
+    white noise and in noise that is correlated over ten samples. If the rest has only 25 samples,
+    they hold as often in noise correlated over two samples, and in 73 % in noise correlated over
+    ten: so short a record does not separate such noise from its curve.
     """
     return MIN_ZERO_SAMPLES if _cut(other_values) else MIN_LEVEL_SAMPLES
 
@@ -92,7 +93,7 @@ def line_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
     -------
     level, error : of the outer end: the mean of a rest at the beginning of the stretch, or the
         first value of a line if the rest is too short
-    rest_samples : of that rest; 0 if the machine moves from the first sample on
+    rest_samples : number of samples in that rest; 0 if the level is from a line
     """
     rest_samples = samples_at_rest(values)
     if rest_samples >= required_samples(other_values):

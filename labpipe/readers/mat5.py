@@ -34,11 +34,11 @@ class _Cursor:
     def element(self) -> tuple[int, memoryview]:
         """Return type and bytes of the next element, and advance past its padding."""
         if self.at + 8 > len(self.data):
-            message = f"ends after {len(self.data)} bytes of an element"
+            message = f"ends after {len(self.data)} bytes, within the tag of an element"
             raise ValueError(message)
         kind, size = struct.unpack_from(self.order + "II", self.data, self.at)
         start, padded = self.at + 8, 8
-        if kind >> 16:  # small element: type, size and up to four bytes of data in one word
+        if kind >> 16:  # small element: one word with size and type, then its data
             size, kind, start = kind >> 16, kind & 0xFFFF, self.at + 4
         elif kind != _COMPRESSED:
             padded += -(-size // 8) * 8

@@ -15,10 +15,10 @@ class Estimate:
 
     Parameters
     ----------
-    value, error : in the same unit
+    value, error : number and its standard error, in the same unit
     n : number of samples it rests on
-    interval : 95 % interval where it is not the normal one of `error`: few degrees of freedom, or
-        a number whose uncertainty is asymmetric
+    interval : 95 % interval if it differs from the normal one of `error`, because there are few
+        degrees of freedom or the uncertainty is asymmetric; else None
     """
 
     value: float
@@ -41,19 +41,22 @@ def widened(estimate: Estimate, *errors: float) -> Estimate:
 
     Returns
     -------
-    The estimate; each side of an interval of its own grows by the normal 95 % part of `errors`, in
-    quadrature: an asymmetric interval stays so (GUM, JCGM 100:2008, sec. 5.1.3). What an uncertain
-    input changes is such an error: compute the number twice, the second time with the input one
-    standard uncertainty larger, and take the difference.
+    The estimate with the larger error. Each side of an interval of its own grows in quadrature by
+    the normal 95 % half width of `errors`, so that an asymmetric interval stays asymmetric.
+
+    Notes
+    -----
+    The standard error from an uncertain input is the change of the number if the input is larger by
+    one standard uncertainty (GUM, JCGM 100:2008, sec. 5.1.3).
     """
-    more = hypot(*errors)
+    added_error = hypot(*errors)
     interval = estimate.interval
-    if interval is not None and more > 0.0:
-        added = Interval.normal_95(0.0, more).upper
+    if interval is not None and added_error > 0.0:
+        added = Interval.normal_95(0.0, added_error).upper
         middle = _centre_of(estimate.value, interval)
         lower, upper = hypot(middle - interval.lower, added), hypot(interval.upper - middle, added)
         interval = Interval(middle - lower, middle + upper)
-    return Estimate(estimate.value, hypot(estimate.error, more), estimate.n, interval)
+    return Estimate(estimate.value, hypot(estimate.error, added_error), estimate.n, interval)
 
 
 def _centre_of(value: float, interval: Interval) -> float:

@@ -33,9 +33,9 @@ class Section:
     ----------
     law : moment against curvature with its sliders, isotropic
     torsional_stiffness : GJ at fixed length, N m^2
-    axial_stiffness : EA at fixed twist, N; infinite: the line keeps its length
-    coupling : C of stretch and twist, N m, positive in the sense of a positive lay (PHYSICS 9);
-        without effect where the line keeps its length
+    axial_stiffness : EA at fixed twist, N; infinite for an inextensible line
+    coupling : stretch-twist coupling C, N m, positive for a positive lay (PHYSICS 9); has no effect
+        on an inextensible line
     mass_per_length : kg/m
     diameter : outer, m; 0 if unknown
 
@@ -137,7 +137,7 @@ class Line(ArrayRecord):
         return np.concatenate([self.natural[:1], self.natural, self.natural[-1:]])
 
     def frame_at(self, node: int) -> Floats:
-        """Return the frame at a node, shape (4,), in which a clamp leaves the line unchanged.
+        """Return the frame, shape (4,), of a clamp at a node that leaves the line undeformed.
 
         Parameters
         ----------
@@ -188,8 +188,8 @@ def line_along(
 
     Notes
     -----
-    Each frame follows from the one before by the shortest turn: d1 at the end of a closed ring
-    differs from its start by the angle of its shape.
+    Each frame follows from the one before by the smallest rotation. On a closed curve in
+    space, d1 of the last frame therefore differs from d1 of the first by the holonomy angle.
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:

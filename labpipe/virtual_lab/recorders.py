@@ -278,7 +278,7 @@ def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
     Raises
     ------
     ValueError
-        If the test ends before its second sample.
+        If the test has fewer than three samples.
     """
     instruments = path.scenario.instruments
     time = sample_times(instruments, path.end)
@@ -295,7 +295,7 @@ def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
 
 
 def sample_times(instruments: FrameInstruments, end: float) -> Floats:
-    """Return the times of the samples, s: an even grid and a last one off it, not after `end`."""
+    """Return the sample times, s: an even grid and one last sample off it, none after `end`."""
     step = 1.0 / instruments.rate
     last = instruments.last_step * step
     count = int(np.floor((end - last - instruments.first_sample) / step)) + 1

@@ -15,8 +15,8 @@ fails. Unlike the source it uses no series and no single stiffness for the whole
 The clamp is driven down, which in its own frame lifts the anchor of the string. The string pulls or
 is slack; the counterweight always hangs at the tip.
 
-A wire with weight lies level and has been bent by its weight before anything is measured: its path
-starts from rest, with the history that rest left, not from zero moment (PHYSICS 8).
+A wire with weight is mounted level and bends under its weight before the test: its path starts from
+this equilibrium and its history, not from zero moment (PHYSICS 8).
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def straight(
 
 
 def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
-    """Find the rest of a level wire held at its tip by a force normal to the clamped axis.
+    """Find the first equilibrium of a level wire whose tip a normal force holds at no deflection.
 
     Parameters
     ----------
@@ -189,7 +189,8 @@ def bend_under_force(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, or the law ends (the message states the curvature).
+        If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
+        message states the curvature).
     """
     start, goal = state.force, np.asarray(force, dtype=np.float64)
     require_positive("length", length)
@@ -260,9 +261,10 @@ def bend_to_travel(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, or the law ends (the message states the curvature).
+        If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
+        message states the curvature).
     """
-    limit = 1e-12  # m: a string that just spans counts as slack
+    slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
@@ -273,7 +275,10 @@ def bend_to_travel(
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
         bent = settle(law, present, length, weight, travel=travel)
-        if bent is None or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - limit:
+        if (
+            bent is None
+            or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack_tolerance
+        ):
             return None
         return replace(bent, load=0.0)  # not the rounding error of the last pull
 
