@@ -264,7 +264,7 @@ def bend_to_travel(
         If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
         message states the curvature).
     """
-    slack = 1e-12  # m: a string that is just straight counts as slack
+    rounding = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
@@ -275,7 +275,7 @@ def bend_to_travel(
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
         bent = settle(law, present, length, weight, travel=travel)
-        if bent is None or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack:
+        if bent is None or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - rounding:
             return None
         return replace(bent, load=0.0)  # not the rounding error of the last pull
 
