@@ -73,9 +73,9 @@ def try_for(seconds: float, mutants: Sequence[Mutant], demo: Path) -> None:
 
 
 def stages(mutant: Mutant, last: str) -> list[list[str]]:
-    """Tests that import a module: of its own room, what noticed the fault last time first; others.
+    """Tests of the room of a module, those that import it first; then other tests that import it.
 
-    A room in which no file imports it is asked as a whole.
+    What noticed the fault last time is asked first.
     """
     module = Path(mutant.module)
     dotted = "labpipe." + module.with_suffix("").as_posix().replace("/", ".")
@@ -85,7 +85,7 @@ def stages(mutant: Mutant, last: str) -> list[list[str]]:
         for layer, files in rooms.items()
     }
     own = module.parts[0]
-    beside = users.pop(own) or rooms[own]
+    beside = list(dict.fromkeys([*users.pop(own), *rooms[own]]))
     others = [path for files in users.values() for path in files]
     file = last.partition("::")[0]
     names = (
