@@ -70,7 +70,7 @@ def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool
         (Interval(0.9, 1.4), 1.0 - np.hypot(0.1, 0.1959964), 1.0 + np.hypot(0.4, 0.1959964)),
         (Interval(0.7, 0.9), 0.8 - np.hypot(0.1, 0.1959964), 0.8 + np.hypot(0.1, 0.1959964)),
     ],
-    ids=["lopsided", "beside its value: about its middle"],
+    ids=["lopsided", "without its value: about its middle"],
 )
 def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) -> None:
     assert widened(Estimate(1.0, 3.0, 9), 4.0) == Estimate(1.0, 5.0, 9)

@@ -160,5 +160,5 @@ def load_by_shooting(rollers: Rollers, deflection: float) -> float:
 def test_load_at_a_deflection(rollers: Rollers, deflection: float) -> None:
     known, loads = path_of_load(rollers)
     found = float(np.interp(deflection, known, loads))
-    # 600 slopes joined by straight lines: 1e-5 of the load at the most.
+    # 600 slopes joined by straight lines: at most 1e-5 of the load.
     assert found == pytest.approx(load_by_shooting(rollers, deflection), rel=1e-5)

@@ -309,7 +309,7 @@ REGROUPED = [
 def test_damaged_examples(write: Written, dialect: str) -> None:
     """A block of zeros, as a full disk leaves it, and times that run backwards are refused.
 
-    A last line that is cut is told or refused, never read as a sample of its own.
+    A truncated last line is noted or refused, never read as a sample.
     """
     name, example = EXAMPLES[dialect]
     whole = example()
