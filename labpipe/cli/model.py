@@ -12,8 +12,8 @@ import numpy as np
 from labpipe.cli.terminal import from_here, reading
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.studies.stress_tables import describe_stress_tables
 from labpipe.studies.wire_models import ModelledWires, as_json, model_wires
+from labpipe.studies.wire_sheets import describe_stress_tables
 from labpipe.wire.cantilever_curve import force_at
 
 _HEADING = (

@@ -22,8 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.decks.deck_law import facts, mass_of, on_one_line
-from labpipe.decks.deck_losses import deck_losses, percent
+from labpipe.decks.deck_law import deck_losses, facts, mass_of, on_one_line, percent
 from labpipe.law.equivalent_material import EquivalentMaterial, equivalent_material
 from labpipe.records.arrays import Flags, Floats, Ints, frozen
 from labpipe.records.wire import WireTable

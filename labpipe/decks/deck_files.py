@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from labpipe.decks.abaqus import abaqus_deck
-from labpipe.decks.ansys import ansys_deck
+from labpipe.decks.beam_sections import abaqus_deck, ansys_deck
 from labpipe.decks.calculix import calculix_deck
 from labpipe.decks.deck_law import file_stem
-from labpipe.decks.lookup import lookup_csv, lookup_json
+from labpipe.decks.lookup import lookup_csv, lookup_json, sliders_csv, sliders_json
 from labpipe.decks.mujoco import mujoco_deck
 from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
-from labpipe.decks.slider_table import sliders_csv, sliders_json
 from labpipe.records.wire import WireTable
 
 FOLDER = "decks"

@@ -25,12 +25,14 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from labpipe.decks.deck_law import (
+    constant_loss,
+    deck_losses,
     facts,
     linear_range,
     mass_of,
     on_one_line,
+    percent,
 )
-from labpipe.decks.deck_losses import constant_loss, deck_losses, percent
 from labpipe.records.wire import WireTable
 
 CABLE = "wire"

@@ -22,13 +22,12 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from labpipe.decks.deck_law import facts, mass_of, on_one_line
-from labpipe.decks.deck_losses import loss_text, percent
-from labpipe.decks.slider_table import DIRECTIONS, no_sliders_text
+from labpipe.decks.deck_law import facts, loss_text, mass_of, on_one_line, percent
+from labpipe.decks.lookup import DIRECTIONS, no_sliders_text
+from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
 from labpipe.law.plays import is_within
 from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
-from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads

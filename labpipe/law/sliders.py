@@ -21,8 +21,7 @@ from typing import Annotated
 
 import numpy as np
 
-from labpipe.law.play_fits import polygon_law
-from labpipe.law.plays import PlayLaw, require_positive
+from labpipe.law.plays import PlayLaw, polygon_law, require_positive
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 

@@ -43,7 +43,6 @@ from labpipe.studies.first_loadings import (
     weight_note,
     with_self_weight,
 )
-from labpipe.studies.stress_tables import StatedCurve
 from labpipe.studies.validation import (
     bent_shapes,
     built_wire,
@@ -56,10 +55,10 @@ from labpipe.studies.validation import (
     require_wires,
     wire_to_calibrate,
 )
-from labpipe.studies.wire_specs import read_wires
+from labpipe.studies.wire_sheets import StatedCurve, read_wires
 from labpipe.wire.calibration.calibrate_wire import Settings, Wire, calibrate
+from labpipe.wire.calibration.prediction import tested_curvature
 from labpipe.wire.law_family import with_values
-from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import wire_table
 
 

@@ -29,7 +29,7 @@ from labpipe.rod.input_distributions import (
 from labpipe.rod.line import Section
 from labpipe.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.studies.harness_line import FREE_CURVATURES
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire.law_family import (
     LAW_FACTOR,
     MASS_FACTOR,

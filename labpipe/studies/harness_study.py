@@ -1,10 +1,11 @@
-"""Harness files from YAML to results: solution, tables, figures."""
+"""Files of a solved harness: shape, forces, summary, deck and figures."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -13,12 +14,27 @@ import numpy as np
 from labpipe import __version__
 from labpipe.decks.mujoco_line import line_deck
 from labpipe.protocol.load import load_harness
+from labpipe.records.arrays import Floats
 from labpipe.records.result import Status
-from labpipe.report.harness_figure import FIGURE, SWEEP_FIGURE, save_harness_figure
+from labpipe.report.harness_figure import (
+    FIGURE,
+    SWEEP_FIGURE,
+    DrawnHarness,
+    DrawnMark,
+    DrawnShape,
+    DrawnSweep,
+    save_harness_figure,
+)
+from labpipe.rod import boundaries as rod
+from labpipe.rod.bands import StateBands
+from labpipe.rod.line import Line
+from labpipe.rod.path import RodPath, RodState
+from labpipe.rod.rotations import matrices
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
 from labpipe.store.summaries import SUMMARY_FILE, finite_or_none, result_entry
-from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
+from labpipe.studies.harness_line import PreparedLine
+from labpipe.studies.harness_numbers import curvature_of, radius_of
 from labpipe.studies.harness_responses import RADIUS, heights_of
 from labpipe.studies.harness_section import input_file, material_of
 from labpipe.studies.harness_solution import (
@@ -28,7 +44,7 @@ from labpipe.studies.harness_solution import (
     solve_harness,
     solve_sweep_length,
 )
-from labpipe.studies.harness_tables import Bands, forces_csv, shape_csv, shape_vtk
+from labpipe.studies.residual_curvature import residual_curvature
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
@@ -289,3 +305,289 @@ _UNITS: Mapping[str, str] = {
     "stiffness": "N*m^2",
     "axial_stiffness": "N",
 }
+
+
+BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
+"""Columns of the shape that have bands where there are any."""
+Bands = Mapping[int, tuple[Floats, Floats]]
+"""By step: lower and upper ends; of the columns `BANDED` shape (n + 1, 4) each."""
+_AXES = "xyz"
+
+
+def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
+    """Return the columns of all nodes of a state; each of shape (n + 1,).
+
+    Parameters
+    ----------
+    state : of the line
+    line : in this state
+
+    Notes
+    -----
+    Tension and torque are those of elements, at a node the mean of both sides.
+    """
+    curvature = curvature_of(state, line)
+    axes = matrices(state.frames)[:, :, 2]
+    tension = np.einsum("nk,nk->n", state.forces, axes)
+    before, behind = np.insert(tension, 0, tension[0]), np.append(tension, tension[-1])
+    moments = state.moments
+    both = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
+    torque = np.einsum("nsk,nsk->ns", moments, np.stack(both, axis=1))
+    bending = np.sqrt(np.maximum(np.sum(moments**2, axis=2) - torque**2, 0.0))
+    places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXES)}
+    return {
+        "along [m]": line.stations,
+        **places,
+        "curvature [1/m]": curvature,
+        "bend_radius [m]": radius_of(curvature),
+        "kept_curvature [1/m]": residual_curvature(state, line.section.law),
+        "tension [N]": 0.5 * (before + behind),
+        "bending_moment [N*m]": bending.max(axis=1),
+        "torque [N*m]": np.where(np.abs(torque[:, 0]) > np.abs(torque[:, 1]), *torque.T),
+    }
+
+
+def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> str:
+    """Write the nodes of some steps.
+
+    Parameters
+    ----------
+    path : of the line
+    line : of the path
+    steps : one after the other
+    bands : of some steps; others have empty cells
+    """
+    names = [f"{name.split()[0]}_{end} {name.split()[1]}" for name in BANDED for end in _ENDS]
+    head = ["step", "node", *shape_columns(path.states[steps[0]], line)]
+    lines = [",".join([*head, *(names if bands else [])])]
+    for step in steps:
+        columns = [*shape_columns(path.states[step], line).values()]
+        if bands:
+            columns += _band_columns(bands.get(step), len(line.stations))
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        lines += [",".join([str(step), str(n), *map(_cell, row)]) for n, row in enumerate(rows)]
+    return "\n".join(lines) + "\n"
+
+
+_ENDS = ("lower", "upper")
+
+
+def _band_columns(band: tuple[Floats, Floats] | None, nodes: int) -> list[Floats]:
+    """Return the columns of a band, lower and upper in turn; NaN without one."""
+    if band is None:
+        return [np.full(nodes, np.nan)] * (2 * len(BANDED))
+    return [end[:, column] for column in range(len(BANDED)) for end in band]
+
+
+def _cell(value: float) -> str:
+    """Format a number with nine digits; empty for NaN, ``inf`` for a straight line."""
+    return "" if math.isnan(value) else f"{value:.9g}"
+
+
+def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
+    """Write forces and moments of each boundary on the line in every step.
+
+    Parameters
+    ----------
+    path : of the line
+    prepared : line and boundaries
+    bands : by step, lower and upper ends of the forces, shape (boundaries, 3) each; other steps
+        have empty cells
+
+    Notes
+    -----
+    The weight is left out: in each step it is minus the sum of the others.
+    """
+    names = [
+        f"{boundary}{axis} [{unit}]"
+        for boundary, unit in (("f", "N"), ("m", "N*m"))
+        for axis in _AXES
+    ]
+    ends = [f"f{axis}_{end} [N]" for axis in _AXES for end in _ENDS] if bands else []
+    head = ["step", "boundary", "kind", "force [N]", "moment [N*m]", *names, *ends]
+    lines = [",".join(head)]
+    holding = [
+        (number, boundary)
+        for number, boundary in enumerate(prepared.boundaries)
+        if not isinstance(boundary, rod.Gravity)
+    ]
+    for step, state in enumerate(path.states):
+        for number, boundary in holding:
+            force, moment = state.reaction_forces[number], state.reaction_moments[number]
+            sizes = [float(np.linalg.norm(force)), float(np.linalg.norm(moment))]
+            cells = [*sizes, *force.tolist(), *moment.tolist()]
+            if bands:
+                low, high = bands.get(step, (np.full((number + 1, 3), np.nan),) * 2)
+                cells += [float(end[number, axis]) for axis in range(3) for end in (low, high)]
+            labels = [str(step), _quoted(boundary.name), type(boundary).__name__.lower()]
+            lines.append(",".join([*labels, *map(_cell, cells)]))
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(name: str) -> str:
+    """Quote a name for a cell of a CSV, if necessary."""
+    return '"' + name.replace('"', '""') + '"' if set(name) & set('",\n') else name
+
+
+def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> str:
+    """Write the shapes of some steps for ParaView, PyVista or meshio: legacy VTK, polygonal lines.
+
+    Parameters
+    ----------
+    path : of the line
+    line : of the path
+    steps : one line for each
+    title : of one line
+
+    Notes
+    -----
+    Infinite bend radii of a straight line are written as 0: legacy VTK has no infinity that all
+    readers accept.
+    """
+    states = [path.states[step] for step in steps]
+    count = len(line.stations)
+    points = np.vstack([state.positions for state in states])
+    nodes_of_lines = np.arange(len(points)).reshape(len(states), count).tolist()
+    return (
+        "\n".join(
+            [
+                "# vtk DataFile Version 3.0",
+                title.encode("ascii", "replace").decode()[:255],
+                "ASCII",
+                "DATASET POLYDATA",
+                f"POINTS {len(points)} double",
+                *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
+                f"LINES {len(states)} {len(states) * (count + 1)}",
+                *(" ".join(map(str, [count, *nodes])) for nodes in nodes_of_lines),
+                f"CELL_DATA {len(states)}",
+                *_scalars("step", [float(step) for step in steps]),
+                f"POINT_DATA {len(points)}",
+                *_point_data([shape_columns(state, line) for state in states]),
+            ]
+        )
+        + "\n"
+    )
+
+
+def _point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:
+    for name in columns[0]:
+        if name[:2] in ("x ", "y ", "z "):
+            continue
+        values = np.concatenate([column[name] for column in columns])
+        yield from _scalars(name.split()[0], np.where(np.isfinite(values), values, 0.0).tolist())
+
+
+def _scalars(name: str, values: Iterable[float]) -> Iterator[str]:
+    yield f"SCALARS {name} double 1"
+    yield "LOOKUP_TABLE default"
+    yield from (f"{value:.9g}" for value in values)
+
+
+def drawn_harness(solution: FollowedHarness) -> DrawnHarness:
+    """Return the data of the figure of a harness.
+
+    Parameters
+    ----------
+    solution : of a harness
+    """
+    line, states = solution.prepared.line, solution.path.states
+    bands = solution.bands_by_step
+    shapes = tuple(_shape(step, states[step], line, bands.get(step)) for step in solution.steps)
+    planes = [
+        boundary for boundary in solution.prepared.boundaries if isinstance(boundary, rod.Plane)
+    ]
+    return DrawnHarness(
+        name=solution.file.stem,
+        note=_caption(solution),
+        along=line.stations,
+        shapes=shapes,
+        marks=_marks(solution),
+        planes=tuple((plane.point, plane.normal) for plane in planes),
+        allowed=solution.limit.radius,
+    )
+
+
+def _shape(step: int, state: RodState, line: Line, bands: StateBands | None) -> DrawnShape:
+    shape = DrawnShape(step, state.positions, radius_of(curvature_of(state, line)))
+    if bands is None:
+        return shape
+    places, bent = bands.positions, bands.curvature
+    return replace(
+        shape,
+        band=(places.lower, places.upper),
+        radius_band=(radius_of(bent.upper), radius_of(bent.lower)),
+    )
+
+
+def _caption(solution: FollowedHarness) -> str:
+    limit = f"Allowed bend radius {1e3 * solution.limit.radius:.3g} mm, {solution.limit.source}."
+    about = solution.harness.about.strip()
+    sentences = [about if about[-1] in ".?!" else f"{about}."] if about else []
+    line = f"Line of {solution.material.name}, {len(solution.prepared.line.lengths)} elements."
+    doubts = [f"Doubtful: {solution.reasons[0].message}."] if solution.reasons else []
+    return " ".join([*sentences, line, limit, *doubts])
+
+
+def _marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
+    """Return the symbols of clips, grips and other boundaries at the last step."""
+    marks = []
+    last, steps = solution.path.last, solution.harness.steps
+    pairs = zip(solution.harness.boundaries, solution.prepared.boundaries, strict=False)
+    for stated, boundary in pairs:  # the weight, which comes last, has no symbol
+        path, direction, holds = np.zeros((0, 3)), None, True
+        match boundary:
+            case rod.Held():
+                holds = boundary.release is None or boundary.release > steps
+                removed = boundary.position[: boundary.release]
+                place: Floats = last.positions[boundary.node] if not holds else removed[-1]
+                if stated.kind == "grip":  # the path of a clip is of no interest
+                    path = removed
+                if boundary.frame is not None and holds:
+                    direction = matrices(boundary.frame[-1])[:, 2]
+            case rod.Ring():
+                place, direction = boundary.position[-1], boundary.direction
+            case rod.String():
+                place, path = boundary.anchor[-1], last.positions[[boundary.node]]
+                path = np.vstack([path, boundary.anchor[-1:]])
+            case rod.Load():
+                place = last.positions[boundary.node]
+            case _:
+                continue
+        marks.append(DrawnMark(stated.name, stated.kind, place, path, direction, holds))
+    return tuple(marks)
+
+
+def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
+    """Return the data of the figure of a sweep; None without one.
+
+    Parameters
+    ----------
+    solution : of a harness
+    """
+    if not solution.sweep:
+        return None
+    sweep = sorted(solution.sweep, key=lambda run: run.length)
+    return DrawnSweep(
+        name=solution.file.stem,
+        note=_caption(solution),
+        length=np.array([run.length for run in sweep]),
+        radius=np.array([run.bend.radius for run in sweep]),
+        way=np.array([run.bend_on_path.radius for run in sweep]),
+        radius_band=_radius_band(sweep),
+        shapes=tuple(
+            np.empty((0, 3)) if run.path.status == FAILED else run.path.last.positions
+            for run in sweep
+        ),
+        allowed=solution.limit.radius,
+        is_doubtful=np.array([run.status == "doubtful" for run in sweep]),
+    )
+
+
+def _radius_band(sweep: Sequence[SweepRun]) -> tuple[Floats, Floats] | None:
+    """Return the bands of the smallest bend radius by length; None where no length has one."""
+    intervals = [None if run.bands is None else run.bands.intervals[RADIUS] for run in sweep]
+    if not any(intervals):
+        return None
+    lower = [math.nan if interval is None else interval.lower for interval in intervals]
+    upper = [math.nan if interval is None else interval.upper for interval in intervals]
+    return np.array(lower), np.array(upper)

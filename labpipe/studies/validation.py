@@ -25,7 +25,7 @@ from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.calibration.law_components import loading_curve, split_wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
-from labpipe.wire.calibration.prediction import predict
+from labpipe.wire.calibration.prediction import predict, tested_curvature
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -33,7 +33,6 @@ from labpipe.wire.cantilever import (
     held_level,
     straight,
 )
-from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import build, mass_per_length, straight_range
 
 STEPS = 6

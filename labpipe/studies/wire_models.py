@@ -22,8 +22,7 @@ from labpipe.report.wire_figures import figure_names, save_wire_figures, wire_dr
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import finite_or_none
-from labpipe.studies.stress_tables import StatedCurve, describe_stress_tables
-from labpipe.studies.wire_specs import read_wires
+from labpipe.studies.wire_sheets import StatedCurve, describe_stress_tables, read_wires
 from labpipe.wire.wire_table import wire_table
 
 WORKBOOK_FILE = "wires.xlsx"

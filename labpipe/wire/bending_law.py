@@ -14,8 +14,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from labpipe.law.play_fits import polygon_law
-from labpipe.law.plays import PlayLaw, require_positive
+from labpipe.law.plays import PlayLaw, polygon_law, require_positive
 from labpipe.records.arrays import Floats, frozen
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.friction import Bundle, Contacts, arrange, axial_forces, sines, slip_onsets

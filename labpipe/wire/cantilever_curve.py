@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.law.play_fits import concave_law
-from labpipe.law.plays import PlayLaw
+from labpipe.law.plays import PlayLaw, concave_law
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireAtRest, WireSpec, WireTable

@@ -25,7 +25,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from labpipe.law.loading_panels import LoadingLaw
+from labpipe.law.loading_table import LoadingLaw
 from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.wire.cantilever import StringRig
 

@@ -25,12 +25,12 @@ from labpipe.wire.cross_section import (
     Insulation,
     Layer,
     compressed,
+    stretch_torsion,
 )
 from labpipe.wire.cross_section import hexagonal as as_hexagon
 from labpipe.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, helix_overlap, lay_out
-from labpipe.wire.stretch_torsion import stretch_torsion
 
 GRID_POINTS = 200
 _MIN_POINT_SPACING = 1e-4  # of a curvature: nearer points are one

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.law.loading_panels import NODES, LoadingLaw, panel_rule
+from labpipe.law.loading_table import NODES, LoadingLaw, panel_rule
 from labpipe.law.plays import MomentLaw, PlayLaw
 from labpipe.records.arrays import Floats
 

@@ -10,14 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.law.equivalent_material import equivalent_material
-from labpipe.law.play_fits import concave_law, fit_plays, polygon_law, stick_slip_law
 from labpipe.law.plays import (
     LinearLaw,
     MomentLaw,
     PlayLaw,
+    concave_law,
     first_curvature,
+    fit_plays,
+    polygon_law,
     require_within,
     respond,
+    stick_slip_law,
     unbent_plays,
 )
 from labpipe.law.slider_directions import in_directions

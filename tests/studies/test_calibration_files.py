@@ -38,9 +38,9 @@ from labpipe.studies.validation import (
     require_wires,
     wire_to_calibrate,
 )
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.tested_curvature import tested_curvature as reached
+from labpipe.wire.calibration.prediction import tested_curvature as reached
 from labpipe.wire.wire_table import straight_range
 from tests.approved import Approve
 from tests.builders.harness_files import SHEET

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from labpipe.decks.slider_table import sliders_json
+from labpipe.decks.lookup import sliders_json
 from labpipe.errors import LabpipeError
 from labpipe.law.sliders import (
     SliderLaw,
@@ -32,7 +32,7 @@ from labpipe.studies.residual_curvature import (
     residual_curvature,
     unloading_reason,
 )
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
 from tests.approved import Approve
 from tests.builders.harness_files import (

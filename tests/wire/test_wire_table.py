@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.law.play_fits import concave_law
+from labpipe.law.plays import concave_law
 from labpipe.law.sliders import slider_moment
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import moment_curvature, stick_stiffness
 from labpipe.wire.cantilever import bend_to_deflection, held_level

@@ -78,7 +78,7 @@ class CalibrationFit:
     levels : of noise and samples
     valleys : local minima of the objective, the lowest first
     line : on which they lie
-    widening : of quantiles, for the nonlinear family of curves (`nonlinearity`)
+    widening : of quantiles, for the nonlinear family of curves (`local_minima`)
     """
 
     wire: Wire

@@ -22,8 +22,7 @@ from itertools import groupby
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.law.loading_panels import NODES, LoadingLaw, panel_rule
-from labpipe.law.loading_table import LoadingTable
+from labpipe.law.loading_table import NODES, LoadingLaw, LoadingTable, panel_rule
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
 from labpipe.wire.bending_law import moment_curvature

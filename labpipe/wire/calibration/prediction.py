@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import ndtri
@@ -12,7 +12,8 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
 from labpipe.wire.calibration.fit import Wire
 from labpipe.wire.calibration.law_components import loading_curve, split_wire
-from labpipe.wire.calibration.scatter_mixture import quantiles
+from labpipe.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.wire.calibration.variances import quantiles
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import force_at
 
@@ -114,3 +115,32 @@ def _notes(calibration: Calibration) -> Iterator[QualityNote]:
         if parameter.is_open_below or parameter.is_open_above:
             message = f"{parameter.words}; the bands treat its error as normal"
             yield QualityNote("not_identified", Severity.WARNING, name, message)
+
+
+def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
+    """Return the largest curvature at the clamp at the ends of the curves, 1/m.
+
+    Parameters
+    ----------
+    wire : calibrated
+    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such part
+    curves : measured, of this wire
+
+    Raises
+    ------
+    ValueError
+        If there is no curve, or first loading ends before one does.
+    """
+    if not curves:
+        message = "curves: allowed is at least one"
+        raise ValueError(message)
+    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
+    parameters = np.where(np.isnan(values), parts.given, values)
+    curvatures = []
+    for curve in curves:
+        deepest = float(np.nanmax(np.abs(curve.deflection)))
+        loading = loading_curve(
+            *(parts, parameters, curve.length, curve.rig, deepest), self_weight=wire.self_weight
+        )
+        curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
+    return max(curvatures)

@@ -2,11 +2,11 @@
 
 The limit is q^2, instead of 1.96^2 for chi^2: q is the 97.5 % quantile, over the standard error, of
 the parameter's distribution in the linear model, averaged over the possible scatter of samples
-(`scatter_mixture`); below and above it may differ. With many samples q is 1.96; for a parameter
+(`variances`); below and above it may differ. With many samples q is 1.96; for a parameter
 that depends on the mean of n samples it is that of Student's t with n - 1 degrees of freedom. In
 the linear case this is the t interval; where the objective is asymmetric the interval is too, and
 it stays open where the objective levels out. For a nonlinear family of curves q is larger
-(`nonlinearity`). Where the objective has several minima, each is followed separately, its height
+(`local_minima`). Where the objective has several minima, each is followed separately, its height
 above the lowest counts, and the interval is the union.
 """
 
@@ -28,7 +28,7 @@ from labpipe.wire.calibration.parameter_search import (
     normal_matrix,
     search,
 )
-from labpipe.wire.calibration.scatter_mixture import quantiles
+from labpipe.wire.calibration.variances import quantiles
 
 
 @dataclass(frozen=True, slots=True, eq=False)

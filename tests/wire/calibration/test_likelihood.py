@@ -20,8 +20,7 @@ from labpipe.records.wire_calibration import (
 from labpipe.wire.calibration.calibrate_wire import calibrate
 from labpipe.wire.calibration.fit import CalibrationFit, Settings, find
 from labpipe.wire.calibration.law_components import split_wire
-from labpipe.wire.calibration.local_minima import find_minima
-from labpipe.wire.calibration.nonlinearity import tube_quantile
+from labpipe.wire.calibration.local_minima import find_minima, tube_quantile
 from labpipe.wire.calibration.parameter_search import (
     Fit,
     Levels,
@@ -31,8 +30,7 @@ from labpipe.wire.calibration.parameter_search import (
     search,
 )
 from labpipe.wire.calibration.profile_likelihood import reach, traces
-from labpipe.wire.calibration.scatter_mixture import quantiles
-from labpipe.wire.calibration.variances import quantile
+from labpipe.wire.calibration.variances import quantile, quantiles
 from tests.builders.loading_tests import TRUTH, measured, wire_of
 
 WIRE = wire_of("A2")
