@@ -14,7 +14,7 @@ from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.studies.wire_sheets import describe_stress_tables
-from labpipe.wire.cantilever_curve import force_at
+from labpipe.wire.end_load_path import force_at
 
 _HEADING = (
     *("wire", "strands", "layout", "EI stick", "EI slip"),

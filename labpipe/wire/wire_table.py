@@ -18,7 +18,6 @@ from labpipe.wire.bending_law import (
     orientation_range,
     stick_stiffness,
 )
-from labpipe.wire.cantilever_curve import cantilever_of
 from labpipe.wire.cross_section import (
     OVERLAP_TOLERANCE,
     CrossSection,
@@ -28,6 +27,7 @@ from labpipe.wire.cross_section import (
     stretch_torsion,
 )
 from labpipe.wire.cross_section import hexagonal as as_hexagon
+from labpipe.wire.end_load_path import cantilever_of
 from labpipe.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, helix_overlap, lay_out
