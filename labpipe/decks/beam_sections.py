@@ -31,6 +31,7 @@ from labpipe.decks.deck_law import (
     skew_bending_error,
     solid_area,
 )
+from labpipe.law.plays import require
 from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
@@ -129,9 +130,7 @@ def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     3 EI / (0.001 (10 d)^2) adds a thousandth to the deflection P L^3 / 3 EI of a free length of
     ten wire diameters d, and less to a longer one.
     """
-    if section < 1:
-        message = f"section={section}: allowed are whole numbers >= 1"
-        raise ValueError(message)
+    require("section", section, "whole numbers >= 1", holds=section >= 1)
     law = thin(table.curvature, table.moment, most=MOST_POINTS + 1)
     lines = [f"! {line}" for line in _ansys_comments(table, law)]
     lines += [f"SECTYPE,{section},GENB,PLASTIC,{ansys_name(table.name)}"]

@@ -33,6 +33,7 @@ from labpipe.decks.deck_law import (
     on_one_line,
     percent,
 )
+from labpipe.law.plays import require, require_positive
 from labpipe.records.wire import WireTable
 
 CABLE = "wire"
@@ -138,14 +139,9 @@ def mujoco_deck(
 
 
 def _require_cable(cable: _Cable) -> None:
-    for name in ("stiffness", "length"):
-        value = getattr(cable, name)
-        if not (np.isfinite(value) and value > 0.0):
-            message = f"{name}={value!r}: allowed are finite numbers > 0"
-            raise ValueError(message)
-    if cable.edges < MIN_EDGES:
-        message = f"edges={cable.edges}: allowed are numbers >= {MIN_EDGES}"
-        raise ValueError(message)
+    require_positive("stiffness", cable.stiffness)
+    require_positive("length", cable.length)
+    require("edges", cable.edges, f"numbers >= {MIN_EDGES}", holds=cable.edges >= MIN_EDGES)
 
 
 def _slope_at_zero(table: WireTable) -> float:

@@ -25,7 +25,7 @@ import numpy as np
 from labpipe.decks.deck_law import facts, loss_text, mass_of, on_one_line, percent
 from labpipe.decks.lookup import DIRECTIONS, no_sliders_text
 from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
-from labpipe.law.plays import is_within
+from labpipe.law.plays import is_within, require, require_positive
 from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
 from labpipe.records.arrays import Floats
@@ -214,9 +214,9 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
-    if not 1 <= sliders <= MOST_SLIDERS:
-        message = f"sliders={sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
-        raise ValueError(message)
+    require(
+        "sliders", sliders, f"numbers from 1 to {MOST_SLIDERS}", holds=1 <= sliders <= MOST_SLIDERS
+    )
     try:
         return sliders_of(table, sliders)
     except ValueError as error:
@@ -237,12 +237,8 @@ def comment(line: str) -> str:
 
 def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
     length = table.spec.length if length is None else length
-    if not (np.isfinite(length) and length > 0.0):
-        message = f"length={length!r}: allowed are finite numbers > 0"
-        raise ValueError(message)
-    if nodes < MIN_NODES:
-        message = f"nodes={nodes}: allowed are numbers >= {MIN_NODES}"
-        raise ValueError(message)
+    require_positive("length", length)
+    require("nodes", nodes, f"numbers >= {MIN_NODES}", holds=nodes >= MIN_NODES)
     return Chain(
         law,
         length,

@@ -116,17 +116,14 @@ class PlayLaw(ArrayRecord):
 
     def __post_init__(self) -> None:
         require_positive("stiffness", self.stiffness)
-        if not self.largest_moment > 0.0:
-            message = f"largest_moment={self.largest_moment!r}: allowed are numbers > 0"
-            raise ValueError(message)
+        require(
+            "largest_moment", self.largest_moment, "numbers > 0", holds=self.largest_moment > 0.0
+        )
         ArrayRecord.__post_init__(self)
         widths, compliances = self.half_widths, self.compliances
-        if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
-            message = f"half_widths={widths}: allowed are positive, increasing numbers"
-            raise ValueError(message)
-        if not (np.all(np.isfinite(compliances)) and np.all(compliances >= 0.0)):
-            message = f"compliances={compliances}: allowed are finite numbers >= 0"
-            raise ValueError(message)
+        require_rising("half_widths", widths)
+        are_valid = bool(np.all((compliances >= 0.0) & np.isfinite(compliances)))
+        require("compliances", compliances.tolist(), "finite numbers >= 0", holds=are_valid)
 
 
 def unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
@@ -219,6 +216,19 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
     raise ValueError(message)
 
 
+def require(name: str, value: object, allowed: str, *, holds: bool) -> None:
+    """Refuse a value of which a condition does not hold.
+
+    Raises
+    ------
+    ValueError
+        With the name, the value and what is allowed.
+    """
+    if not holds:
+        message = f"{name}={value!r}: allowed are {allowed}"
+        raise ValueError(message)
+
+
 def require_positive(name: str, value: float) -> None:
     """Refuse a number that is not finite and positive.
 
@@ -227,9 +237,7 @@ def require_positive(name: str, value: float) -> None:
     ValueError
         With the name, the value and what is allowed.
     """
-    if not (np.isfinite(value) and value > 0.0):
-        message = f"{name}={value!r}: allowed are finite numbers > 0"
-        raise ValueError(message)
+    require(name, value, "finite numbers > 0", holds=bool(0.0 < value < np.inf))
 
 
 def require_not_negative(name: str, value: float) -> None:
@@ -240,9 +248,19 @@ def require_not_negative(name: str, value: float) -> None:
     ValueError
         With the name, the value and what is allowed.
     """
-    if not (np.isfinite(value) and value >= 0.0):
-        message = f"{name}={value!r}: allowed are finite numbers >= 0"
-        raise ValueError(message)
+    require(name, value, "finite numbers >= 0", holds=bool(0.0 <= value < np.inf))
+
+
+def require_rising(name: str, values: Floats) -> None:
+    """Refuse numbers that are not positive and increasing.
+
+    Raises
+    ------
+    ValueError
+        With the name, the values and what is allowed.
+    """
+    holds = bool(np.all(np.diff(values, prepend=0.0) > 0.0))
+    require(name, values.tolist(), "positive, increasing numbers", holds=holds)
 
 
 def require_finite(name: str, values: Floats | float) -> None:
@@ -253,9 +271,8 @@ def require_finite(name: str, values: Floats | float) -> None:
     ValueError
         With the name, the values and what is allowed.
     """
-    if not np.all(np.isfinite(values)):
-        message = f"{name}={np.asarray(values).tolist()}: allowed are finite numbers"
-        raise ValueError(message)
+    holds = bool(np.all(np.isfinite(values)))
+    require(name, np.asarray(values).tolist(), "finite numbers", holds=holds)
 
 
 def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
@@ -420,9 +437,7 @@ def stick_slip_law(
     """
     for name, value in (("slip_stiffness", slip_stiffness), ("reference_moment", reference_moment)):
         require_positive(name, value)
-    if not 0.0 < hardening < 1.0:
-        message = f"hardening={hardening!r}: allowed are numbers between 0 and 1"
-        raise ValueError(message)
+    require("hardening", hardening, "numbers between 0 and 1", holds=0.0 < hardening < 1.0)
 
     def curvature(moment: Floats) -> Floats:
         beyond = np.maximum(moment - stick_moment, 0.0) / reference_moment

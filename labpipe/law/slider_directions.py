@@ -20,6 +20,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import nnls
 
+from labpipe.law.plays import require
 from labpipe.law.sliders import SliderLaw, slider_moment
 from labpipe.records.arrays import ArrayRecord, Floats
 
@@ -87,12 +88,8 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     """
     n_slips = 48  # slip curvatures to choose from
     last_factor = 1.6  # vector sliders slide together, scalar ones only until there
-    if directions < 2:
-        message = f"directions={directions}: allowed are numbers >= 2"
-        raise ValueError(message)
-    if most < 1:
-        message = f"most={most}: allowed are numbers >= 1"
-        raise ValueError(message)
+    require("directions", directions, "numbers >= 2", holds=directions >= 2)
+    require("most", most, "numbers >= 1", holds=most >= 1)
     size = _curvatures(law)
     target = slider_moment(law, size)
     if not law.stiffnesses.size:

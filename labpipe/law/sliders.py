@@ -21,7 +21,14 @@ from typing import Annotated
 
 import numpy as np
 
-from labpipe.law.plays import PlayLaw, polygon_law, require_positive
+from labpipe.law.plays import (
+    PlayLaw,
+    polygon_law,
+    require,
+    require_not_negative,
+    require_positive,
+    require_rising,
+)
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
@@ -57,16 +64,10 @@ class SliderLaw(ArrayRecord):
 
     def __post_init__(self) -> None:
         ArrayRecord.__post_init__(self)
-        if not (np.isfinite(self.stiffness) and self.stiffness >= 0.0):
-            message = f"stiffness={self.stiffness!r}: allowed are finite numbers >= 0"
-            raise ValueError(message)
-        if not (np.all(np.isfinite(self.stiffnesses)) and np.all(self.stiffnesses > 0.0)):
-            message = f"stiffnesses={self.stiffnesses.tolist()}: allowed are finite numbers > 0"
-            raise ValueError(message)
-        widths = self.slip_curvatures
-        if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
-            message = f"slip_curvatures={widths.tolist()}: allowed are positive, increasing numbers"
-            raise ValueError(message)
+        require_not_negative("stiffness", self.stiffness)
+        are_valid = bool(np.all((self.stiffnesses > 0.0) & np.isfinite(self.stiffnesses)))
+        require("stiffnesses", self.stiffnesses.tolist(), "finite numbers > 0", holds=are_valid)
+        require_rising("slip_curvatures", self.slip_curvatures)
         _require_range(self.first, self.last)
 
     @property
@@ -207,9 +208,12 @@ def fit_sliders(
     the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
     grid of kappa_j, thinned out afterwards, has a larger error.
     """
-    if not 1 <= n_sliders <= MOST_SLIDERS:
-        message = f"n_sliders={n_sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
-        raise ValueError(message)
+    require(
+        "n_sliders",
+        n_sliders,
+        f"numbers from 1 to {MOST_SLIDERS}",
+        holds=1 <= n_sliders <= MOST_SLIDERS,
+    )
     x, y, start = within_range(curvature, moment, first, last)
     law = _fit(x, y, n_sliders, start)
     if not law.error <= allowed:

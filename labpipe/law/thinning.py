@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.law.plays import require
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 
@@ -72,9 +73,7 @@ def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
 
 
 def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
-    if most < 2:
-        message = f"most={most}: allowed are numbers of points >= 2"
-        raise ValueError(message)
+    require("most", most, "numbers of points >= 2", holds=most >= 2)
     if len(curvature) < 2 or len(moment) != len(curvature):
         message = (
             f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "

@@ -28,7 +28,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.law.plays import require_positive
+from labpipe.law.plays import require, require_positive
 from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.wire.materials import ANNEALED_COPPER, Material, StressTable
 
@@ -61,13 +61,9 @@ class Layer:
 
     def __post_init__(self) -> None:
         require_positive("diameter", self.diameter)
-        if self.count < 1:
-            message = f"count={self.count!r}: allowed are whole numbers >= 1"
-            raise ValueError(message)
-        if not abs(self.lay_angle) < np.pi / 2.0:
-            degrees = np.degrees(self.lay_angle)
-            message = f"lay_angle={degrees:.6g} deg: allowed are angles between -90 and 90 deg"
-            raise ValueError(message)
+        require("count", self.count, "whole numbers >= 1", holds=self.count >= 1)
+        holds, degrees = abs(self.lay_angle) < np.pi / 2.0, float(np.degrees(self.lay_angle))
+        require("lay_angle", degrees, "angles between -90 and 90 deg", holds=holds)
         _require_poisson(self.poisson)
 
     @property
@@ -77,9 +73,7 @@ class Layer:
 
 
 def _require_poisson(poisson: float) -> None:
-    if not -1.0 < poisson <= 0.5:
-        message = f"poisson={poisson!r}: allowed are numbers above -1, up to 0.5"
-        raise ValueError(message)
+    require("poisson", poisson, "numbers above -1, up to 0.5", holds=-1.0 < poisson <= 0.5)
 
 
 @dataclass(frozen=True, slots=True)

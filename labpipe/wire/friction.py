@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.law.plays import require_not_negative
 from labpipe.records.arrays import Flags, Floats
 from labpipe.wire.cross_section import CrossSection, Layer
 
@@ -152,9 +153,7 @@ def axial_strain(section: CrossSection, tension: float) -> float:
     ValueError
         If the tension is negative: compressed strands separate.
     """
-    if not (np.isfinite(tension) and tension >= 0.0):
-        message = f"tension={tension!r}: allowed are finite numbers >= 0"
-        raise ValueError(message)
+    require_not_negative("tension", tension)
     strands = sum(
         layer.count * layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
         for layer in section.layers

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from labpipe.law.plays import require_positive
+from labpipe.law.plays import require, require_positive
 from labpipe.records.arrays import Floats
 
 
@@ -123,9 +123,9 @@ class RambergOsgood:
     def __post_init__(self) -> None:
         require_positive("modulus", self.modulus)
         require_positive("strength", self.strength)
-        if not 0.0 < self.exponent < 1.0:
-            message = f"exponent={self.exponent!r}: allowed are numbers between 0 and 1"
-            raise ValueError(message)
+        require(
+            "exponent", self.exponent, "numbers between 0 and 1", holds=0.0 < self.exponent < 1.0
+        )
 
     @property
     def largest_strain(self) -> float:

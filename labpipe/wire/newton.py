@@ -20,6 +20,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from labpipe.law.loading_table import CurvatureAndSlope
+from labpipe.law.plays import require
 from labpipe.records.arrays import Floats, Ints
 
 
@@ -250,9 +251,7 @@ def chebyshev_stations(count: int, length: float = 1.0) -> Stations:
     if length != 1.0:
         unit = chebyshev_stations(count)
         return Stations(length * unit.position, length * unit.from_clamp, length * unit.to_tip)
-    if count < 4:
-        message = f"count={count!r}: allowed are numbers >= 4"
-        raise ValueError(message)
+    require("count", count, "numbers >= 4", holds=count >= 4)
     nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
     basis = chebyshev.chebvander(nodes, count - 1)
     integrals = np.column_stack(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from labpipe.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
@@ -228,9 +229,7 @@ def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     if unknown:
         message = f"{unknown[0]!r}: allowed are {', '.join(PARAMETERS)}"
         raise ValueError(message)
-    if not (np.isfinite(gain) and 0.0 <= gain < 1.0):
-        message = f"gain={gain!r}: allowed are numbers from 0 to below 1"
-        raise ValueError(message)
+    require("gain", gain, "numbers from 0 to below 1", holds=0.0 <= gain < 1.0)
     for name, choice in choices.items():
         for what in ("value", "lower", "upper"):
             number = getattr(choice, what)
