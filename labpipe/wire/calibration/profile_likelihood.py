@@ -26,6 +26,7 @@ from labpipe.wire.calibration.parameter_search import (
     Point,
     Problem,
     normal_matrix,
+    scaled,
     search,
 )
 from labpipe.wire.calibration.variances import quantiles
@@ -212,9 +213,7 @@ def _direction(problem: Problem, levels: Levels, fit: Fit, free: Flags, number: 
     direction = np.zeros(len(matrix))
     direction[number] = 1.0
     if moves.any():
-        inner = matrix[np.ix_(moves, moves)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
-        unit = inner / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+        unit, scale = scaled(matrix[np.ix_(moves, moves)])
         direction[moves] = -np.linalg.solve(unit, matrix[moves, number] / scale) / scale
     return direction
 

@@ -29,10 +29,9 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.wire_calibration import ScatterMixture
 from labpipe.wire.calibration.law_components import ModelForce
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors
-from labpipe.wire.calibration.parameter_search import Fit, Levels, P, Problem
+from labpipe.wire.calibration.parameter_search import Fit, Levels, P, Problem, scaled
 
 _LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
-_MATRIX_RIDGE = 1e-12
 
 
 def quantile(freedom: float) -> float:
@@ -118,8 +117,7 @@ class LinearModel:
         """Return the noise variance at a ratio, and minus twice the log restricted likelihood."""
         total = self.shrunk(ratio).sum(axis=0)
         inner = total[np.ix_(self.columns, self.columns)]
-        scale = np.sqrt(np.diag(inner))
-        unit = inner / np.outer(scale, scale) + _MATRIX_RIDGE * np.eye(len(scale))
+        unit, scale = scaled(inner)
         pull = total[self.columns, -1] / scale
         residual = float(total[-1, -1] - pull @ np.linalg.solve(unit, pull))
         freedom = self.n - len(self.columns)
@@ -189,7 +187,8 @@ def uncertainty(
     linear = linear_model(problem, fit, free)
 
     def covariance(noise: float, samples: float) -> Floats:
-        return _covariance(problem, linear, free, noise, samples)
+        total = linear.shrunk(samples / noise).sum(axis=0) / noise
+        return _posterior(problem, fit, free, total)[1]
 
     noise, samples = levels.noise, levels.scatter**2
     up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
@@ -201,21 +200,20 @@ def uncertainty(
     return Uncertainty(covariance(noise, samples), by_level, spread)
 
 
-def _covariance(
-    problem: Problem, linear: LinearModel, free: Flags, noise: float, samples: float
-) -> Floats:
-    total = linear.shrunk(samples / noise).sum(axis=0) / noise
+def _posterior(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:
+    """Return shift from the fit and covariance from whitened products, with priors and gain."""
     moves = np.append(free, problem.gain > 0.0)
-    matrix = total[: P + 1, : P + 1].copy()
-    tight = np.append(problem.precision, 1.0 / problem.gain**2 if problem.gain > 0.0 else 0.0)
+    tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
+    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
+    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
     matrix[range(P + 1), range(P + 1)] += tight
-    out = np.zeros((P + 1, P + 1))
+    shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
     if moves.any():
-        inner = matrix[np.ix_(moves, moves)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
-        unit = inner / np.outer(scale, scale) + _MATRIX_RIDGE * np.eye(len(scale))
-        out[np.ix_(moves, moves)] = np.linalg.inv(unit) / np.outer(scale, scale)
-    return out
+        unit, scale = scaled(matrix[np.ix_(moves, moves)])
+        inverse = np.linalg.inv(unit) / np.outer(scale, scale)
+        covariance[np.ix_(moves, moves)] = inverse
+        shift[moves] = inverse @ pull[moves]
+    return shift, covariance
 
 
 def _level_covariance(
@@ -248,8 +246,7 @@ def _projected(linear: LinearModel, noise: float, samples: float) -> Floats:
     shrunk = linear.shrunk(samples / noise) / noise
     total = shrunk.sum(axis=0)
     inner = total[np.ix_(linear.columns, linear.columns)]
-    scale = np.sqrt(np.diag(inner))
-    unit = inner / np.outer(scale, scale) + _MATRIX_RIDGE * np.eye(len(scale))
+    unit, scale = scaled(inner)
     arms = shrunk[:, P, linear.columns] / scale
     return np.asarray(np.diag(shrunk[:, P, P]) - arms @ np.linalg.solve(unit, arms.T))
 
@@ -324,7 +321,7 @@ def mix(
     heights = np.array([height for _, height in estimates])
     chance = np.exp(-0.5 * (heights - heights.min()))
     solved = [
-        _solve(problem, fit, free, linear.shrunk(float(ratio)).sum(axis=0) / noise)
+        _posterior(problem, fit, free, linear.shrunk(float(ratio)).sum(axis=0) / noise)
         for (noise, _), ratio in zip(estimates, ratios, strict=True)
     ]
     likely = chance / chance.sum()
@@ -346,21 +343,3 @@ def _variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
     least_scatter = float(np.median(linear.grams[:, P, P])) ** -0.5
     most = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
     return np.geomspace(least_noise_share * least_scatter, most, n_scatters) ** 2
-
-
-def _solve(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:
-    """Return shift from the fit and covariance from whitened products, with priors and gain."""
-    moves = np.append(free, problem.gain > 0.0)
-    tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
-    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
-    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
-    matrix[range(P + 1), range(P + 1)] += tight
-    shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
-    if moves.any():
-        inner = matrix[np.ix_(moves, moves)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
-        unit = inner / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-        inverse = np.linalg.inv(unit) / np.outer(scale, scale)
-        covariance[np.ix_(moves, moves)] = inverse
-        shift[moves] = inverse @ pull[moves]
-    return shift, covariance
