@@ -35,6 +35,7 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, save_bundle_figure, save_loop_figure
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.store.summaries import entries
 from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.units import GRAVITY
 from labpipe.wire.bundle_friction import fit_friction
@@ -374,8 +375,9 @@ def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBun
 
 
 _NUMBERS = (
-    *("low", "free", "high", "principal", "principal_angle", "neutral"),
+    *("low", "free", "high", "principal", "principal_angle", "neutral", "tensor"),
     *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
+    *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
 )
 
 
@@ -386,37 +388,18 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
     ----------
     modelled : a bundle
     """
-    model, layout = modelled.model, modelled.model.layout
+    model, friction = modelled.model, modelled.friction
+    slip, stick = model.is_doubtful, model.is_doubtful_stick
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
-        "name": modelled.name,
+        **entries(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
-        **{name: getattr(model, name) for name in _NUMBERS},
-        "tensor": model.tensor.tolist(),
         "wanted_packing_fraction": WANTED_FRACTION,
-        "wanted_bore": modelled.wanted_bore,
-        "conduits": [asdict(conduit) for conduit in modelled.conduits],
-        "curvature": model.curvature.tolist(),
-        "moment_slip": model.moment_slip.tolist(),
-        "moment_stick": model.moment_stick.tolist(),
-        "doubtful_curvature": model.doubtful_curvature if model.is_doubtful.any() else None,
-        "doubtful_curvature_stick": (
-            model.doubtful_curvature_stick if model.is_doubtful_stick.any() else None
-        ),
-        "doubtful": model.is_doubtful.tolist(),
-        "doubtful_stick": model.is_doubtful_stick.tolist(),
-        "layout": {
-            "arrangement": layout.arrangement,
-            "x": layout.x.tolist(),
-            "y": layout.y.tolist(),
-            "kind": layout.kind.tolist(),
-            "diameter": layout.diameter.tolist(),
-            "radius": layout.radius,
-        },
-        "notes": [asdict(note) for note in model.notes],
-        "friction": None if modelled.friction is None else friction_as_json(modelled.friction),
-        "no_friction": modelled.no_friction,
+        **entries(model, *_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
+        "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
+        "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
+        "friction": friction and friction_as_json(friction),
     }
 
 
@@ -504,8 +487,8 @@ def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
 
 
 _FRICTION = (
-    *("composite_share", "slip_curvature", "held", "held_lower", "held_upper"),
-    *("error_fitted", "error_held_out", "loss", "predicted_loss"),
+    *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
+    *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
 )
 
 
@@ -516,14 +499,4 @@ def friction_as_json(fit: FrictionFit) -> dict[str, object]:
     ----------
     fit : of a processed test; a `slide_curvature` that is infinite becomes None
     """
-    slide = fit.slide_curvature
-    return {
-        **{name: getattr(fit, name) for name in _FRICTION},
-        "slide_curvature": slide if np.isfinite(slide) else None,
-        "length": fit.loop.length,
-        "deflection": fit.loop.deflection.tolist(),
-        "force": fit.loop.force.tolist(),
-        "branch": fit.loop.branch.tolist(),
-        "predicted": fit.predicted.tolist(),
-        "is_held_out": fit.is_held_out.tolist(),
-    }
+    return entries(fit, *_FRICTION) | entries(fit.loop, "length", "deflection", "force", "branch")

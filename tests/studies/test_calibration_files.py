@@ -19,12 +19,11 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.studies.calibration_file import read_calibrated
+from labpipe.studies.calibration_file import comparison_json, read_calibrated
 from labpipe.studies.calibration_study import (
     Calibrated,
     as_json,
     calibrated_spec,
-    comparison_json,
 )
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import FirstLoading
