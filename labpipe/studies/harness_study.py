@@ -6,10 +6,11 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from labpipe import __version__
 from labpipe.decks.mujoco_line import line_deck
@@ -32,10 +33,10 @@ from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.rotations import matrices
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
-from labpipe.store.summaries import SUMMARY_FILE, finite_or_none, result_entry
+from labpipe.store.summaries import SUMMARY_FILE, entries, finite_or_none, plain, result_entry
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import curvature_of, radius_of
-from labpipe.studies.harness_responses import RADIUS, heights_of
+from labpipe.studies.harness_responses import RADIUS, RADIUS_ON_PATH, heights_of
 from labpipe.studies.harness_section import input_file, material_of
 from labpipe.studies.harness_solution import (
     FAILED,
@@ -121,14 +122,13 @@ def follow_harness(
 
 def _write_failure(solution: FollowedHarness) -> None:
     """Write the reason beside earlier results, which are unchanged."""
-    first, states = solution.reasons[0], solution.path.states
+    states = solution.path.states
     reached = states[-1].positions if states else solution.prepared.line.positions
     content = {
         **_json_head(solution),
-        "code": first.code,
-        "reason": first.message,
-        "reasons": [asdict(reason) for reason in solution.reasons],
-        "reached": {"step": len(states) - 1, "positions": reached.tolist()},
+        **entries(solution.reasons[0], "code", reason="message"),
+        **entries(solution, "reasons"),
+        "reached": {"step": len(states) - 1, "positions": plain(reached)},
     }
     text = json.dumps(content, indent=1, ensure_ascii=False)
     with locked(solution.folder), replacing(solution.folder / FAILURE_FILE) as temporary:
@@ -146,7 +146,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
         SUMMARY_FILE: json.dumps(as_json(solution), indent=1, ensure_ascii=False) + "\n",
     }
     if solution.sweep:
-        texts[SWEEP_FILE] = _sweep_csv(solution.sweep)
+        texts[SWEEP_FILE] = _csv([_sweep_row(run) for run in solution.sweep])
     names = (FIGURE, SWEEP_FIGURE) if figures else ()
     owned = [SWEEP_FILE, FAILURE_FILE, *(f"{FIGURES_FOLDER}/{name}.png" for name in names)]
     owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.svg"] if figures else []
@@ -180,30 +180,18 @@ def _force_bands(solution: FollowedHarness) -> Bands:
     }
 
 
-def _sweep_csv(sweep: Sequence[SweepRun]) -> str:
-    ends = "smallest_bend_radius [m],lower [m],upper [m],place [m]"
-    after = "smallest_bend_radius_on_the_way [m],step,lowest_point [m]"
-    lines = [f"length [m],{ends},{after},status,code,reason"]
-    for run in sweep:
-        reason = run.reasons[0] if run.reasons else None
-        numbers = [""] * 7
-        if run.path.status != FAILED:
-            lowest = float(heights_of(run.path.last.positions, run.prepared).min())
-            bend, bend_on_path = run.bend, run.bend_on_path
-            low, high = _band_ends(run).values()
-            values = (
-                bend.radius,
-                low,
-                high,
-                bend.place,
-                bend_on_path.radius,
-                bend_on_path.step,
-                lowest,
-            )
-            numbers = ["" if value is None else f"{value:.9g}" for value in values]
-        why = ["", ""] if reason is None else [reason.code, f'"{reason.message}"']
-        lines.append(",".join([f"{run.length:.9g}", *numbers, run.status, *why]))
-    return "\n".join(lines) + "\n"
+def _sweep_row(run: SweepRun) -> dict[str, object]:
+    names = ("smallest_bend_radius [m]", "lower [m]", "upper [m]", "place [m]")
+    names += (f"{RADIUS_ON_PATH} [m]", "step", "lowest_point [m]")
+    row: dict[str, object] = {"length [m]": run.length, **dict.fromkeys(names)}
+    if run.path.status != FAILED:
+        bend, on_path = run.bend, run.bend_on_path
+        lowest = float(heights_of(run.path.last.positions, run.prepared).min())
+        values = (bend.radius, *_band_ends(run).values(), bend.place)
+        row |= zip(names, (*values, on_path.radius, str(on_path.step), lowest), strict=True)
+    reason = run.reasons[0] if run.reasons else None
+    code, message = (reason.code, reason.message) if reason else ("", "")
+    return row | {"status": run.status, "code": code, "reason": message}
 
 
 def _json_head(solution: FollowedHarness) -> dict[str, object]:
@@ -215,7 +203,7 @@ def _json_head(solution: FollowedHarness) -> dict[str, object]:
         "about": solution.harness.about,
         "labpipe": __version__,
         "run": hashlib.sha256(fingerprints.encode()).hexdigest(),
-        "inputs": [{"role": file.role, "file": file.file, "sha256": file.sha256} for file in files],
+        "inputs": [entries(file, "role", "file", "sha256") for file in files],
         "status": str(solution.status),
     }
 
@@ -227,39 +215,32 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
     ----------
     solution : of a harness
     """
-    section, line = solution.prepared.line.section, solution.prepared.line
-    bend, limit = solution.sharpest, solution.limit
+    line, material = solution.prepared.line, solution.material
+    section, bend, limit = line.section, solution.sharpest, solution.limit
+    section_numbers = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
+    allowed = entries(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
     return {
         **_json_head(solution),
-        "reasons": [asdict(reason) for reason in solution.reasons],
+        **entries(solution, "reasons"),
         "line": {
-            "of": solution.material.name,
+            "of": material.name,
             "length": line.length,
             "elements": len(line.lengths),
-            "diameter": section.diameter,
-            "mass_per_length": section.mass_per_length,
+            **entries(section, *section_numbers),
             "first_bending_stiffness": section.law.first_stiffness,
             "sliders": len(section.law.stiffnesses),
-            "torsional_stiffness": section.torsional_stiffness,
-            "axial_stiffness": finite_or_none(section.axial_stiffness),
-            "backed_curvature": solution.material.limit,
-            "backed_by": solution.material.limit_source,
+            **entries(material, backed_curvature="limit", backed_by="limit_source"),
         },
         "bend_radius": {
-            "allowed": limit.radius,
-            "allowed_from": limit.source,
-            "assumed": limit.is_assumed,
-            "smallest": finite_or_none(bend.radius),
-            "step": bend.step,
-            "place": bend.place,
+            **allowed,
+            **entries(bend, "step", "place", smallest="radius"),
             "kept": bend.radius >= limit.radius,
             "doubtful": solution.is_bend_doubtful,
         },
         "results": [result_entry(result) for result in solution.results],
         "sweep": [
             {
-                "length": run.length,
-                "status": run.status,
+                **entries(run, "length", "status"),
                 "smallest_bend_radius": finite_or_none(run.bend.radius),
                 **_band_ends(run),
                 "smallest_bend_radius_on_the_way": finite_or_none(run.bend_on_path.radius),
@@ -267,10 +248,7 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
             for run in solution.sweep
         ],
         "bands": _bands_json(solution),
-        "quality": [
-            {"code": note.code, "severity": str(note.severity), "message": note.message}
-            for note in solution.material.notes
-        ],
+        "quality": [entries(note, "code", "severity", "message") for note in material.notes],
         "units": dict(_UNITS),
     }
 
@@ -279,8 +257,7 @@ def _band_ends(run: SweepRun) -> dict[str, float | None]:
     """Return the ends of the band of the smallest bend radius; None without one."""
     if run.bands is None:
         return {"lower": None, "upper": None}
-    interval = run.bands.intervals[RADIUS]
-    return {"lower": finite_or_none(interval.lower), "upper": finite_or_none(interval.upper)}
+    return entries(run.bands.intervals[RADIUS], "lower", "upper")
 
 
 def _bands_json(solution: FollowedHarness) -> dict[str, object]:
@@ -288,11 +265,7 @@ def _bands_json(solution: FollowedHarness) -> dict[str, object]:
     if solution.bands is None:
         reason = "the uncertainty of the law is unknown: name a calibration or an uncertainty"
         return {"kind": None, "reason": reason}
-    shares = solution.bands.line.states[-1].shares
-    return {
-        "kind": "pointwise 95 %",
-        "shares": {name: dict(share) for name, share in shares.items()},
-    }
+    return {"kind": "pointwise 95 %", "shares": plain(solution.bands.line.states[-1].shares)}
 
 
 _UNITS: Mapping[str, str] = {
@@ -305,6 +278,13 @@ _UNITS: Mapping[str, str] = {
     "stiffness": "N*m^2",
     "axial_stiffness": "N",
 }
+
+
+def _csv(table: object) -> str:
+    """Write rows or columns with nine digits; empty for NaN, ``inf`` for a straight line."""
+    frame = pd.DataFrame(table)
+    text: str = frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return text
 
 
 BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
@@ -357,31 +337,24 @@ def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> 
     steps : one after the other
     bands : of some steps; others have empty cells
     """
-    names = [f"{name.split()[0]}_{end} {name.split()[1]}" for name in BANDED for end in _ENDS]
-    head = ["step", "node", *shape_columns(path.states[steps[0]], line)]
-    lines = [",".join([*head, *(names if bands else [])])]
+    nothing = np.full((2, len(line.stations), len(BANDED)), np.nan)
+    tables = []
     for step in steps:
-        columns = [*shape_columns(path.states[step], line).values()]
+        columns: dict[str, object] = {"step": step, "node": np.arange(len(line.stations))}
+        columns |= shape_columns(path.states[step], line)
         if bands:
-            columns += _band_columns(bands.get(step), len(line.stations))
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        lines += [",".join([str(step), str(n), *map(_cell, row)]) for n, row in enumerate(rows)]
-    return "\n".join(lines) + "\n"
+            columns |= _band_columns(BANDED, bands.get(step, nothing))
+        tables.append(pd.DataFrame(columns))
+    return _csv(pd.concat(tables))
 
 
-_ENDS = ("lower", "upper")
-
-
-def _band_columns(band: tuple[Floats, Floats] | None, nodes: int) -> list[Floats]:
-    """Return the columns of a band, lower and upper in turn; NaN without one."""
-    if band is None:
-        return [np.full(nodes, np.nan)] * (2 * len(BANDED))
-    return [end[:, column] for column in range(len(BANDED)) for end in band]
-
-
-def _cell(value: float) -> str:
-    """Format a number with nine digits; empty for NaN, ``inf`` for a straight line."""
-    return "" if math.isnan(value) else f"{value:.9g}"
+def _band_columns(names: Sequence[str], band: Sequence[Floats]) -> dict[str, Floats]:
+    """Return the columns of a band, lower and upper in turn."""
+    return {
+        name.replace(" ", f"_{end} "): values[..., number]
+        for number, name in enumerate(names)
+        for end, values in zip(("lower", "upper"), band, strict=True)
+    }
 
 
 def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
@@ -398,35 +371,24 @@ def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
     -----
     The weight is left out: in each step it is minus the sum of the others.
     """
-    names = [
-        f"{boundary}{axis} [{unit}]"
-        for boundary, unit in (("f", "N"), ("m", "N*m"))
-        for axis in _AXES
-    ]
-    ends = [f"f{axis}_{end} [N]" for axis in _AXES for end in _ENDS] if bands else []
-    head = ["step", "boundary", "kind", "force [N]", "moment [N*m]", *names, *ends]
-    lines = [",".join(head)]
-    holding = [
-        (number, boundary)
-        for number, boundary in enumerate(prepared.boundaries)
-        if not isinstance(boundary, rod.Gravity)
-    ]
+    nothing = np.full((2, len(prepared.boundaries), 3), np.nan)
+    force_names = [f"f{axis} [N]" for axis in _AXES]
+    moment_names = [f"m{axis} [N*m]" for axis in _AXES]
+    rows = []
     for step, state in enumerate(path.states):
-        for number, boundary in holding:
+        for number, boundary in enumerate(prepared.boundaries):
+            if isinstance(boundary, rod.Gravity):
+                continue
             force, moment = state.reaction_forces[number], state.reaction_moments[number]
-            sizes = [float(np.linalg.norm(force)), float(np.linalg.norm(moment))]
-            cells = [*sizes, *force.tolist(), *moment.tolist()]
+            kind = type(boundary).__name__.lower()
+            row: dict[str, object] = {"step": step, "boundary": boundary.name, "kind": kind}
+            row |= {"force [N]": np.linalg.norm(force), "moment [N*m]": np.linalg.norm(moment)}
+            row |= zip([*force_names, *moment_names], [*force, *moment], strict=True)
             if bands:
-                low, high = bands.get(step, (np.full((number + 1, 3), np.nan),) * 2)
-                cells += [float(end[number, axis]) for axis in range(3) for end in (low, high)]
-            labels = [str(step), _quoted(boundary.name), type(boundary).__name__.lower()]
-            lines.append(",".join([*labels, *map(_cell, cells)]))
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(name: str) -> str:
-    """Quote a name for a cell of a CSV, if necessary."""
-    return '"' + name.replace('"', '""') + '"' if set(name) & set('",\n') else name
+                band = [end[number] for end in bands.get(step, nothing)]
+                row |= _band_columns(force_names, band)
+            rows.append(row)
+    return _csv(rows)
 
 
 def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> str:
@@ -448,25 +410,21 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
     count = len(line.stations)
     points = np.vstack([state.positions for state in states])
     nodes_of_lines = np.arange(len(points)).reshape(len(states), count).tolist()
-    return (
-        "\n".join(
-            [
-                "# vtk DataFile Version 3.0",
-                title.encode("ascii", "replace").decode()[:255],
-                "ASCII",
-                "DATASET POLYDATA",
-                f"POINTS {len(points)} double",
-                *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
-                f"LINES {len(states)} {len(states) * (count + 1)}",
-                *(" ".join(map(str, [count, *nodes])) for nodes in nodes_of_lines),
-                f"CELL_DATA {len(states)}",
-                *_scalars("step", [float(step) for step in steps]),
-                f"POINT_DATA {len(points)}",
-                *_point_data([shape_columns(state, line) for state in states]),
-            ]
-        )
-        + "\n"
-    )
+    lines = [
+        "# vtk DataFile Version 3.0",
+        title.encode("ascii", "replace").decode()[:255],
+        "ASCII",
+        "DATASET POLYDATA",
+        f"POINTS {len(points)} double",
+        *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
+        f"LINES {len(states)} {len(states) * (count + 1)}",
+        *(" ".join(map(str, [count, *nodes])) for nodes in nodes_of_lines),
+        f"CELL_DATA {len(states)}",
+        *_scalars("step", [float(step) for step in steps]),
+        f"POINT_DATA {len(points)}",
+        *_point_data([shape_columns(state, line) for state in states]),
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def _point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:
