@@ -351,7 +351,7 @@ def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> 
 def _band_columns(names: Sequence[str], band: Sequence[Floats]) -> dict[str, Floats]:
     """Return the columns of a band, lower and upper in turn."""
     return {
-        name.replace(" ", f"_{end} "): values[..., number]
+        name.replace(" ", f"_{end} "): values.T[number]
         for number, name in enumerate(names)
         for end, values in zip(("lower", "upper"), band, strict=True)
     }
