@@ -58,6 +58,23 @@ def mass_of(table: WireTable) -> float:
     return table.mass_per_length
 
 
+def first_frequency(stiffness: float, mass_per_length: float, length: float) -> float:
+    """Return the first angular frequency of a clamped wire, rad/s.
+
+    Parameters
+    ----------
+    stiffness : of bending, N m^2
+    mass_per_length, length : kg/m, m
+    """
+    first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
+    return float(first_root**2 * np.sqrt(stiffness / mass_per_length) / length**2)
+
+
+def xml_comment(line: str) -> str:
+    """Return an XML comment, in which two hyphens are not allowed."""
+    return f"  <!-- {line.replace('--', '- -')} -->"
+
+
 def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:
     """Find the range of curvature in which a constant stiffness represents the law.
 
@@ -77,15 +94,9 @@ def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | No
     (1 -+ 0.05) (a + b kappa) is solved there.
     """
     max_moment_error = 0.05  # relative
-    knots = np.union1d(
-        table.curvature,
-        np.concatenate(
-            [
-                _crossings(table, stiffness, 1.0 + off)
-                for off in (-max_moment_error, max_moment_error)
-            ]
-        ),
-    )
+    limits = (1.0 - max_moment_error, 1.0 + max_moment_error)
+    crossings = [_crossings(table, stiffness, limit) for limit in limits]
+    knots = np.unique(np.concatenate([table.curvature, *crossings]))
     middle = 0.5 * (knots[1:] + knots[:-1])
     moment = np.interp(middle, table.curvature, table.moment)
     inside = np.abs(stiffness * middle / moment - 1.0) <= max_moment_error

@@ -15,14 +15,22 @@ are damped; the deck states how long both take.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from labpipe.decks.deck_law import facts, loss_text, mass_of, on_one_line, percent
+from labpipe.decks.deck_law import (
+    facts,
+    first_frequency,
+    loss_text,
+    mass_of,
+    on_one_line,
+    percent,
+    xml_comment,
+)
 from labpipe.decks.lookup import DIRECTIONS, no_sliders_text
 from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
 from labpipe.law.plays import is_within, require, require_positive
@@ -71,9 +79,8 @@ class Chain:
     @property
     def unit_time(self) -> float:
         """Time step, s: one over the first angular frequency while nothing slides."""
-        first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
-        stretch = np.sqrt(self.law.first_stiffness / self.mass_per_length)
-        return float(self.length**2 / (first_root**2 * stretch))
+        stiffness = self.law.first_stiffness
+        return 1.0 / first_frequency(stiffness, self.mass_per_length, self.length)
 
     @property
     def damping(self) -> float:
@@ -214,25 +221,14 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
-    require(
-        "sliders", sliders, f"numbers from 1 to {MOST_SLIDERS}", holds=1 <= sliders <= MOST_SLIDERS
-    )
+    allowed = f"numbers from 1 to {MOST_SLIDERS}"
+    require("sliders", sliders, allowed, holds=1 <= sliders <= MOST_SLIDERS)
     try:
         return sliders_of(table, sliders)
     except ValueError as error:
         name = on_one_line(table.name)
-        lines = "\n".join(map(comment, (*facts(table, name), no_sliders_text(error))))
+        lines = "\n".join(map(xml_comment, (*facts(table, name), no_sliders_text(error))))
         return f"<mujoco model={quoteattr(name)}>\n{lines}\n</mujoco>\n"
-
-
-def comment(line: str) -> str:
-    """Return an XML comment, in which two hyphens are not allowed.
-
-    Parameters
-    ----------
-    line : text
-    """
-    return f"  <!-- {line.replace('--', '- -')} -->"
 
 
 def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
@@ -252,34 +248,50 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
 def _deck(
     table: WireTable, chain: Chain, hinges: Hinges, lines: tuple[str, ...], *, pulls: str
 ) -> str:
-    """Return the whole text, which is not built as a tree: a chain has thousands of springs."""
-    comments = [*_comments(table, chain), *lines]
+    """Return the whole text of a clamped wire."""
     gears = {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
-    model = quoteattr(on_one_line(table.name))
+    motors = [
+        f'    <motor name="pull_{axis}" site="tip" refsite="clamp" gear="{gears[axis]}" />'
+        for axis in pulls
+    ]
+    sections = {
+        "worldbody": ['    <site name="clamp" />', *_bodies(chain, hinges)],
+        "tendon": tendon_lines(chain, hinges),
+        "actuator": motors,
+        "sensor": ['    <framepos name="tip" objtype="site" objname="tip" />'],
+    }
+    return model_text(table.name, [*_comments(table, chain), *lines], chain, hinges, sections)
+
+
+def model_text(
+    name: str,
+    comments: Iterable[str],
+    chain: Chain,
+    hinges: Hinges,
+    sections: Mapping[str, Iterable[str]],
+    *,
+    gravity: str = "0 0 0",
+) -> str:
+    """Return the text of a model, which is not built as a tree: a chain has thousands of springs.
+
+    Parameters
+    ----------
+    name, comments : of the model
+    chain, hinges : of which it is made
+    sections : lines by element
+    gravity : m/s^2
+    """
     text = [
-        f"<mujoco model={model}>",
-        *map(comment, comments),
+        f"<mujoco model={quoteattr(on_one_line(name))}>",
+        *map(xml_comment, comments),
         '  <compiler angle="radian" />',
         f'  <option timestep="{chain.unit_time:{_DIGITS}}" integrator="discrete" '
-        'gravity="0 0 0"><flag contact="disable" /></option>',
+        f'gravity="{gravity}"><flag contact="disable" /></option>',
         *default_lines(chain, hinges),
-        "  <worldbody>",
-        '    <site name="clamp" />',
-        *_bodies(chain, hinges),
-        "  </worldbody>",
-        "  <tendon>",
-        *tendon_lines(chain, hinges),
-        "  </tendon>",
-        "  <actuator>",
-        *(
-            f'    <motor name="pull_{axis}" site="tip" refsite="clamp" gear="{gears[axis]}" />'
-            for axis in pulls
-        ),
-        "  </actuator>",
-        '  <sensor><framepos name="tip" objtype="site" objname="tip" /></sensor>',
-        "</mujoco>",
     ]
-    return "\n".join(text) + "\n"
+    for section, lines in sections.items():
+        text += [f"  <{section}>", *lines, f"  </{section}>"]
+    return "\n".join([*text, "</mujoco>"]) + "\n"
 
 
 def default_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
@@ -346,19 +358,32 @@ def _bodies(chain: Chain, hinges: Hinges) -> Iterator[str]:
     h, last = chain.spacing, chain.nodes
     for node in range(1, last + 1):
         place = 0.5 * h if node == 1 else h
-        reach = 0.5 * h if node == last else h
         yield f'    <body name="node_{node}" pos="{place:{_DIGITS}} 0 0">'
-        for name, axis, stiffness in hinges.axes:
-            yield (
-                f'      <joint name="{name}_{node}" axis="{axis}" '
-                f'stiffness="{stiffness / h:{_DIGITS}}" />'
-            )
-        yield (
-            f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
-            f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
-        )
+        yield from node_lines(chain, hinges, node)
     yield f'      <site name="tip" pos="{0.5 * h:{_DIGITS}} 0 0" />'
     yield "    " + "</body>" * last
+
+
+def node_lines(chain: Chain, hinges: Hinges, node: int) -> Iterator[str]:
+    """Return hinges and geometry of a body; the ends of the chain are half as long.
+
+    Parameters
+    ----------
+    chain : numbers of the model
+    hinges : of a node
+    node : number of the body; 0 is the base, which has no hinges
+    """
+    h = chain.spacing
+    reach = 0.5 * h if node in (0, chain.nodes) else h
+    for name, axis, stiffness in hinges.axes if node else ():
+        yield (
+            f'      <joint name="{name}_{node}" axis="{axis}" '
+            f'stiffness="{stiffness / h:{_DIGITS}}" />'
+        )
+    yield (
+        f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
+        f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
+    )
 
 
 def tendon_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
