@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labpipe.law.plays import require
-from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.law.plays import require, require_positive
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -194,21 +194,29 @@ def pose(
     for number, name in enumerate(PARAMETERS):
         acts, choice = parts.has[number], choices.get(name, ParameterChoice())
         if not acts and name in choices and not choice.is_fixed:
-            return _without_effect(name)
+            message = f"{name} does not act on this wire: the tests cannot determine it"
+            return CalibrationFailure("parameter_without_effect", message)
         if not acts:
             continue
-        value = _start_value(name, choice, float(parts.given[number]))
+        nominal = float(parts.given[number])
+        value = choice.value or (nominal if nominal > 0.0 else _DEFAULT_STARTS[name])
         low, high = choice.lower or BOUNDS[name][0], choice.upper or BOUNDS[name][1]
         if choice.is_fixed:
             low = high = value
         elif not low <= value <= high or low == high:
-            return _out_of_bounds(name, value, low, high)
+            message = (
+                f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
+                f"{in_display_unit(name, low, high)}: give a value between them"
+            )
+            return CalibrationFailure("value_out_of_bounds", message)
         free[number] = not choice.is_fixed
         logs[number], lower[number], upper[number] = np.log([value, low, high])
         if choice.factor is not None and not choice.is_fixed:
             centre[number] = logs[number]
-            precision[number] = 1.0 / log_error_of(choice.factor) ** 2
-    problem = Problem(parts, curves, _samples(curves), centre, precision, lower, upper, gain)
+            precision[number] = (quantile(np.inf) / np.log(choice.factor)) ** 2
+    names = list(dict.fromkeys(curve.sample for curve in curves))
+    samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
+    problem = Problem(parts, curves, samples, centre, precision, lower, upper, gain)
     needed = int(free.sum()) + problem.n_samples
     if problem.n_points <= needed:
         message = (
@@ -217,11 +225,6 @@ def pose(
         )
         return CalibrationFailure("too_few_points", message)
     return problem, logs, free
-
-
-def log_error_of(factor: float) -> float:
-    """Return the standard deviation, in logarithms, of a prior within a factor at 95 %."""
-    return float(np.log(factor)) / quantile(np.inf)
 
 
 def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
@@ -233,36 +236,9 @@ def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     for name, choice in choices.items():
         for what in ("value", "lower", "upper"):
             number = getattr(choice, what)
-            if number is not None and not (np.isfinite(number) and number > 0.0):
-                message = f"{name}: {what}={number!r}: allowed are finite numbers > 0"
-                raise ValueError(message)
-        if choice.factor is not None and not (np.isfinite(choice.factor) and choice.factor > 1.0):
-            message = f"{name}: factor={choice.factor!r}: allowed are finite numbers > 1"
-            raise ValueError(message)
-
-
-def _start_value(name: str, choice: ParameterChoice, nominal: float) -> float:
-    if choice.value is not None:
-        return choice.value
-    return nominal if nominal > 0.0 else _DEFAULT_STARTS[name]
-
-
-def _without_effect(name: str) -> CalibrationFailure:
-    message = f"{name} does not act on this wire: the tests cannot determine it"
-    return CalibrationFailure("parameter_without_effect", message)
-
-
-def _out_of_bounds(name: str, value: float, low: float, high: float) -> CalibrationFailure:
-    message = (
-        f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
-        f"{in_display_unit(name, low, high)}: give a value between them"
-    )
-    return CalibrationFailure("value_out_of_bounds", message)
-
-
-def _samples(curves: tuple[MeasuredCurve, ...]) -> Ints:
-    names = list(dict.fromkeys(curve.sample for curve in curves))
-    return np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
+            require_positive(f"{name}: {what}", 1.0 if number is None else number)
+        factor = 2.0 if choice.factor is None else choice.factor
+        require(f"{name}: factor", factor, "finite numbers > 1", holds=1.0 < factor < np.inf)
 
 
 NAMES: Mapping[str, str] = {
