@@ -43,7 +43,6 @@ from labpipe.studies.validation import (
     default_sheet,
     drop_copies,
     insulation_notes,
-    mark_doubtful_parts,
     misfit_notes,
     require_wires,
     wire_to_calibrate,
@@ -156,7 +155,6 @@ def calibrate_tests(
     groups = compare(calibration, built, loadings)
     notes = (*notes, *misfit_notes(groups))
     calibration = replace(calibration, notes=(*calibration.notes, *filter(None, notes)))
-    groups = mark_doubtful_parts(groups, calibration, built, specs, loadings)
     done = Calibrated(
         folder=shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,

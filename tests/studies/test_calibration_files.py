@@ -32,7 +32,6 @@ from labpipe.studies.validation import (
     compare,
     default_sheet,
     drop_copies,
-    mark_doubtful_parts,
     misfit_notes,
     require_wires,
     wire_to_calibrate,
@@ -323,9 +322,11 @@ def test_from_where_on_a_prediction_is_doubtful(
 ) -> None:
     """A wire that is bent to there and no farther has just the curvature of the limit."""
     both = loadings("A1", "A2")
-    sure = mark_doubtful_parts(groups, calibration, WIRES, KNOWN, both)
-    assert [group.doubtful_deflection for group in sure] == [np.inf, np.inf]
-    for group in mark_doubtful_parts(groups, calibration, WIRES, WEAK, both):
+    assert [group.doubtful_deflection for group in groups] == [np.inf, np.inf]
+    weak = {
+        name: replace(wire, linear_range=straight_range(WEAK[name])) for name, wire in WIRES.items()
+    }
+    for group in compare(calibration, weak, both):
         assert group.prediction is not None
         assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
         curve = next(side.curve for side in both if side.curve.wire == group.wire)

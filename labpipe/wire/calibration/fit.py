@@ -43,12 +43,19 @@ class Wire:
     contacts : friction coefficients, whose ratios are kept, and nominal radial force
     orientation : rad, of the section against the neutral axis
     self_weight : N/m
+    linear_range : 1/m, curvature up to which the insulation is linear
     """
 
     section: CrossSection
     contacts: Contacts
     orientation: float = 0.0
     self_weight: float = 0.0
+    linear_range: float = np.inf
+
+    @property
+    def parts(self) -> WireParts:
+        """Tabulate the parts of the wire."""
+        return split_wire(self.section, self.contacts, orientation=self.orientation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,8 +137,7 @@ def find(
     usable_curves = usable(tuple(curves))
     if isinstance(usable_curves, CalibrationFailure):
         return usable_curves
-    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
-    setup = pose(parts, usable_curves, settings.choices, settings.gain)
+    setup = pose(wire.parts, usable_curves, settings.choices, settings.gain)
     if isinstance(setup, CalibrationFailure):
         return setup
     problem, logs, free = setup
