@@ -16,7 +16,6 @@ are checked by `require_within`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Protocol
 
@@ -350,58 +349,6 @@ def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
     return corners
 
 
-def fit_plays(
-    curvature: Callable[[Floats], Floats],
-    *,
-    stiffness: float,
-    first_moment: float,
-    last_moment: float,
-    n_plays: int,
-) -> PlayLaw:
-    """Fit plays to a smooth law so that the polygon meets it at every corner.
-
-    Parameters
-    ----------
-    curvature : first-loading curvature, 1/m, as a function of moments, N m
-    stiffness : EI0 of the elastic start and of unloading, N m^2
-    first_moment, last_moment : N m, where the first play moves and where the fit ends; the corners
-        lie between them, denser near the first; beyond the last the law is linear
-    n_plays : number of plays, 30 to 60 for a law without visible corners
-
-    Returns
-    -------
-    The law. Up to `first_moment` it has `stiffness`, independent of `curvature`.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or `curvature` softens (stops growing with the moment) or
-        stiffens (its slope falls), which plays cannot.
-    """
-    require_positive("first_moment", first_moment)
-    if not (last_moment > first_moment and n_plays >= 1):
-        message = (
-            f"last_moment={last_moment!r}, n_plays={n_plays!r}: allowed are numbers > "
-            f"first_moment={first_moment!r} and >= 1"
-        )
-        raise ValueError(message)
-    share = np.linspace(0.0, 1.0, n_plays + 1) ** 2
-    knots = first_moment + share * (last_moment - first_moment)
-    values = np.concatenate([[first_moment / stiffness], curvature(knots[1:])])
-    slopes = np.diff(values) / np.diff(knots)
-    steps = np.diff(np.concatenate([[1.0 / stiffness], slopes]))
-    if not np.all(np.isfinite(slopes)) or np.any(slopes <= 0.0):
-        message = "curvature softens: allowed is a law whose curvature grows with the moment"
-        raise ValueError(message)
-    if np.any(steps < -1e-9 * slopes):
-        message = (
-            f"curvature stiffens at moment={knots[int(np.argmin(steps))]:.4g}: allowed is a law "
-            f"whose slope d(curvature)/d(moment) never falls, from 1/stiffness on"
-        )
-        raise ValueError(message)
-    return PlayLaw(stiffness, knots[:-1], np.maximum(steps, 0.0))
-
-
 def stick_slip_law(
     *,
     stick_stiffness: float,
@@ -435,19 +382,12 @@ def stick_slip_law(
     ValueError
         If a number is out of its range.
     """
-    for name, value in (("slip_stiffness", slip_stiffness), ("reference_moment", reference_moment)):
-        require_positive(name, value)
+    require_positive("slip_stiffness", slip_stiffness)
+    require_positive("reference_moment", reference_moment)
     require("hardening", hardening, "numbers between 0 and 1", holds=0.0 < hardening < 1.0)
-
-    def curvature(moment: Floats) -> Floats:
-        beyond = np.maximum(moment - stick_moment, 0.0) / reference_moment
-        flow: Floats = reference_moment / slip_stiffness * beyond ** (1.0 / hardening)
-        return moment / stick_stiffness + flow
-
-    return fit_plays(
-        curvature,
-        stiffness=stick_stiffness,
-        first_moment=stick_moment,
-        last_moment=last_moment,
-        n_plays=n_plays,
-    )
+    knots = stick_moment + np.linspace(0.0, 1.0, n_plays + 1) ** 2 * (last_moment - stick_moment)
+    flow = ((knots - stick_moment) / reference_moment) ** (1.0 / hardening)
+    curvature = knots / stick_stiffness + reference_moment / slip_stiffness * flow
+    slopes = np.diff(curvature) / np.diff(knots)
+    compliances = np.diff(slopes, prepend=1.0 / stick_stiffness)
+    return PlayLaw(stick_stiffness, knots[:-1], np.maximum(compliances, 0.0))

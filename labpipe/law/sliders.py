@@ -182,7 +182,6 @@ def fit_sliders(
     *,
     first: float = 0.0,
     last: float = np.inf,
-    allowed: float = np.inf,
 ) -> SliderLaw:
     """Fit sliders to the points of a first loading, with the smallest largest error.
 
@@ -192,14 +191,12 @@ def fit_sliders(
     moment : shape (n,), N m, from 0, increasing, concave
     n_sliders : largest number; fewer where the law has fewer corners
     first, last : 1/m, range in which the error counts; by default that of the points
-    allowed : largest error, as a share of the moment
 
     Raises
     ------
     ValueError
         If the range is empty or outside of the points; if the law softens, or stiffens by more than
-        1 % of its moment (the message states the curvature); if the error is larger than allowed
-        (the message states the number of sliders needed).
+        1 % of its moment (the message states the curvature).
 
     Notes
     -----
@@ -214,22 +211,11 @@ def fit_sliders(
         f"numbers from 1 to {MOST_SLIDERS}",
         holds=1 <= n_sliders <= MOST_SLIDERS,
     )
-    x, y, start = within_range(curvature, moment, first, last)
-    law = _fit(x, y, n_sliders, start)
-    if not law.error <= allowed:
-        enough = _number_needed(x, y, start, allowed)
-        message = (
-            f"{n_sliders} sliders have an error of {100.0 * law.error:.3g} % of the moment, "
-            f"allowed is {100.0 * allowed:.3g} %: {enough}"
-        )
-        raise ValueError(message)
-    return law
+    return _fit(*within_range(curvature, moment, first, last), n_sliders)
 
 
 def _require_range(first: float, last: float) -> None:
-    if not (0.0 <= first < last and np.isfinite(last)):
-        message = f"first={first!r}, last={last!r}: allowed is a range of curvatures above zero"
-        raise ValueError(message)
+    require("range", (first, last), "curvatures from zero up", holds=0.0 <= first < last < np.inf)
 
 
 def within_range(
@@ -286,7 +272,7 @@ def _require_concave(x: Floats, y: Floats) -> None:
             raise ValueError(message)
 
 
-def _fit(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
+def _fit(x: Floats, y: Floats, start: float, n_sliders: int) -> SliderLaw:
     chords = thin(x, y, most=n_sliders + 2)
     shares = np.interp(x[1:], chords.curvature, chords.moment) / y[1:]
     scale = 2.0 / (float(shares.max()) + float(shares.min()))
@@ -299,13 +285,6 @@ def _fit(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
         last=float(x[-1]),
         error=float(np.max(np.abs(scale * shares - 1.0))),
     )
-
-
-def _number_needed(x: Floats, y: Floats, start: float, allowed: float) -> str:
-    for number in range(1, MOST_SLIDERS + 1):
-        if _fit(x, y, number, start).error <= allowed:
-            return f"{number} are enough"
-    return f"{MOST_SLIDERS} are not enough"
 
 
 def linear_moment_law(stiffness: float, last: float) -> SliderLaw:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.law.plays import require
+from labpipe.law.plays import require, require_rising
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 
@@ -74,21 +74,12 @@ def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
 
 def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
     require("most", most, "numbers of points >= 2", holds=most >= 2)
-    if len(curvature) < 2 or len(moment) != len(curvature):
-        message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
-            f"at least 2"
-        )
-        raise ValueError(message)
-    finite = np.isfinite(curvature) & np.isfinite(moment)
-    if not finite.all():
-        message = (
-            f"point {int(np.argmin(finite)) + 1} of the law is not finite: allowed are numbers"
-        )
-        raise ValueError(message)
-    if curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
-        message = "the law does not start at zero: allowed are increasing curvatures from 0"
-        raise ValueError(message)
+    lengths = len(curvature), len(moment)
+    require("numbers of points", lengths, "two equal ones >= 2", holds=1 < lengths[0] == lengths[1])
+    holds = bool(curvature[0] == moment[0] == 0.0 and np.isfinite(moment).all())
+    first = float(curvature[0]), float(moment[0])
+    require("first point", first, "zeros, then finite numbers", holds=holds)
+    require_rising("curvature", curvature[1:])
     if np.any(np.diff(moment) <= 0.0):
         at = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
         message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
