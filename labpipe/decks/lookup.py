@@ -17,8 +17,7 @@ from labpipe.decks.deck_law import (
     on_one_line,
 )
 from labpipe.law.loss_card import sliders_of, table_card
-from labpipe.law.slider_directions import in_directions
-from labpipe.law.sliders import slip_moments
+from labpipe.law.sliders import in_directions, slip_moments
 from labpipe.records.wire import WireTable
 
 SCHEMA = 2

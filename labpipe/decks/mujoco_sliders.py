@@ -6,7 +6,7 @@ and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiffness K_
 h kappa_j, h being the length of wire that the node stands for. Hinge i is at (i + 1/2) h, so that
 the chain is of second order in h.
 
-In space a node has two hinges with the tendons of `law.slider_directions` on sums of their angles,
+In space a node has two hinges with the tendons of `law.sliders` on sums of their angles,
 in directions that are rotated from one node to the next; a third hinge twists.
 
 Springs that yield keep the effect of an overshoot. Therefore a load must be ramped and the joints
@@ -34,8 +34,7 @@ from labpipe.decks.deck_law import (
 from labpipe.decks.lookup import DIRECTIONS, no_sliders_text
 from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
 from labpipe.law.plays import is_within, require, require_positive
-from labpipe.law.slider_directions import TURNS, in_directions, turned
-from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
+from labpipe.law.sliders import MOST_SLIDERS, TURNS, SliderLaw, as_plays, in_directions, turned
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads

@@ -12,8 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.law.slider_directions import in_directions, turned
-from labpipe.law.sliders import SliderLaw, fit_sliders, within_range
+from labpipe.law.sliders import SliderLaw, fit_sliders, in_directions, turned, within_range
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire import WireTable
 

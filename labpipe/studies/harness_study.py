@@ -36,7 +36,7 @@ from labpipe.store.replace import locked, replacing, replacing_together, storing
 from labpipe.store.summaries import SUMMARY_FILE, entries, finite_or_none, plain, result_entry
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import curvature_of, radius_of
-from labpipe.studies.harness_responses import RADIUS, RADIUS_ON_PATH, heights_of
+from labpipe.studies.harness_responses import RADIUS, RADIUS_ON_PATH, heights_of, residual_curvature
 from labpipe.studies.harness_section import input_file, material_of
 from labpipe.studies.harness_solution import (
     FAILED,
@@ -45,7 +45,6 @@ from labpipe.studies.harness_solution import (
     solve_harness,
     solve_sweep_length,
 )
-from labpipe.studies.residual_curvature import residual_curvature
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"

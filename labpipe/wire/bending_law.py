@@ -5,7 +5,7 @@ Eq. (3.17) of the source, with the cos(alpha) of its appendix in the moment of t
     M = sum F r sin(theta) cos(alpha) + sum m(kappa) helix factor + EI_ins kappa.
 
 The axial forces F are those of `wire.friction`, the strands' own moments m those of
-`wire.strand_bending`. The strands' axial stiffness stays elastic, as in the source.
+`wire.materials`. The strands' axial stiffness stays elastic, as in the source.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 
 from labpipe.law.plays import PlayLaw, polygon_law, require_positive
 from labpipe.records.arrays import Floats, frozen
-from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.cross_section import CrossSection, tube_moment
 from labpipe.wire.friction import Bundle, Contacts, arrange, axial_forces, sines, slip_onsets
-from labpipe.wire.strand_bending import helix_factor, strand_moment, tube_moment
+from labpipe.wire.materials import helix_factor, strand_moment
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,7 +30,13 @@ import numpy as np
 
 from labpipe.law.plays import require, require_positive
 from labpipe.records.arrays import Floats, Ints, frozen
-from labpipe.wire.materials import ANNEALED_COPPER, Material, StressTable
+from labpipe.wire.materials import (
+    ANNEALED_COPPER,
+    Material,
+    StrandMoment,
+    StressTable,
+    strand_moment,
+)
 
 COPPER_DENSITY = 8960.0
 """kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
@@ -126,6 +132,37 @@ class Insulation:
     def torsional_stiffness(self) -> float:
         """Return G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
         return self.bending_stiffness / (1.0 + self.poisson)
+
+
+def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
+    """Return the bending moment of the insulation, and its slope, on first loading.
+
+    Parameters
+    ----------
+    tube : a full bar of its outer radius less one of the bore
+    curvature : any shape, 1/m, either sign
+
+    Returns
+    -------
+    Moment and tangent stiffness; NaN where the curvature is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the rim is strained beyond the tube's curve; the message says the curvature.
+
+    Notes
+    -----
+    A tube without a curve is linear at any strain; the caller checks the range.
+    """
+    if tube.curve is None:
+        stiffness = tube.bending_stiffness
+        return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
+    bars = [
+        strand_moment(tube.curve, 2.0 * radius, curvature)
+        for radius in (tube.outer_radius, tube.bore_radius)
+    ]
+    return StrandMoment(bars[0].moment - bars[1].moment, bars[0].tangent - bars[1].tangent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.decks.deck_files import DECKS
+from labpipe.decks import DECKS
 from labpipe.decks.lookup import sliders_csv, sliders_json
 from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
 from labpipe.law.plays import concave_law

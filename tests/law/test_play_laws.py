@@ -22,8 +22,7 @@ from labpipe.law.plays import (
     stick_slip_law,
     unbent_plays,
 )
-from labpipe.law.slider_directions import in_directions
-from labpipe.law.sliders import SliderLaw, fit_sliders, linear_moment_law
+from labpipe.law.sliders import SliderLaw, fit_sliders, in_directions, linear_moment_law
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import Floats
 from tests.approved import Approve

@@ -28,12 +28,11 @@ from labpipe.records.wire_calibration import PARAMETERS
 from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
 from labpipe.wire.cantilever import StringRig
-from labpipe.wire.cross_section import CrossSection, Insulation
+from labpipe.wire.cross_section import CrossSection, Insulation, tube_moment
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
 from labpipe.wire.friction import Contacts, slip_onsets
 from labpipe.wire.heavy_loading import load_heavy
-from labpipe.wire.materials import RambergOsgood
-from labpipe.wire.strand_bending import elastic_share, helix_factor, tube_moment
+from labpipe.wire.materials import RambergOsgood, elastic_share, helix_factor
 
 _TABLE_STRAINS = (1e-9, 100.0, 32)
 """Range of rim strains of the copper's table, and its knots per decade. Scaling the strength shifts
