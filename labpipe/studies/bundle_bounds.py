@@ -36,7 +36,7 @@ from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, save_bundle_figur
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import entries
-from labpipe.studies.wire_sheets import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet, wire_error
 from labpipe.units import GRAVITY
 from labpipe.wire.bundle_friction import fit_friction
 from labpipe.wire.bundle_model import bundle_model, share_of_bounds
@@ -336,14 +336,7 @@ def _read_tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
         try:
             tables[name] = wire_table(specs[name])
         except ValueError as error:
-            message = error_text(
-                wires,
-                specs[name].place,
-                expected=f"a wire {name!r} that can be modelled",
-                found=f"this: {error}",
-                remedy="Check its row against the wire.",
-            )
-            raise ProcessingError(message) from error
+            raise wire_error(wires, specs[name], "a wire that can be modelled", error) from error
     return tables
 
 

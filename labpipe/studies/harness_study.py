@@ -180,8 +180,10 @@ def _force_bands(solution: FollowedHarness) -> Bands:
 
 
 def _sweep_row(run: SweepRun) -> dict[str, object]:
-    names = ("smallest_bend_radius [m]", "lower [m]", "upper [m]", "place [m]")
-    names += (f"{RADIUS_ON_PATH} [m]", "step", "lowest_point [m]")
+    names = (
+        *("smallest_bend_radius [m]", "lower [m]", "upper [m]", "place [m]"),
+        *(f"{RADIUS_ON_PATH} [m]", "step", "lowest_point [m]"),
+    )
     row: dict[str, object] = {"length [m]": run.length, **dict.fromkeys(names)}
     if run.path.status != FAILED:
         bend, on_path = run.bend, run.bend_on_path
@@ -279,8 +281,8 @@ _UNITS: Mapping[str, str] = {
 }
 
 
-def _csv(table: object) -> str:
-    """Write rows or columns with nine digits; empty for NaN, ``inf`` for a straight line."""
+def _csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
+    """Write rows with nine digits; empty for NaN, ``inf`` for a straight line."""
     frame = pd.DataFrame(table)
     text: str = frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
     return text
@@ -336,7 +338,7 @@ def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> 
     steps : one after the other
     bands : of some steps; others have empty cells
     """
-    nothing = np.full((2, len(line.stations), len(BANDED)), np.nan)
+    nothing = (np.full((len(line.stations), len(BANDED)), np.nan),) * 2
     tables = []
     for step in steps:
         columns: dict[str, object] = {"step": step, "node": np.arange(len(line.stations))}
@@ -370,7 +372,7 @@ def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
     -----
     The weight is left out: in each step it is minus the sum of the others.
     """
-    nothing = np.full((2, len(prepared.boundaries), 3), np.nan)
+    nothing = (np.full((len(prepared.boundaries), 3), np.nan),) * 2
     force_names = [f"f{axis} [N]" for axis in _AXES]
     moment_names = [f"m{axis} [N*m]" for axis in _AXES]
     rows = []

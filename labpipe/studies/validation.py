@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, UsageError, error_text, nearest
+from labpipe.errors import UsageError, error_text, nearest
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
@@ -20,6 +20,7 @@ from labpipe.report.calibration_summary import BentShape, ValidationGroup
 from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
 from labpipe.store.read import read_result
 from labpipe.studies.first_loadings import FirstLoading, insulation_note
+from labpipe.studies.wire_sheets import wire_error
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
@@ -243,14 +244,7 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
     try:
         wire = build(spec)
     except ValueError as error:
-        message = error_text(
-            wires,
-            f"{spec.place}, wire '{spec.name}'",
-            expected="a wire that can be built",
-            found=f"this: {error}",
-            remedy="Check its row against the wire.",
-        )
-        raise ProcessingError(message) from error
+        raise wire_error(wires, spec, "a wire that can be built", error) from error
     weight = GRAVITY * mass_per_length(spec, wire.section)
     linear_range = straight_range(spec)
     return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)

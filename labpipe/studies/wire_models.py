@@ -22,7 +22,7 @@ from labpipe.report.wire_figures import figure_names, save_wire_figures, wire_dr
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import entries
-from labpipe.studies.wire_sheets import StatedCurve, describe_stress_tables, read_wires
+from labpipe.studies.wire_sheets import StatedCurve, describe_stress_tables, read_wires, wire_error
 from labpipe.wire.wire_table import wire_table
 
 WORKBOOK_FILE = "wires.xlsx"
@@ -151,13 +151,8 @@ def make_tables(
         if isinstance(outcome, ModelledWire):
             modelled_wires.append(outcome)
         else:
-            refused[spec.name] = error_text(
-                sheet,
-                f"{spec.place}, wire '{spec.name}'",
-                expected="a wire that can be built and bent",
-                found=f"this: {outcome}",
-                remedy="Check its row against the wire.",
-            )
+            error = wire_error(sheet, spec, "a wire that can be built and bent", outcome)
+            refused[spec.name] = str(error)
     return tuple(modelled_wires), refused
 
 

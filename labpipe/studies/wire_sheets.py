@@ -15,7 +15,7 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 
-from labpipe.errors import Fault, ReadError, error_text, nearest
+from labpipe.errors import Fault, ProcessingError, ReadError, error_text, nearest
 from labpipe.law.thinning import thin
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
@@ -360,6 +360,22 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
         If the file is damaged, has no wires, or has faults: all in one message, each with its cell.
     """
     return read_wires(path).specs
+
+
+def wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
+    """Return the error of a wire that cannot be modelled.
+
+    Parameters
+    ----------
+    sheet : of the wires
+    spec : of the wire
+    expected : what it should be
+    reason : why it is not
+    """
+    place, remedy = f"{spec.place}, wire {spec.name!r}", "Check its row against the wire."
+    actual = f"this: {reason}"
+    message = error_text(sheet, place, expected=expected, found=actual, remedy=remedy)
+    return ProcessingError(message)
 
 
 def read_wires(path: Path) -> WireSheet:

@@ -80,7 +80,8 @@ class Wire:
     @property
     def beyond(self) -> Floats:
         """Return the weight beyond each station, N."""
-        return self.self_weight * (self.stations.position[-1] - self.stations.position)
+        position = self.stations.position
+        return np.asarray(self.self_weight * (position[-1] - position))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
