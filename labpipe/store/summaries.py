@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
-from enum import StrEnum
+from dataclasses import asdict
 from hashlib import sha256
 from math import isfinite
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from labpipe.errors import StoreError, error_text
 from labpipe.records.harness_bundle import Bundle
@@ -200,34 +197,6 @@ def sealed(entry: Mapping[str, Any]) -> str:
 def finite_or_none(value: float | None) -> float | None:
     """Return the number; None for NaN and infinities, which JSON does not have."""
     return float(value) if value is not None and isfinite(value) else None
-
-
-def plain(value: Any) -> Any:
-    """Convert records, arrays and numbers for JSON; None for a number that is not finite."""
-    if isinstance(value, float):
-        return finite_or_none(value)
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if is_dataclass(value):
-        return entries(value, *(item.name for item in fields(value)))
-    return str(value) if isinstance(value, StrEnum) else value
-
-
-def entries(record: object, *names: str, **renamed: str) -> dict[str, Any]:
-    """Return attributes of a record for JSON, see `plain`.
-
-    Parameters
-    ----------
-    record : any
-    names : of attributes
-    renamed : entry=attribute
-    """
-    attributes = {name: name for name in names} | renamed
-    return {entry: plain(getattr(record, name)) for entry, name in attributes.items()}
 
 
 def read_summary(path: Path) -> dict[str, Any]:

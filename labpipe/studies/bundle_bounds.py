@@ -35,7 +35,7 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, save_bundle_figure, save_loop_figure
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
-from labpipe.store.summaries import entries
+from labpipe.studies.study_json import entries
 from labpipe.studies.wire_sheets import read_wire_sheet, wire_error
 from labpipe.units import GRAVITY
 from labpipe.wire.bundle_friction import fit_friction

@@ -26,7 +26,8 @@ from labpipe.records.wire_calibration import (
     Solution,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.store.summaries import entries, finite_or_none, plain
+from labpipe.store.summaries import finite_or_none
+from labpipe.studies.study_json import entries, plain
 
 SCHEMA = 2
 

@@ -196,35 +196,19 @@ def solve_harness(
     reasons = _all_reasons(path, prepared, material, bands)
     is_whole = path.status != FAILED
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
-    solution = path, prepared, bands
-    results = _results_with_doubts(harness, material, solution, length) if is_whole else ()
+    results: tuple[Result, ...] = ()
+    if is_whole:
+        intervals = {} if bands is None else bands.intervals
+        line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
+        coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
+        half = prepare_line(coarse, section(material.best), material.best, length=length)
+        doubts = _doubts(path, prepared, half, intervals)
+        results = results_of(numbers_of(path, prepared), reasons, intervals, doubts)
     limit = bend_limit(harness, material)
     return FollowedHarness(
         *(file, harness, material, prepared, path, status, reasons, results, limit, folder),
         bands=bands,
     )
-
-
-def _with_half_elements(
-    harness: HarnessFile, material: Material, length: float | None
-) -> PreparedLine:
-    line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
-    harness = harness.model_copy(update={"line": line})
-    return prepare_line(harness, material.sections[0](material.best), material.best, length=length)
-
-
-def _results_with_doubts(
-    harness: HarnessFile,
-    material: Material,
-    solution: tuple[RodPath, PreparedLine, HarnessBands | None],
-    length: float | None = None,
-) -> tuple[Result, ...]:
-    """Return the numbers of a complete path, each with all its doubts."""
-    path, prepared, bands = solution
-    intervals = {} if bands is None else bands.intervals
-    doubts = _doubts(path, prepared, _with_half_elements(harness, material, length), intervals)
-    reasons = _all_reasons(path, prepared, material, bands)
-    return results_of(numbers_of(path, prepared), reasons, intervals, doubts)
 
 
 def _doubts(

@@ -33,7 +33,7 @@ from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.rotations import matrices
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
-from labpipe.store.summaries import SUMMARY_FILE, entries, finite_or_none, plain, result_entry
+from labpipe.store.summaries import SUMMARY_FILE, finite_or_none, result_entry
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import curvature_of, radius_of
 from labpipe.studies.harness_responses import RADIUS, RADIUS_ON_PATH, heights_of, residual_curvature
@@ -45,6 +45,7 @@ from labpipe.studies.harness_solution import (
     solve_harness,
     solve_sweep_length,
 )
+from labpipe.studies.study_json import entries, plain
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"

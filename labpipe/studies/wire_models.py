@@ -21,7 +21,7 @@ from labpipe.report.saving import pngs_of
 from labpipe.report.wire_figures import figure_names, save_wire_figures, wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
-from labpipe.store.summaries import entries
+from labpipe.studies.study_json import entries
 from labpipe.studies.wire_sheets import StatedCurve, describe_stress_tables, read_wires, wire_error
 from labpipe.wire.wire_table import wire_table
 
