@@ -101,19 +101,14 @@ def lookup_json(table: WireTable) -> str:
     -------
     JSON text; units of all numbers are under ``units``.
     """
-    numbers: dict[str, object] = {
+    derived = {
         "curvature": table.curvature.tolist(),
         "moment": table.moment.tolist(),
-        "stick_stiffness": table.stick_stiffness,
-        "slip_stiffness": table.slip_stiffness,
-        "axial_stiffness": table.axial_stiffness,
-        "torsional_stiffness": table.torsional_stiffness,
-        "free_torsional_stiffness": table.free_torsional_stiffness,
-        "stretch_twist_coupling": table.stretch_twist_coupling,
         "diameter": 2.0 * table.layout.wire_radius,
         "length": table.spec.length,
         "mass_per_length": mass_of(table),
     }
+    numbers = {name: derived.get(name) or getattr(table, name) for name in _UNITS}
     whole = {
         "schema": SCHEMA,
         "labpipe": __version__,
@@ -128,7 +123,7 @@ def lookup_json(table: WireTable) -> str:
         ),
         **numbers,
         "loss_card": card_numbers(table),
-        "units": {name: _UNITS[name] for name in numbers},
+        "units": _UNITS,
     }
     return json.dumps(whole, indent=1) + "\n"
 
