@@ -19,19 +19,19 @@ x = A cos(beta) - B sin(beta), y = A sin(beta) + B cos(beta).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from labpipe.law.loading_table import LoadingLaw
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.wire.cantilever import StringRig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoadingCurve:
+class LoadingCurve(ArrayRecord):
     """The curve of a cantilever on first loading; arrays of shape (n,), the first point at rest.
 
     Parameters
@@ -46,21 +46,14 @@ class LoadingCurve:
         law's parameters
     """
 
-    deflection: Floats
-    tension: Floats
-    x: Floats
-    tip_angle: Floats
-    clamp_curvature: Floats
-    clamp_moment: Floats
-    stiffness: Floats
-    tension_change: Floats
-
-    def __post_init__(self) -> None:
-        shape = (len(self.deflection),)
-        for item in fields(self)[:7]:
-            object.__setattr__(self, item.name, frozen(getattr(self, item.name), shape=shape))
-        change = frozen(self.tension_change, shape=(None, *shape))
-        object.__setattr__(self, "tension_change", change)
+    deflection: Vector
+    tension: Vector
+    x: Vector
+    tip_angle: Vector
+    clamp_curvature: Vector
+    clamp_moment: Vector
+    stiffness: Vector
+    tension_change: Annotated[Floats, "parameters", "n"]
 
     @property
     def force(self) -> Floats:
@@ -162,8 +155,8 @@ def _slope(at: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
     """
     arc = curvature * at.cube_q + 1.0 / (at.force * at.cosine)
     across = curvature * at.force * at.cube - at.sine / at.cosine / at.force
-    along = respond_to(at, rig, arc, across, 1.0 / at.force)
-    return along.tension / along.deflection
+    deflection, tension = respond_to(at, rig, arc, across, 1.0 / at.force)
+    return tension / deflection
 
 
 def _changes(
@@ -174,8 +167,8 @@ def _changes(
     inside = law.node_energy_change.reshape(len(end), law.node_energy.size)[:, rule.nodes]
     arc = end * at.cube_q - rule.total(inside * at.cubes_q)
     across = at.force * (end * at.cube - rule.total(inside * at.cubes))
-    changed = respond_to(at, rig, arc, across, np.zeros_like(end))
-    return changed.tension - slope * changed.deflection
+    deflection, tension = respond_to(at, rig, arc, across, np.zeros_like(end))
+    return tension - slope * deflection
 
 
 def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
@@ -345,18 +338,13 @@ def solve_pair(matrix: tuple[Pair, Pair], first: Floats, second: Floats) -> Pair
     return (d * first - b * second) / determinant, (a * second - c * first) / determinant
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Response:
-    """Changes of deflection, m, and tension, N, shape (..., points)."""
-
-    deflection: Floats
-    tension: Floats
-
-
 def respond_to(
     at: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
-) -> Response:
-    """Compute the response to changes of arc length, B and A at constant force and lean."""
+) -> Pair:
+    """Compute the changes of deflection, m, and tension, N, shape (..., points).
+
+    They respond to changes of arc length, B and A at constant force and lean.
+    """
     by_x = 0.0 if rig is None else _misfit_slope(at, rig)
     misfit = by_x * (arm * at.cosine - across * at.sine)
     force, lean = solve_pair(slopes(at, rig), -arc, -misfit)
@@ -365,10 +353,8 @@ def respond_to(
     by_lean = at.x + across_by_lean * at.cosine
     weight = weight_of(rig)
     pull = (at.force + weight * at.cosine) * force - at.force * weight * at.sine * lean
-    return Response(
-        arm * at.sine + across * at.cosine + by_force * force + by_lean * lean,
-        pull / tension_of(at, rig),
-    )
+    rise = arm * at.sine + across * at.cosine
+    return rise + by_force * force + by_lean * lean, pull / tension_of(at, rig)
 
 
 def weight_of(rig: StringRig | None) -> float:
