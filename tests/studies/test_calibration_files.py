@@ -323,9 +323,8 @@ def test_from_where_on_a_prediction_is_doubtful(
     """A wire that is bent to there and no farther has just the curvature of the limit."""
     both = loadings("A1", "A2")
     assert [group.doubtful_deflection for group in groups] == [np.inf, np.inf]
-    weak = {
-        name: replace(wire, linear_range=straight_range(WEAK[name])) for name, wire in WIRES.items()
-    }
+    ranges = {name: straight_range(WEAK[name]) for name in WIRES}
+    weak = {name: replace(WIRES[name], linear_range=end) for name, end in ranges.items()}
     for group in compare(calibration, weak, both):
         assert group.prediction is not None
         assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
@@ -333,7 +332,7 @@ def test_from_where_on_a_prediction_is_doubtful(
         ends = np.linspace(0.0, group.doubtful_deflection, 9)
         bent = replace(curve, deflection=ends, force=ends, noise=ends)
         curvature = reached(WIRES[group.wire], calibration.solutions[0].values, [bent])
-        assert curvature == pytest.approx(straight_range(WEAK[group.wire]), rel=2e-3)
+        assert curvature == pytest.approx(ranges[group.wire], rel=2e-3)
 
 
 SHEET_PATH = Path("wires.xlsx")
