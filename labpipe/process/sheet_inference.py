@@ -379,8 +379,10 @@ def _contradictions(
         for fact in facts_of_export(path.name, export):
             if fact.key == "take" and fact.value != name and facts_of_folder(fact.value):
                 yield f"look: {path.name} is of {fact.value!r}, the folder is called {name!r}"
-    for path, export in exports.items() if fit is not None and stated else ():
-        reach = export.markers and marked_length(fit.protocol, export.markers)
+    if fit is None or not stated:
+        return
+    for path, export in exports.items():
+        reach = marked_length(fit.protocol, export.markers) if export.markers else None
         if reach is not None and abs(reach / stated - 1.0) > max_length_deviation:
             lengths = f"{reach * 1e3:.3g} mm, {length} is stated"
             yield f"look: the markers of {path.name} show a length of about {lengths}"

@@ -295,7 +295,8 @@ def resolve(
     if isinstance(protocol_file, Fault):
         raise error_of_faults([sheet_document.place(protocol_file)])
     plain = parse_yaml(read_text(protocol_file), str(protocol_file))
-    merged = with_overrides(plain, sheet_document)
+    merged = parse_yaml(read_text(protocol_file), str(protocol_file))
+    with_overrides(merged, sheet_document)
     followed = follow_links or are_followed(plain)
     links = link_faults(sheet, sheet_path.parent, followed=followed)
     sheet_faults = (
@@ -309,15 +310,14 @@ def resolve(
     except ValidationError as error:
         remark = f"(With what {sheet_path} changes.)" if _is_sound(plain) else ""
         for fault in faults_of(error, data=merged.data, keys=()):
-            bare = merged.place(fault)
-            is_of_sheet = bare.file == str(sheet_path)
-            placed.append(bare if is_of_sheet else merged.place(fault, remark))
+            is_of_sheet = merged.spot_at(fault.path)[0].file == str(sheet_path)
+            placed.append(merged.place(fault, "" if is_of_sheet else remark))
         raise error_of_faults(placed) from None
-    numbers = merged.numbers.get(("steps",), range(len(protocol.steps)))
-    steps = zip(protocol.steps, numbers, strict=True)
-    protocol = protocol.model_copy(
-        update={"steps": tuple(step.numbered(number) for step, number in steps)}
+    steps = tuple(
+        step.numbered(int(merged.spot_at(("steps", number))[0].name))
+        for number, step in enumerate(protocol.steps)
     )
+    protocol = protocol.model_copy(update={"steps": steps})
     reduced = without_absent(protocol, sheet.files)
     placed += [sheet_document.place(fault) for fault in absent_faults(reduced, protocol)]
     if placed:
@@ -396,10 +396,7 @@ def checked(model: type[_B], document: Document) -> _B:
 
 def error_of_faults(placed: list[PlacedFault], *, code: str = "") -> ProtocolError:
     """Make one error of all faults of a file, a line each, in the order of the file."""
-    lines = sorted(
-        {(placed_fault.file, placed_fault.mark, placed_fault.text) for placed_fault in placed}
-    )
-    return ProtocolError("\n".join(text for _, _, text in lines), code=code)
+    return ProtocolError("\n".join(text for _, _, text in sorted(set(placed))), code=code)
 
 
 def _is_sound(document: Document) -> bool:
