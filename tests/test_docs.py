@@ -24,7 +24,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.outline import RESULTS
+from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.readers import READERS
 from labpipe.records.curve import SlipDecision

@@ -45,6 +45,31 @@ def did_you_mean(word: str, valid: Iterable[str]) -> str:
     return f"Did you mean {best[0]!r}?" if best else ""
 
 
+def not_among(
+    path: KeyPath,
+    word: object,
+    valid: Iterable[str],
+    what: str = "one of",
+    *,
+    remedy: str = "",
+    at: At = "value",
+) -> Fault:
+    """Make the fault of a word that is none of the valid ones.
+
+    Parameters
+    ----------
+    path : way to the word
+    word : the invalid one
+    valid : the valid ones
+    what : they are, such as ``one of the channels``
+    remedy : what to do if none of them is similar
+    at : whether the word is a key
+    """
+    words = sorted(set(valid))
+    expected = f"{what} {one_of(str(word), words)}"
+    return Fault(path, expected, shown(word), did_you_mean(str(word), words) or remedy, at)
+
+
 def shown(value: object) -> str:
     """Name a value of a YAML file in a message."""
     if value is None:
@@ -117,26 +142,18 @@ def _fault_of(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
         return Fault(path, f"the key {key!r}", "no such key", remedy, missing=key)
     match line["type"]:
         case "extra_forbidden":
-            word = str(path[-1])
-            expected = f"one of the keys {one_of(word, keys)}"
-            return Fault(path, expected, repr(word), did_you_mean(word, keys), "key")
+            return not_among(path, path[-1], keys, "one of the keys", at="key")
         case "union_tag_invalid":
             tag = _quoted(context["discriminator"])[0]
-            return _not_one_of((*path, tag), context["tag"], _quoted(context["expected_tags"]))
+            return not_among((*path, tag), context["tag"], _quoted(context["expected_tags"]))
         case "literal_error":
             valid_words = _quoted(context["expected"])
             at: At = "key" if line["loc"][-1] == "[key]" else "value"
-            return _not_one_of(path, line["input"], valid_words, at)
+            return not_among(path, line["input"], valid_words, at=at)
         case other:
             expected = _EXPECTED.get(other, line["msg"])
             remedy = "Fill it in." if line["input"] is None else ""
             return Fault(path, expected, shown(line["input"]), remedy)
-
-
-def _not_one_of(path: KeyPath, value: object, valid: list[str], at: At = "value") -> Fault:
-    word = str(value)
-    remedy = did_you_mean(word, valid)
-    return Fault(path, f"one of {one_of(word, valid)}", shown(value), remedy, at)
 
 
 def _quoted(text: str) -> list[str]:

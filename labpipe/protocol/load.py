@@ -11,9 +11,9 @@ import yaml
 from pydantic import ValidationError
 
 from labpipe.errors import Fault, ProtocolError, nearest
-from labpipe.protocol.faults import did_you_mean, faults_of, one_of
+from labpipe.protocol.cross_checks import Outline
+from labpipe.protocol.faults import faults_of, not_among
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.outline import outline_of
 from labpipe.protocol.overrides import (
     absent_faults,
     are_followed,
@@ -106,11 +106,10 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     protocol_files = known_protocols(protocols)
     if wanted in protocol_files:
         return protocol_files[wanted]
-    expected = (
-        f"one of the protocols {one_of(wanted, protocol_files)}" if protocol_files else "a protocol"
-    )
-    remedy = did_you_mean(wanted, protocol_files) or "There is no folder 'protocols' here."
-    return Fault(("protocol",), expected, repr(wanted), remedy)
+    if protocol_files:
+        return not_among(("protocol",), wanted, protocol_files, "one of the protocols")
+    remedy = "There is no folder 'protocols' here."
+    return Fault(("protocol",), "a protocol", repr(wanted), remedy)
 
 
 def is_there(path: Path) -> bool:
@@ -419,13 +418,12 @@ def _implausible_sizes(sheet: TestSheet, document: Document, merged: Document) -
 
 def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
     """Find roles that only one of test sheet and protocol has."""
-    outline = outline_of(protocol.data if isinstance(protocol.data, Mapping) else {})
+    outline = Outline(protocol.data if isinstance(protocol.data, Mapping) else {})
     roles = [str(role) for role in outline.sources]
     optional = {role for role in roles if outline.is_optional(role)}
     for role in sheet.files:
         if roles and role not in roles:
-            expected = f"a role of the protocol: {one_of(role, roles)}"
-            yield Fault(("files", role), expected, repr(role), did_you_mean(role, roles), "key")
+            yield not_among(("files", role), role, roles, "a role of the protocol:", at="key")
     for missing in sorted(set(roles) & set(ROLES) - set(sheet.files) - optional):
         expected = f"a file in the role {missing!r}"
         yield Fault(("files",), expected, "none", "Add it to 'files'.")

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from labpipe.errors import At, Fault, KeyPath
+from labpipe.protocol.cross_checks import result_names
 from labpipe.protocol.faults import did_you_mean
-from labpipe.protocol.outline import result_names
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
 from labpipe.protocol.sheet_grammar import COPY_IT, TestSheet
 from labpipe.protocol.yaml_text import Document

@@ -63,19 +63,35 @@ def range_faults(stated: object, path: KeyPath, unit: str) -> Iterator[Fault]:
     path : way to it
     unit : SI unit of its ends
     """
-    ends: list[float] = []
-    for key in ("from", "to"):
-        text = stated.get(key) if isinstance(stated, Mapping) else None
-        if not isinstance(text, str):
-            continue
-        try:
-            ends.append(parse_quantity(text, unit))
-        except ValueError:
-            remedy = quantity_remedy(text, unit, f"20 {unit}")
-            yield Fault((*path, key), f"a quantity with a unit such as {unit}", repr(text), remedy)
-    if len(ends) == 2 and not 0.0 <= ends[0] < ends[1]:
+    texts = dict(stated) if isinstance(stated, Mapping) else {}
+    ends = [
+        quantity_in(texts[key], unit, (*path, key), "20")
+        for key in ("from", "to")
+        if isinstance(texts.get(key), str)
+    ]
+    yield from (end for end in ends if isinstance(end, Fault))
+    sizes = [end for end in ends if isinstance(end, float)]
+    if len(sizes) == 2 and not 0.0 <= sizes[0] < sizes[1]:
         expected = "'from' of at least zero, and 'to' above it"
-        yield Fault(path, expected, f"{ends[0]:g} to {ends[1]:g} {unit}", "Correct them.")
+        yield Fault(path, expected, f"{sizes[0]:g} to {sizes[1]:g} {unit}", "Correct them.")
+
+
+def quantity_in(text: str, unit: str, path: KeyPath, example: str) -> float | Fault:
+    """Read a quantity in a unit, or return what is wrong with it.
+
+    Parameters
+    ----------
+    text : as written
+    unit : in which it is wanted
+    path : way to it
+    example : number of an example
+    """
+    try:
+        return parse_quantity(text, unit)
+    except ValueError:
+        such = unit.replace("(", "").replace(")", "")
+        remedy = quantity_remedy(text, unit, f"{example} {such}")
+        return Fault(path, f"a quantity with a unit such as {such}", repr(text), remedy)
 
 
 if TYPE_CHECKING:
