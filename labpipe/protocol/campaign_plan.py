@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
 from labpipe.errors import Fault
 from labpipe.protocol.faults import error_of, faults_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.name_patterns import NamePattern, parse_name_pattern
-from labpipe.protocol.schema import known_version
+from labpipe.protocol.schema import Version
 from labpipe.protocol.sheet_grammar import Override, TestSheet
 from labpipe.protocol.source import Role
 from labpipe.protocol.values import Remark, Text
 from labpipe.records.declarations import Duration
 
 PLAN_NAME = "campaign.yaml"
-_PATTERN_SCHEMA = {
-    "type": "string",
-    "examples": ["{type}-{length mm}-{sample}_force.mat"],
-    "description": "{name} is a word, {length mm} a number without its unit, * anything",
-}
+_EXAMPLE = "{type}-{length mm}-{sample}_force.mat"
 
 
 def _pattern(value: object) -> str:
@@ -32,7 +28,7 @@ def _pattern(value: object) -> str:
         raise error_of(expected=str(error), found=value) from error
 
 
-Pattern = Annotated[str, BeforeValidator(_pattern), WithJsonSchema(_PATTERN_SCHEMA)]
+Pattern = Annotated[str, BeforeValidator(_pattern), Field(examples=[_EXAMPLE])]
 
 
 class ByFolder(Block):
@@ -99,7 +95,7 @@ def _each_once(roles: tuple[str, ...]) -> tuple[str, ...]:
 class CampaignPlan(Block):
     """How exports become the tests of a campaign, and what a watch waits for."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     about: Remark = Field("", description="What the campaign is for, in one line")
     protocol: Text | None = Field(
         None, description="Of every test; else the one that fits its exports best"

@@ -26,6 +26,7 @@ from typing import (
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -45,7 +46,6 @@ from pydantic_core import CoreSchema, core_schema
 from labpipe.errors import Fault
 from labpipe.protocol.faults import error_of, faults_of, raised
 from labpipe.protocol.values import (
-    SPAN_SCHEMA,
     QuantityText,
     parse_span,
     parse_whole,
@@ -61,6 +61,8 @@ from labpipe.records.declarations import (
     TaggedChoice,
     WholeNumber,
 )
+
+_SPAN = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
 
 
 class Block(BaseModel):
@@ -149,7 +151,7 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
         return origin[tuple(validated(part) for part in parts)]
     if hint is Span:
         write = PlainSerializer(written_span)
-        return Annotated[Span, PlainValidator(parse_span), write, WithJsonSchema(SPAN_SCHEMA)]
+        return Annotated[Span, PlainValidator(parse_span), write, WithJsonSchema(_SPAN)]
     return Annotated[hint, _Settings(hint)] if is_dataclass(hint) else hint
 
 
@@ -188,8 +190,7 @@ def _annotations_of(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
             schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
         case PatternText():
-            form = {"type": "string", "pattern": f"^{marker.pattern}$"}
-            return [PlainValidator(partial(parse_word, marker)), WithJsonSchema(form)]
+            return [BeforeValidator(partial(parse_word, marker))]
 
 
 def _key(hint: Any, name: str) -> str:

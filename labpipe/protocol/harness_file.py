@@ -9,19 +9,19 @@ beside ``line``, and a boundary would say which one it holds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import Plausible, plausible_faults
-from labpipe.protocol.schema import known_version
+from labpipe.protocol.schema import Version
 from labpipe.protocol.values import Line as TextLine
-from labpipe.protocol.values import QuantityText, Remark, Text, quantity_remedy
+from labpipe.protocol.values import QuantityText, Remark, Text, quantity_remedy, row_of
 from labpipe.records.declarations import (
     Curvature,
     Length,
@@ -40,37 +40,14 @@ START, END = 0.0, math.inf
 """Places on a line that have a word; any other is a length from its start, m."""
 
 Vector3: TypeAlias = tuple[float, float, float]
-_COORDINATE = QuantityText(Quantity("m", "mm", "120 mm"))
-_NUMBER = QuantityText(Quantity("1", "1", "0.5"))
-_FORCE = QuantityText(Quantity("N", "N", "-2 N"))
-_ACCELERATION = QuantityText(Quantity("m/s^2", "m/s^2", "-9.81 m/s^2"))
+Coordinate: TypeAlias = Annotated[float, Quantity("m", "mm", "120 mm")]
+Component: TypeAlias = Annotated[float, Quantity("1", "1", "0.5")]
+LoadComponent: TypeAlias = Annotated[float, Quantity("N", "N", "-2 N")]
+AccelerationComponent: TypeAlias = Annotated[float, Quantity("m/s^2", "m/s^2", "-9.81 m/s^2")]
 
 
-def _vector(text: QuantityText) -> Callable[[object], Vector3]:
-    """What reads three quantities of one kind, along x, y and z."""
-    example = f"[{text.of.example}, {text.of.example}, {text.of.example}]"
-
-    def parse(value: object) -> Vector3:
-        if not isinstance(value, list | tuple) or len(value) != 3:
-            actual = f"a list of {len(value)}" if isinstance(value, list | tuple) else value
-            remedy = f"Write x, y and z, such as {example}."
-            raise error_of(expected="a list of three quantities", found=actual, remedy=remedy)
-        x, y, z = (text.parse(component) for component in value)
-        return x, y, z
-
-    return parse
-
-
-def _written(text: QuantityText) -> PlainSerializer:
-    return PlainSerializer(lambda vector: [text.written(component) for component in vector])
-
-
-def _three_of(text: QuantityText) -> WithJsonSchema:
-    return WithJsonSchema({"type": "array", "minItems": 3, "maxItems": 3, "items": text.schema})
-
-
-def _direction(value: object) -> Vector3:
-    x, y, z = _vector(_NUMBER)(value)
+def _of_unit_length(vector: Vector3) -> Vector3:
+    x, y, z = vector
     size = math.hypot(x, y, z)
     if size == 0.0:
         remedy = "Write x, y and z, such as [1, 0, 0]."
@@ -79,18 +56,20 @@ def _direction(value: object) -> Vector3:
 
 
 Position: TypeAlias = Annotated[
-    Vector3, PlainValidator(_vector(_COORDINATE)), _written(_COORDINATE), _three_of(_COORDINATE)
+    tuple[Coordinate, Coordinate, Coordinate], row_of(3, "[120 mm, 0 mm, 0 mm]")
 ]
 Direction: TypeAlias = Annotated[
-    Vector3, PlainValidator(_direction), _written(_NUMBER), _three_of(_NUMBER)
+    tuple[Component, Component, Component],
+    row_of(3, "[1, 0, 0]"),
+    AfterValidator(_of_unit_length),
 ]
 ForceVector: TypeAlias = Annotated[
-    Vector3, PlainValidator(_vector(_FORCE)), _written(_FORCE), _three_of(_FORCE)
+    tuple[LoadComponent, LoadComponent, LoadComponent], row_of(3, "[0 N, 0 N, -2 N]")
 ]
 Acceleration: TypeAlias = Annotated[
-    Vector3, PlainValidator(_vector(_ACCELERATION)), _written(_ACCELERATION),
-    _three_of(_ACCELERATION),
-]  # fmt: skip
+    tuple[AccelerationComponent, AccelerationComponent, AccelerationComponent],
+    row_of(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
+]
 
 _ALONG = QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
 _WORDS = {"start": START, "end": END}
@@ -122,9 +101,6 @@ Place: TypeAlias = Annotated[
     float,
     PlainValidator(_place),
     PlainSerializer(written_place),
-    WithJsonSchema(
-        {"anyOf": [{"enum": list(_WORDS)}, _ALONG.schema], "description": "Where on the line"}
-    ),
 ]
 Step: TypeAlias = Annotated[int, WholeNumber(1, MAX_STEPS)]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
@@ -383,7 +359,7 @@ class Sweep(Block):
 class HarnessFile(Block):
     """One line between its boundaries."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     about: Remark = Field("", description="What it is, in one line")
     line: LineBlock
     boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(

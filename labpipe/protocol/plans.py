@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import BeforeValidator, Field
 
 from labpipe.errors import Fault
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.schema import known_version
+from labpipe.protocol.schema import Version
 from labpipe.protocol.values import Remark, Text, file_inside
 from labpipe.records.declarations import Length, Quantity, WholeNumber
 from labpipe.units import si_factor
@@ -37,7 +37,7 @@ COPY_IT = "Copy the curve into the folder of the plan and name it from there."
 
 LengthUnit = Annotated[str, BeforeValidator(_unit_like("m", "mm")), Field(examples=["mm"])]
 ForceUnit = Annotated[str, BeforeValidator(_unit_like("N", "N")), Field(examples=["N"])]
-Sign = Annotated[int, BeforeValidator(_sign), WithJsonSchema({"enum": [1, -1]})]
+Sign = Annotated[Literal[1, -1], BeforeValidator(_sign)]
 
 
 class _Column(Block):
@@ -171,7 +171,7 @@ class Parameters(Block):
 class CalibrationPlan(Block):
     """What is asked of a calibration."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     wire: Text | None = Field(
         None, description="Specimen type whose tests calibrate; the others are predicted"
     )

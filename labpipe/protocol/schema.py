@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, Union
 from pydantic import (
     BeforeValidator,
     Field,
-    PlainSerializer,
-    PlainValidator,
-    WithJsonSchema,
     field_validator,
 )
 
@@ -21,7 +18,7 @@ from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import Plausible
 from labpipe.protocol.source import ChannelSource, Role, Source
 from labpipe.protocol.uncertainties import SizeUncertainties
-from labpipe.protocol.values import FileStem, Remark, Text
+from labpipe.protocol.values import FileStem, OrShort, Remark, Text
 from labpipe.records.declarations import (
     Area,
     Compliance,
@@ -110,9 +107,7 @@ def _all_or_names(value: object) -> object:
 
 Along: TypeAlias = Annotated[
     Literal["all"] | tuple[str, ...],
-    PlainValidator(_all_or_names),
-    PlainSerializer(lambda names: names if isinstance(names, str) else list(names)),
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
+    OrShort(_all_or_names, {"type": "string"}),
 ]
 
 
@@ -231,16 +226,7 @@ def _words_once(value: object) -> object:
 
 
 Reverse: TypeAlias = Annotated[
-    tuple[Literal["force", "displacement"], ...],
-    PlainValidator(_words_once),
-    PlainSerializer(list),
-    WithJsonSchema(
-        {
-            "type": "array",
-            "items": {"enum": ["force", "displacement"]},
-            "uniqueItems": True,
-        }
-    ),
+    tuple[Literal["force", "displacement"], ...], BeforeValidator(_words_once)
 ]
 
 
@@ -323,10 +309,13 @@ def known_version(value: object) -> int:
     return 1
 
 
+Version: TypeAlias = Annotated[Literal[1], BeforeValidator(known_version)]
+
+
 class Protocol(Block):
     """How one kind of test is processed, from its exports to its results."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     name: FileStem = Field(description="As the file is called, without .yaml")
     about: Remark = Field("", description="What it is for, in one line")
     follow_links: bool = Field(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
 from math import hypot, pi, sqrt
 from typing import Annotated, Any, Literal
@@ -16,15 +15,10 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
     ValidationError,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault, UsageError, error_text
 from labpipe.protocol.faults import did_you_mean, error_of, faults_of, raised, shown
@@ -32,13 +26,14 @@ from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import Role
 from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import (
+    Day,
     FileStem,
     Line,
+    OrShort,
     Remark,
     Text,
     file_inside,
-    one_or_several,
-    parse_day,
+    row_of,
 )
 from labpipe.records.declarations import Length, LinearMass, Offset, Snake, WholeNumber
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
@@ -54,30 +49,6 @@ Circle = tuple[float, float, float]
 """x, y and diameter, m."""
 _WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
 _EXPECTED_WIRES = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
-
-
-@dataclass(frozen=True, slots=True)
-class _OrShort:
-    """Annotation of a block that people may also write in a shorter form.
-
-    Parameters
-    ----------
-    read : turns the short form into the block; gives back anything else as it is
-    schema : JSON Schema of the short form
-    """
-
-    read: Callable[[object], object]
-    schema: Mapping[str, Any]
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self.read, handler(source))
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"anyOf": [dict(self.schema), handler(schema)]}
 
 
 class SheetWires(Block):
@@ -121,16 +92,13 @@ def wires_in_words(value: object) -> object:
 
 
 Wires = Annotated[
-    dict[Line, Annotated[SheetWires, _OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
+    dict[Line, Annotated[SheetWires, OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
     Field(min_length=1),
-    _OrShort(wires_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+    OrShort(wires_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
 ]
 
 
-def _pair(value: object) -> object:
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
-        raise error_of(expected="a list of two lengths, such as [0 mm, 1.2 mm]", found=value)
-    return value
+Place = Annotated[tuple[Offset, Offset], row_of(2, "[0 mm, 1.2 mm]")]
 
 
 class SheetBundle(Block):
@@ -141,7 +109,7 @@ class SheetBundle(Block):
         None, description="Of all wires together, as a check"
     )
     arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
-    positions: tuple[Annotated[tuple[Offset, Offset], BeforeValidator(_pair)], ...] | None = Field(
+    positions: tuple[Place, ...] | None = Field(
         None,
         description="[x, y] of every wire in the order of 'wires'; y is the direction of bending",
     )
@@ -425,16 +393,8 @@ def _listed(value: object) -> object:
 
 FileNames = Annotated[
     tuple[Annotated[str, file_inside("the folder of the test", COPY_IT)], ...],
-    BeforeValidator(_listed),
+    OrShort(_listed, {"type": "string"}),
     Field(min_length=1),
-    one_or_several({"type": "string"}),
-]
-
-
-DayOrNothing = Annotated[
-    date | None,
-    BeforeValidator(lambda value: None if value is None else parse_day(value)),
-    WithJsonSchema({"type": ["string", "null"], "format": "date"}),
 ]
 
 
@@ -453,7 +413,7 @@ class TestSheet(Block):
     test: FileStem
     protocol: Text = Field(description="Name of a protocol, or a path to one")
     specimen: SheetSpecimen
-    date: DayOrNothing = None
+    date: Day | None = None
     operator: Remark = ""
     files: dict[Role, FileNames] = Field(
         min_length=1, description="By role: a file, or the parts of one recording in order"

@@ -6,7 +6,6 @@ from math import hypot
 from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
 
 from pydantic import (
-    BeforeValidator,
     Field,
     PlainSerializer,
     PrivateAttr,
@@ -15,7 +14,7 @@ from pydantic import (
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import PlausibleRange
 from labpipe.protocol.uncertainties import Certificate, standard_uncertainty
-from labpipe.protocol.values import SI_UNITS, Text, one_or_several, si_unit_like
+from labpipe.protocol.values import SI_UNITS, OrShort, Text, listed, si_unit_like
 from labpipe.records.declarations import Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
@@ -31,11 +30,6 @@ MARKER_READERS: Final = frozenset(
 """Those whose exports hold marker tracks rather than channels."""
 
 
-def _listed(value: object) -> object:
-    """Take one word for a list of one."""
-    return value if isinstance(value, list | tuple) else [value]
-
-
 if TYPE_CHECKING:
     _ReaderName = str
 else:
@@ -43,17 +37,15 @@ else:
 
 Readers = Annotated[
     tuple[_ReaderName, ...],
-    BeforeValidator(_listed),
+    OrShort(listed, {"enum": list(READERS)}),
     Field(min_length=1),
-    one_or_several({"enum": list(READERS)}),
 ]
 
 Names = Annotated[
     tuple[Text, ...],
-    BeforeValidator(_listed),
+    OrShort(listed, {"type": ["string", "number"], "minLength": 1}),
     Field(min_length=1),
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
-    one_or_several({"type": ["string", "number"], "minLength": 1}),
 ]
 """One name, or several of which the first that the export has counts."""
 

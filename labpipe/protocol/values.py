@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import PurePosixPath, PureWindowsPath
 from types import MappingProxyType
 from typing import Annotated, Any, Final
 
-from pydantic import BeforeValidator, WithJsonSchema
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    WithJsonSchema,
+)
 from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
 
 from labpipe.protocol.faults import error_of
 from labpipe.records.declarations import PatternText, Quantity, Span, WholeNumber
@@ -208,15 +216,13 @@ class QuantityText:
     @property
     def schema(self) -> JsonSchemaValue:
         """JSON Schema of the text."""
-        texts: JsonSchemaValue = {
-            "type": "string",
-            "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
-            "description": f"A {self._meaning}, {self._range}",
-            "examples": [self.of.example],
-        }
-        if self.of.unit != "1":
-            return texts
-        return texts | {"type": ["string", "number"], "pattern": rf"^\s*{_NUMBER}\s*(%|ppm)?\s*$"}
+        kinds, unit = (
+            ("string", r"\S.*") if self.of.unit != "1" else (["string", "number"], "(%|ppm)?")
+        )
+        description = f"A {self._meaning}, {self._range}"
+        pattern = rf"^\s*{_NUMBER}\s*{unit}\s*$"
+        examples = [self.of.example]
+        return {"type": kinds, "pattern": pattern, "description": description, "examples": examples}
 
 
 def _with_unit(value: float, unit: str) -> str:
@@ -289,15 +295,6 @@ def written_span(span: Span) -> str:
     if span.kind == "samples":
         return f"{span.value:.0f} samples"
     return _SPANS[span.kind].written(span.value)
-
-
-SPAN_SCHEMA: Final[JsonSchemaValue] = {
-    "type": "string",
-    "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
-    "description": f"{_SPAN_WORDS[0].upper()}{_SPAN_WORDS[1:]}",
-    "examples": ["0.1 s", "2 mm", "5 %", "51 samples"],
-}
-"""JSON Schema of a span."""
 
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
@@ -421,22 +418,56 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def one_or_several(item: dict[str, Any]) -> WithJsonSchema:
-    """Describe, for editors, one value or a list of at least one.
+@dataclass(frozen=True, slots=True, eq=False)
+class OrShort:
+    """Annotation of a value that people may also write in a shorter form.
 
     Parameters
     ----------
-    item : JSON Schema of one
+    read : turns the short form into the long one; gives back anything else as it is
+    schema : JSON Schema of the short form
     """
-    return WithJsonSchema({"anyOf": [item, {"type": "array", "minItems": 1, "items": item}]})
+
+    read: Callable[[object], object]
+    schema: Mapping[str, Any]
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.read, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"anyOf": [dict(self.schema), handler(schema)]}
 
 
-Text = Annotated[
-    str, BeforeValidator(_text), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
-]
-Line = Annotated[
-    str, BeforeValidator(_line), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
-]
+def listed(value: object) -> object:
+    """Take one value for a list of one."""
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def row_of(count: int, example: str) -> BeforeValidator:
+    """Accept a list of so many quantities.
+
+    Parameters
+    ----------
+    count : of the quantities
+    example : how a person writes the list
+    """
+
+    def check(value: object) -> object:
+        number = len(value) if isinstance(value, list | tuple) else 0
+        if number != count:
+            found = f"a list of {number}" if number else value
+            raise error_of(expected=f"a list of {count} quantities, such as {example}", found=found)
+        return value
+
+    return BeforeValidator(check)
+
+
+Text = Annotated[str, BeforeValidator(_text), Field(min_length=1)]
+Line = Annotated[str, BeforeValidator(_line), Field(min_length=1)]
 """Text for headings, tables and drawings."""
 Remark = Annotated[
     str,
@@ -444,11 +475,5 @@ Remark = Annotated[
     WithJsonSchema({"type": ["string", "null"]}),
 ]
 """Text that may be empty or left out."""
-Day = Annotated[
-    date, BeforeValidator(parse_day), WithJsonSchema({"type": "string", "format": "date"})
-]
-FileStem = Annotated[
-    str,
-    BeforeValidator(_file_stem),
-    WithJsonSchema({"type": ["string", "number"], "pattern": r"^\w[\w.+-]*$"}),
-]
+Day = Annotated[date, BeforeValidator(parse_day)]
+FileStem = Annotated[str, BeforeValidator(_file_stem)]
