@@ -13,7 +13,7 @@ from labpipe.protocol.cross_checks import result_names
 from labpipe.protocol.faults import did_you_mean
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
 from labpipe.protocol.sheet_grammar import COPY_IT, TestSheet
-from labpipe.protocol.yaml_text import Document
+from labpipe.protocol.yaml_text import Document, Spot
 from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import whole_number
 
@@ -104,15 +104,16 @@ def _set_value(
     """
     value, (value_spot, _) = sheet.at(source), sheet.spot_at(source)
     key_spot, _ = sheet.spot_at(source[:2])
-    node, spot, path = merged.data, merged.spot, ()
-    *blocks, last = dotted.split(".")
-    for part in [*blocks, last]:
+    node, spot = merged.data, merged.spot
+    path: KeyPath = ()
+    parts = dotted.split(".")
+    for number, part in enumerate(parts, start=1):
         key = _key_in(node, part)
         if key is None:
             merged.faults.append(sheet.place(_unknown_key(node, part, source[:2])))
             return
         path = (*path, key)
-        if len(path) > len(blocks):
+        if number == len(parts):
             break
         if isinstance(node, dict) and node.get(key) is None:
             if path in _LISTS:
@@ -122,13 +123,13 @@ def _set_value(
                 merged.faults.append(sheet.place(fault))
                 return
             node[key] = {}  # a block that the protocol leaves out
-            spot.inner[key] = replace(value_spot, name=key, key=key_spot.key, inner={})
+            spot.inner[key] = Spot(key_spot.file, key, key_spot.key, value_spot.value)
         node, spot = node[key], spot.inner[key]
-    name = spot.inner[key].name if key in spot.inner else key
-    if isinstance(key, int) and value is None:
-        removed[path] = node[key]
-    node[key] = copy.deepcopy(value)
-    spot.inner[key] = replace(value_spot, name=name, key=key_spot.key)
+    if isinstance(path[-1], int) and value is None:
+        removed[path] = node[path[-1]]
+    node[path[-1]] = copy.deepcopy(value)
+    name = spot.inner[path[-1]].name if path[-1] in spot.inner else path[-1]
+    spot.inner[path[-1]] = replace(value_spot, name=name, key=key_spot.key)
 
 
 def _key_in(node: object, part: str) -> str | int | None:

@@ -253,7 +253,8 @@ def _value(node: yaml.Node, path: KeyPath, spot: Spot, faults: list[PlacedFault]
         items = enumerate(node.value)
         return [_value(item, (*path, i), spot.inner[i], faults) for i, item in items]
     if not isinstance(node, yaml.MappingNode):
-        return None if not node.style and node.value in _NOTHING else node.value
+        is_plain = isinstance(node, yaml.ScalarNode) and not node.style
+        return None if is_plain and node.value in _NOTHING else node.value
     block: dict[str, object] = {}
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
