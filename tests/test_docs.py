@@ -16,6 +16,7 @@ import pytest
 from labpipe.cli import _parser as parser_of
 from labpipe.cli import main
 from labpipe.errors import CODES
+from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
@@ -24,7 +25,6 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.readers import READERS
 from labpipe.records.curve import SlipDecision

@@ -27,8 +27,7 @@ from labpipe import __version__
 from labpipe.campaign.executors import Outcome, failed_outcome, outcome_of, outcome_of_call
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess
 from labpipe.errors import ProcessingError, UsageError, error_text
-from labpipe.process.run import PROCESSING_VERSION, SUMMARY_FILE
-from labpipe.process.test_runner import Task, refuse
+from labpipe.process.run import PROCESSING_VERSION, SUMMARY_FILE, Task, refuse
 
 if TYPE_CHECKING:
     from distributed import Client, Future

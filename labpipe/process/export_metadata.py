@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 from datetime import date
 from types import MappingProxyType
 
-from labpipe.process.certificates import DAY_KEYS
+from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
+DAY_KEYS = ("date", "start_time", "Capture Start Time")
+"""Metadata keys of the recording date or time, always in ISO 8601."""
 _ENTRY_KEYS = MappingProxyType(
     {
         "date": (*DAY_KEYS, "Date", "Datum", "Date/heure", "Date/Clock time", "Data Header"),
@@ -44,6 +46,34 @@ _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _NAME_WITH_LENGTH = re.compile(r"(?P<type>.+)-(?P<length>\d{3})-(?P<sample>\d{1,3}[a-z]?)")
 _NAME_WITHOUT_LENGTH = re.compile(r"(?P<type>.+?)[-_](?P<sample>\d{1,3}[a-z]?)")
 FOLDER = "the name of the folder"
+
+
+def day_and_operator(sheet: str, recordings: Mapping[str, Recording]) -> tuple[date | None, str]:
+    """Find the day and the operator of a test.
+
+    Parameters
+    ----------
+    sheet : text of its test sheet, whose date has priority
+    recordings : by role; the first one with a date is used
+
+    Returns
+    -------
+    The day, None if it is not stated anywhere; the operator, empty if the sheet does not name one.
+    """
+    sheet_data = parse_yaml(sheet, "test.yaml").data
+    entries = sheet_data if isinstance(sheet_data, Mapping) else {}
+    dates = [entries.get("date")]
+    dates += [recording.metadata.get(key) for recording in recordings.values() for key in DAY_KEYS]
+    operator = entries.get("operator")
+    day = next(filter(None, map(_day, dates)), None)
+    return day, operator if isinstance(operator, str) else ""
+
+
+def _day(written: object) -> date | None:
+    try:
+        return date.fromisoformat(str(written)[:10])
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True, slots=True)

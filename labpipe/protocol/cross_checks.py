@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, in_test_sheet, nearest
-from labpipe.protocol.faults import not_among, one_of
+from labpipe.protocol.faults import not_among, one_of, shown
 from labpipe.protocol.plausible import plausible_faults, quantity_in, range_faults
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
-from labpipe.protocol.uncertainties import certificate_faults, length_faults, size_faults
 from labpipe.protocol.values import SI_UNITS, si_unit_like, unit_remedy
 from labpipe.records.declarations import STEPS, defaults_of, existing_in
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
-from labpipe.units import si_factor
+from labpipe.units import parse_quantity, si_factor
 
 Faults: TypeAlias = Iterator[Fault]
 Values: TypeAlias = Mapping[str, object]
@@ -545,3 +544,90 @@ def _group_faults(outline: Outline) -> Faults:
             yield not_among(path, name, names, "one of the results")
         else:
             yield Fault(path, "a result", repr(name), "The protocol asks for none.")
+
+
+def certificate_faults(values: Mapping[str, object], path: KeyPath) -> Iterator[Fault]:
+    """Find an uncertainty of a scale that its certificate contradicts.
+
+    Parameters
+    ----------
+    values : block of a channel or source as written
+    path : way to it
+    """
+    certificate = values.get("certificate")
+    calibration = values.get("calibration")
+    if not isinstance(certificate, Mapping) or certificate.get("uncertainty") is None:
+        return
+    gain = calibration if isinstance(calibration, Mapping) else {}
+    stated = {
+        (*path, "calibration", "gain_uncertainty"): gain.get("gain_uncertainty"),
+        (*path, "scale_uncertainty"): values.get("scale_uncertainty"),
+    }
+    uncertainties = {place: _ratio(text) for place, text in stated.items() if text is not None}
+    expanded, k = _ratio(certificate["uncertainty"]), _ratio(certificate.get("k", 2))
+    if expanded is None or not k or None in uncertainties.values():
+        return  # each is a fault of its own
+    standard = expanded / k
+    together = sum(value**2 for value in uncertainties.values() if value is not None) ** 0.5
+    if not together or abs(together - standard) <= 1e-9 * standard:
+        return
+    place = next(place for place, value in uncertainties.items() if value)
+    expected = f"{100.0 * standard:.4g} %, as 'certificate' has it"
+    actual = f"{100.0 * together:.4g} %"
+    remedy = f"Take {place[-1]!r} out, or 'uncertainty' out of the certificate."
+    yield Fault(place, expected, actual, remedy)
+
+
+def size_faults(specimen: Mapping[str, object]) -> Iterator[Fault]:
+    """Find a size of the specimen that is known no better than it is large.
+
+    Parameters
+    ----------
+    specimen : block as written
+    """
+    uncertainties, section = specimen.get("uncertainty"), specimen.get("section")
+    sizes = {**(section if isinstance(section, Mapping) else {}), **specimen}
+    for key, text in uncertainties.items() if isinstance(uncertainties, Mapping) else ():
+        unit = "m^2" if key == "area" else "m"
+        size, uncertainty = (_quantity(value, unit) for value in (sizes.get(key), text))
+        if size is not None and uncertainty is not None and uncertainty >= size > 0.0:
+            expected = f"less than the {key} itself, {sizes[key]}"
+            yield Fault(
+                ("specimen", "uncertainty", key), expected, shown(text), "Look at its unit."
+            )
+
+
+def length_faults(
+    specimen: Mapping[str, object], entry: Mapping[str, object], path: KeyPath
+) -> Iterator[Fault]:
+    """Find an uncertainty of a length that a result states otherwise than the specimen.
+
+    Parameters
+    ----------
+    specimen : block as written
+    entry : of a bending stiffness
+    path : way to it
+    """
+    key = "length" if entry.get("support") == "cantilever" else "span"
+    block = specimen.get("uncertainty")
+    there = block.get(key) if isinstance(block, Mapping) else None
+    here = entry.get("length_uncertainty")
+    values = _quantity(here, "m"), _quantity(there, "m")
+    if None in values or values[0] == values[1]:
+        return
+    expected = f"the uncertainty of the {key} once"
+    actual = f"{here!r} beside {there!r} in 'specimen.uncertainty.{key}'"
+    remedy = f"Write it as 'specimen.uncertainty.{key}' alone."
+    yield Fault((*path, "length_uncertainty"), expected, actual, remedy)
+
+
+def _ratio(text: object) -> float | None:
+    return _quantity(text, "1")
+
+
+def _quantity(text: object, unit: str) -> float | None:
+    """Value in a unit; None for what is none, which is a fault of its own."""
+    try:
+        return parse_quantity(text, unit)
+    except ValueError:
+        return None

@@ -1,4 +1,4 @@
-"""Plausible ranges of dimensions: a value outside is refused unless its range is widened."""
+"""Sizes: plausible ranges, outside of which a value is refused, and standard uncertainties."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from labpipe.errors import Fault, KeyPath, in_test_sheet
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import Text, quantity_remedy
+from labpipe.records.declarations import Distance, Quantity
 from labpipe.units import parse_quantity
 
 PLAUSIBLE: Final = MappingProxyType(
@@ -45,6 +46,27 @@ _NO_DIMENSIONS = frozenset({"uncertainty", "labels", "positions"})
 """Blocks in which the keys mean something else."""
 Ranges: TypeAlias = Mapping[str, Mapping[str, str]]
 """Ends of the range of each kind of dimension, ``from`` and ``to``, as written."""
+
+
+AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", least=0.0)]
+
+
+class SizeUncertainties(Block):
+    """Standard uncertainties of the specimen's sizes; what is left out is taken as exact."""
+
+    length: Distance | None = None
+    span: Distance | None = None
+    outer_diameter: Distance | None = None
+    inner_diameter: Distance | None = None
+    wall: Distance | None = None
+    width: Distance | None = None
+    thickness: Distance | None = None
+    area: AreaUncertainty | None = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """Those that are given, by key, m (of the area m^2)."""
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 class PlausibleRange(Block):

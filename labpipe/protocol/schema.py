@@ -15,9 +15,8 @@ from labpipe.errors import Fault
 from labpipe.protocol.cross_checks import cross_faults
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.plausible import Plausible
+from labpipe.protocol.plausible import Plausible, SizeUncertainties
 from labpipe.protocol.source import ChannelSource, Role, Source
-from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import FileStem, OrShort, Remark, Text
 from labpipe.records.declarations import (
     Area,

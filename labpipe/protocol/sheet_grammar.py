@@ -23,8 +23,8 @@ from pydantic import (
 from labpipe.errors import Fault, UsageError, error_text
 from labpipe.protocol.faults import did_you_mean, error_of, faults_of, raised, shown
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.plausible import SizeUncertainties
 from labpipe.protocol.source import Role
-from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import (
     Day,
     FileStem,

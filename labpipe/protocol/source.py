@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from datetime import date
 from math import hypot
 from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
 
@@ -10,12 +12,13 @@ from pydantic import (
     PlainSerializer,
     PrivateAttr,
 )
+from pydantic_core import PydanticCustomError
 
+from labpipe.errors import Fault
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import PlausibleRange
-from labpipe.protocol.uncertainties import Certificate, standard_uncertainty
-from labpipe.protocol.values import SI_UNITS, OrShort, Text, listed, si_unit_like
-from labpipe.records.declarations import Snake, Uncertainty
+from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, parse_day, si_unit_like
+from labpipe.records.declarations import Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
 
@@ -48,6 +51,48 @@ Names = Annotated[
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
 ]
 """One name, or several of which the first that the export has counts."""
+
+
+CoverageFactor = Annotated[float, Quantity("1", "1", "2", least=1.0, most=10.0)]
+
+
+class Certificate(Block):
+    """What the certificate of a calibration says of an instrument."""
+
+    number: Text
+    date: Day = Field(description="Of the calibration")
+    due: Day | None = Field(
+        None, description="Of the next one; numbers of a later test that rest on it are doubtful"
+    )
+    uncertainty: Uncertainty | None = Field(
+        None, description="Expanded, as certificates state it: k times the standard uncertainty"
+    )
+    k: CoverageFactor = Field(2.0, description="Coverage factor; 1 for a standard uncertainty")
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Refuse a calibration that was due before it was made."""
+        values = data if isinstance(data, Mapping) else {}
+        calibrated, due = (_day(values.get(key)) for key in ("date", "due"))
+        if calibrated is None or due is None or due > calibrated:
+            return []
+        expected = f"a day after 'date', {calibrated}"
+        return [Fault(("due",), expected, str(due), "Correct the one that is wrong.")]
+
+
+def _day(value: object) -> date | None:
+    """The day; None for what is none, which is a fault of its own."""
+    try:
+        return parse_day(value)
+    except PydanticCustomError:
+        return None
+
+
+def standard_uncertainty(certificate: Certificate | None) -> float | None:
+    """Of the scale that was calibrated, as a ratio; None where no certificate says one."""
+    if certificate is None or certificate.uncertainty is None:
+        return None
+    return certificate.uncertainty / certificate.k
 
 
 class Calibration(Block):

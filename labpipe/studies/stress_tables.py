@@ -16,8 +16,16 @@ import numpy as np
 from labpipe.errors import Fault, ReadError, error_text, nearest
 from labpipe.law.thinning import thin
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
-from labpipe.protocol.wire_rows import Column, Curve, column_name, parse_row
+from labpipe.protocol.wire_rows import (
+    FIRST_SLOPES,
+    Column,
+    Curve,
+    StressPoint,
+    column_name,
+    curve_fault,
+    curve_of,
+    parse_row,
+)
 from labpipe.readers.sheet_cells import Cell, Table, as_table, csv_cells, sheets_of, workbook_cells
 from labpipe.readers.workbooks import is_workbook
 from labpipe.wire.materials import RambergOsgood
@@ -150,7 +158,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
     Parameters
     ----------
-    column : of the wire sheet, one of `labpipe.protocol.stress_curve.FIRST_SLOPES`
+    column : of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
     name : the cell: another sheet of the workbook, or a csv beside the csv
     path : of the wire sheet
 

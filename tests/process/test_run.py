@@ -23,9 +23,8 @@ from labpipe.process.output_paths import (
     recording_of,
     refuse_repeated,
 )
-from labpipe.process.run import Processed, process_test
+from labpipe.process.run import Processed, Refused, Task, attempt, process_test
 from labpipe.process.sheet_inference import folders_of_tests, read_folder
-from labpipe.process.test_runner import Refused, Task, attempt
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import InputFile, Specimen, TestResult

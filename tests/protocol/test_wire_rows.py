@@ -9,12 +9,14 @@ from typing import get_args
 import pytest
 
 from labpipe.errors import Fault
-from labpipe.protocol.stress_curve import StressPoint, curve_fault, curve_of
 from labpipe.protocol.wire_rows import (
     COLUMNS,
     NEEDED,
+    StressPoint,
     WireRow,
     column_name,
+    curve_fault,
+    curve_of,
     field_of,
     heading_faults,
     parse_row,
