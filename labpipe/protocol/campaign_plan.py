@@ -9,7 +9,7 @@ takes as much as it can, from the left. A slash separates folders.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import error_of, faults_of
+from labpipe.protocol.faults import Values, block_in, error_of, faults_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Version
 from labpipe.protocol.sheet_grammar import Override, TestSheet
@@ -200,27 +200,22 @@ class ByName(Block):
         return {role: parse_name_pattern(text) for role, text in self.exports.items()}
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask the patterns of all roles for the same fields: by these, exports are paired."""
-        exports = data.get("exports") if isinstance(data, Mapping) else None
-        if not isinstance(exports, Mapping):
-            return []
         fields: dict[str, tuple[str, ...]] = {}
-        for role, text in exports.items():
+        for role, text in block_in(data, "exports").items():
             try:
                 fields[str(role)] = tuple(sorted(parse_name_pattern(str(text)).fields))
             except ValueError:
-                return []  # reported where the pattern stands
-        faults = []
+                return  # reported where the pattern stands
         first = next(iter(fields.items()), ("", ()))
         for role, role_fields in fields.items():
             if not role_fields:
                 remedy = "Name what tells the tests apart, such as {test}."
-                faults.append(Fault(("exports", role), "a field at least", "none", remedy))
+                yield Fault(("exports", role), "a field at least", "none", remedy)
             elif role_fields != first[1]:
                 expected = f"the fields of {first[0]!r}: {', '.join(first[1])}"
-                faults.append(Fault(("exports", role), expected, ", ".join(role_fields)))
-        return faults
+                yield Fault(("exports", role), expected, ", ".join(role_fields))
 
 
 def _by(value: object) -> object:
@@ -258,12 +253,9 @@ class CampaignPlan(Block):
     look_every: Duration = Field(0.25, description="How often a watch looks")
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterable[Fault]:
         """Check what goes into every test sheet as the sheet would be checked."""
-        if not isinstance(data, Mapping):
-            return []
-        shared = data.get("specimen")
-        specimen = dict(shared) if isinstance(shared, Mapping) else {}
+        specimen = dict(block_in(data, "specimen"))
         sheet = {
             "test": "x",
             "protocol": "x",

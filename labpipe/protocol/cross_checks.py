@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, in_test_sheet, nearest
-from labpipe.protocol.faults import not_among, one_of, shown
+from labpipe.protocol.faults import Values, block_in, list_in, not_among, one_of, shown
 from labpipe.protocol.plausible import plausible_faults, quantity_in, range_faults
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
 from labpipe.protocol.values import SI_UNITS, si_unit_like, unit_remedy
@@ -22,7 +22,6 @@ from labpipe.results.kinds import Kind
 from labpipe.units import parse_quantity, si_factor
 
 Faults: TypeAlias = Iterator[Fault]
-Values: TypeAlias = Mapping[str, object]
 RESULTS: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """The kinds of results by their word in YAML."""
 CHANNEL_KEYS = (
@@ -36,20 +35,6 @@ _SHAPE_STEPS = ("fit-shape", "three-point-shape")
 _ADD_MARKERS = "Add the source 'markers'."
 _NAME_CLAMP = "Name the rigid body at the clamp in 'markers.clamp'."
 _TURNING_POINTS = "Set 'align.method' to 'turning-points'."
-
-
-def block_in(data: object, *path: str) -> Values:
-    """Return the block under a path; empty if there is none."""
-    for key in path:
-        data = data.get(key) if isinstance(data, Mapping) else None
-    return data if isinstance(data, Mapping) else {}
-
-
-def list_in(data: object, *path: str) -> Sequence[Any]:
-    """Return the list under a path; empty if there is none."""
-    *blocks, key = path
-    items = block_in(data, *blocks).get(key)
-    return items if isinstance(items, list) else ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeAlias
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from labpipe.errors import At, Fault, KeyPath, nearest
 
+Values: TypeAlias = Mapping[str, object]
 _TYPE = "labpipe"
 _EXPECTED = {
     "model_type": "a block of keys with values",
@@ -23,6 +24,40 @@ _EXPECTED = {
     "bool_type": "true or false",
     "bool_parsing": "true or false",
 }
+
+
+def block_in(data: object, *path: str) -> Values:
+    """Return the block under a path; empty if there is none."""
+    for key in path:
+        data = data.get(key) if isinstance(data, Mapping) else None
+    return data if isinstance(data, Mapping) else {}
+
+
+def list_in(data: object, *path: str) -> Sequence[Any]:
+    """Return the list under a path; empty if there is none."""
+    *blocks, key = path
+    items = block_in(data, *blocks).get(key)
+    return items if isinstance(items, list) else ()
+
+
+def same_names(blocks: Sequence[object], key: str, what: str) -> Iterator[Fault]:
+    """Find blocks of a list that are called as an earlier one.
+
+    Parameters
+    ----------
+    blocks : as written
+    key : of the list
+    what : they are, such as ``boundary``
+    """
+    first: dict[object, int] = {}
+    for number, block in enumerate(blocks):
+        name = block_in(block).get("name")
+        if name in first:
+            found = f"{name!r}, as {what} {first[name] + 1}"
+            path = (key, number, "name")
+            yield Fault(path, "a name of its own", found, "Call it something else.")
+        elif isinstance(name, str):
+            first[name] = number
 
 
 def one_of(word: str, valid: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ frozen dataclass: here, and only here, they turn into what pydantic validates, w
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache, partial
 from types import UnionType
@@ -44,7 +44,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import error_of, faults_of, raised
+from labpipe.protocol.faults import Values, error_of, faults_of, raised
 from labpipe.protocol.values import (
     QuantityText,
     parse_span,
@@ -84,7 +84,7 @@ class Block(BaseModel):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:  # noqa: ARG003 - blocks that check use it
+    def between(cls, data: Values) -> Iterable[Fault]:  # noqa: ARG003 - blocks that check use it
         """Check one part of the block against another, whether or not each part is valid.
 
         Parameters
@@ -95,7 +95,7 @@ class Block(BaseModel):
         -------
         The faults, with their paths in `data`.
         """
-        return []
+        return ()
 
     @model_validator(mode="wrap")
     @classmethod
@@ -104,7 +104,7 @@ class Block(BaseModel):
 
         Of an unknown key, only the key is reported, not its value.
         """
-        between = cls.between(data)
+        between = list(cls.between(data)) if isinstance(data, Mapping) else []
         within: list[Fault] = []
         try:
             block = handler(data)
@@ -218,10 +218,10 @@ class _SettingsBlock(Block):
     settings_kind: ClassVar[Any]
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterable[Fault]:
         """Check one setting against another, if the settings define a check."""
         check = getattr(cls.settings_kind, "between", None)
-        return list(check(data)) if check is not None and isinstance(data, Mapping) else []
+        return () if check is None else check(data)
 
 
 @cache

@@ -9,14 +9,14 @@ beside ``line``, and a boundary would say which one it holds.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
-from labpipe.protocol.faults import error_of
+from labpipe.protocol.faults import Values, block_in, error_of, list_in, same_names
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import Plausible, plausible_faults
 from labpipe.protocol.schema import Version
@@ -120,11 +120,17 @@ _OWN_KEYS = {
         *("mass_per_length", "diameter"),
     ),
 }
-_NEEDED = {
-    "wire": (),
-    "sliders": ("diameter",),
-    "bending_stiffness": ("largest_curvature", "torsional_stiffness", "diameter"),
+_DIAMETER = {"diameter": "Add it: the allowed bend radius goes by it."}
+_NEEDED: dict[str, dict[str, str]] = {
+    "wire": {},
+    "sliders": _DIAMETER,
+    "bending_stiffness": _DIAMETER
+    | {
+        "largest_curvature": "A law needs a range: add the largest curvature that was tested.",
+        "torsional_stiffness": "Add it; about 0.8 times the bending stiffness for a round bar.",
+    },
 }
+"""Keys that each source of the law needs, and why."""
 
 
 class SectionBlock(Block):
@@ -162,36 +168,22 @@ class SectionBlock(Block):
         return next(name for name in _KINDS if getattr(self, name) is not None)
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask for one source of the law, all that it needs, and nothing that it does not take."""
-        if not isinstance(data, Mapping):
-            return []
         kinds = [name for name in _KINDS if data.get(name) is not None]
         if len(kinds) != 1:
             actual = " and ".join(map(repr, kinds)) or "none of them"
             expected = "one of the keys 'wire', 'sliders' and 'bending_stiffness'"
-            return [Fault((), expected, actual, "Say once what the line is made of.")]
+            yield Fault((), expected, actual, "Say once what the line is made of.")
+            return
         kind = kinds[0]
-        faults = [
-            Fault((), f"the key {key!r} beside {kind!r}", "no such key", _why(key), missing=key)
-            for key in _NEEDED[kind]
-            if data.get(key) is None
-        ]
+        for key, why in _NEEDED[kind].items():
+            if data.get(key) is None:
+                yield Fault((), f"the key {key!r} beside {kind!r}", "no such key", why, missing=key)
         others = {key for keys in _OWN_KEYS.values() for key in keys} - {*_OWN_KEYS[kind]}
         for key in sorted(others & {*data}):
             expected = f"only keys that go with {kind!r}: {', '.join(map(repr, _OWN_KEYS[kind]))}"
-            faults.append(Fault((key,), expected, repr(key), "Take it away.", "key"))
-        return faults
-
-
-def _why(key: str) -> str:
-    """Why a section needs a key."""
-    reasons = {
-        "diameter": "Add it: the allowed bend radius goes by it.",
-        "largest_curvature": "A law needs a range: add the largest curvature that was tested.",
-        "torsional_stiffness": "Add it; about 0.8 times the bending stiffness for a round bar.",
-    }
-    return reasons[key]
+            yield Fault((key,), expected, repr(key), "Take it away.", "key")
 
 
 class Spool(Block):
@@ -267,24 +259,20 @@ class Grip(Block):
     release: Step | None = Field(None, description="Step from which it lets go")
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask for waypoints in order, and for none of a direction that is not held."""
-        if not isinstance(data, Mapping) or not isinstance(data.get("path"), list):
-            return []
-        points = [datum if isinstance(datum, Mapping) else {} for datum in data["path"]]
-        faults = []
+        points = [block_in(point) for point in list_in(data, "path")]
         for number, (one, other) in enumerate(pairwise(points), start=1):
             steps = [str(part.get("step")) for part in (one, other)]
             if all(step.isdecimal() for step in steps) and int(steps[1]) <= int(steps[0]):
                 path = ("path", number, "step")
-                faults.append(Fault(path, f"a step after {steps[0]}", steps[1], "Order them."))
+                yield Fault(path, f"a step after {steps[0]}", steps[1], "Order them.")
         if data.get("holds") == "position":
             turned = [(i, key) for i, point in enumerate(points) for key in _OF_POSES & {*point}]
             for number, key in sorted(turned):
                 actual, remedy = f"the key {key!r}", "Take it away, or write 'holds: pose'."
                 expected = "positions alone, of a grip that the line may turn in"
-                faults.append(Fault(("path", number, key), expected, actual, remedy, "key"))
-        return faults
+                yield Fault(("path", number, key), expected, actual, remedy, "key")
 
 
 _OF_POSES = {"direction", "turn"}
@@ -347,13 +335,12 @@ class Sweep(Block):
     length: tuple[Length, ...] = Field(max_length=50, json_schema_extra={"minItems": 2})
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask for more than one length."""
-        lengths = data.get("length") if isinstance(data, Mapping) else None
-        if not isinstance(lengths, list) or len(lengths) > 1:
-            return []
-        remedy = "Add one, or take 'sweep' away."
-        return [Fault(("length",), "two lengths or more", str(len(lengths)), remedy)]
+        lengths = data.get("length")
+        if isinstance(lengths, list) and len(lengths) < 2:
+            remedy = "Add one, or take 'sweep' away."
+            yield Fault(("length",), "two lengths or more", str(len(lengths)), remedy)
 
 
 class HarnessFile(Block):
@@ -377,64 +364,38 @@ class HarnessFile(Block):
     plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Check steps, names and places against the whole, and that something holds the line."""
-        if not isinstance(data, Mapping):
-            return []
-        faults = [*plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)]
-        if not isinstance(data.get("boundaries"), list):
-            return faults
-        boundaries = [datum if isinstance(datum, Mapping) else {} for datum in data["boundaries"]]
-        kinds = [boundary.get("kind") for boundary in boundaries]
-        faults += [
-            *_late_steps(data, boundaries),
-            *_same_names(boundaries),
-            *_same_places(boundaries),
-        ]
-        if not any(kind in (*_HOLDING, None) for kind in kinds):
+        yield from plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)
+        boundaries = [block_in(boundary) for boundary in list_in(data, "boundaries")]
+        yield from _late_steps(data, boundaries)
+        yield from same_names(boundaries, "boundaries", "boundary")
+        yield from _same_places(boundaries)
+        kinds = {boundary.get("kind") for boundary in boundaries}
+        if isinstance(data.get("boundaries"), list) and not kinds & {*_HOLDING, None}:
             expected = "a boundary that holds the line: clip, pin, grip or string"
-            faults.append(Fault(("boundaries",), expected, "none", "Add one."))
-        return faults
+            yield Fault(("boundaries",), expected, "none", "Add one.")
 
 
-def _late_steps(data: Mapping[str, object], boundaries: list[Mapping[str, object]]) -> list[Fault]:
+def _late_steps(data: Values, boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find steps after the last one."""
     last = str(data.get("steps", HarnessFile.model_fields["steps"].default))
-    show = data.get("show")
-    steps: list[tuple[KeyPath, object]] = [
-        (("show", i), boundary) for i, boundary in enumerate(show if isinstance(show, list) else [])
-    ]
+    steps: dict[KeyPath, object] = {
+        ("show", number): step for number, step in enumerate(list_in(data, "show"))
+    }
     for number, boundary in enumerate(boundaries):
-        steps += [(("boundaries", number, key), boundary.get(key)) for key in ("by", "release")]
-        points = boundary.get("path")
-        for i, point in enumerate(points if isinstance(points, list) else []):
-            step = point.get("step") if isinstance(point, Mapping) else None
-            steps.append((("boundaries", number, "path", i, "step"), step))
-    return [
-        Fault(path, f"a step from 1 to {last}, the last", repr(str(step)), "Or raise 'steps'.")
-        for path, step in steps
-        if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last)
-    ]
+        steps |= {("boundaries", number, key): boundary.get(key) for key in ("by", "release")}
+        for i, point in enumerate(list_in(boundary, "path")):
+            steps["boundaries", number, "path", i, "step"] = block_in(point).get("step")
+    for path, step in steps.items():
+        if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last):
+            expected = f"a step from 1 to {last}, the last"
+            yield Fault(path, expected, repr(str(step)), "Or raise 'steps'.")
 
 
-def _same_names(boundaries: list[Mapping[str, object]]) -> list[Fault]:
-    """Find boundaries that are called as an earlier one."""
-    first: dict[str, int] = {}
-    faults = []
-    for number, boundary in enumerate(boundaries):
-        name = str(boundary.get("name", f"- {number}"))
-        if name in first:
-            path = ("boundaries", number, "name")
-            actual = f"{name!r}, as boundary {first[name] + 1}"
-            faults.append(Fault(path, "a name of its own", actual, "Call it something else."))
-        first.setdefault(name, number)
-    return faults
-
-
-def _same_places(boundaries: list[Mapping[str, object]]) -> list[Fault]:
+def _same_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find two boundaries that hold one place of the line."""
     first: dict[float, object] = {}
-    faults = []
     for number, boundary in enumerate(boundaries):
         if boundary.get("kind") not in _HELD_KINDS or boundary.get("at") is None:
             continue
@@ -444,8 +405,7 @@ def _same_places(boundaries: list[Mapping[str, object]]) -> list[Fault]:
             continue
         if place in first:
             path = ("boundaries", number, "at")
-            actual = f"{boundary['at']!r}, which {first[place]!r} holds"
+            found = f"{boundary['at']!r}, which {first[place]!r} holds"
             expected, remedy = "a place that nothing else holds", "Take one of them away."
-            faults.append(Fault(path, expected, actual, remedy))
+            yield Fault(path, expected, found, remedy)
         first.setdefault(place, boundary.get("name"))
-    return faults

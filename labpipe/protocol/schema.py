@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, Union
 
 from pydantic import (
@@ -13,7 +12,7 @@ from pydantic import (
 
 from labpipe.errors import Fault
 from labpipe.protocol.cross_checks import cross_faults
-from labpipe.protocol.faults import error_of
+from labpipe.protocol.faults import Values, error_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import Plausible, SizeUncertainties
 from labpipe.protocol.source import ChannelSource, Role, Source
@@ -351,6 +350,6 @@ class Protocol(Block):
         return tuple(step.numbered(number) for number, step in enumerate(steps))
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> list[Fault]:
         """Check one part of the protocol against another."""
-        return cross_faults(data) if isinstance(data, Mapping) else []
+        return cross_faults(data)

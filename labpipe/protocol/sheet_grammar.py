@@ -21,7 +21,15 @@ from pydantic import (
 )
 
 from labpipe.errors import Fault, UsageError, error_text
-from labpipe.protocol.faults import did_you_mean, error_of, faults_of, raised, shown
+from labpipe.protocol.faults import (
+    Values,
+    block_in,
+    did_you_mean,
+    error_of,
+    faults_of,
+    raised,
+    shown,
+)
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import SizeUncertainties
 from labpipe.protocol.source import Role
@@ -133,9 +141,20 @@ class SheetBundle(Block):
         )
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Refuse a taping of no tape, a tape that is not wound, a bore of no conduit."""
-        return list(_contradictions(data)) if isinstance(data, Mapping) else []
+        tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
+        if tape == NONE and taping != NONE:
+            remedy = "Write what tape it is, such as 'tape: PVC', or 'tape: unknown'."
+            yield Fault(("taping",), "'none' where there is no tape", shown(taping), remedy)
+        if tape != NONE and taping == NONE:
+            remedy = "Write how it is wound: 'taping: half-lap' or 'taping: coarse'."
+            yield Fault(("tape",), "'none' where 'taping' is 'none'", shown(tape), remedy)
+        if conduit == NONE and data.get("conduit_bore") is not None:
+            remedy, found = "Write what conduit it is, or leave the bore out.", data["conduit_bore"]
+            yield Fault(
+                ("conduit_bore",), "no bore where there is no conduit", shown(found), remedy
+            )
 
     @field_validator("number")
     @classmethod
@@ -185,21 +204,6 @@ class SheetBundle(Block):
             remedy = "Check the bore, the diameters and the number of wires."
             raise raised([Fault((), expected, actual, remedy)], bore)
         return bore
-
-
-def _contradictions(data: Mapping[Any, Any]) -> Iterator[Fault]:
-    """Find words of a bundle that deny each other."""
-    tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
-    if tape == NONE and taping != NONE:
-        remedy = "Write what tape it is, such as 'tape: PVC', or 'tape: unknown'."
-        yield Fault(("taping",), "'none' where there is no tape", repr(str(taping)), remedy)
-    if tape != NONE and taping == NONE:
-        remedy = "Write how it is wound: 'taping: half-lap' or 'taping: coarse'."
-        yield Fault(("tape",), "'none' where 'taping' is 'none'", repr(str(tape)), remedy)
-    if conduit == NONE and data.get("conduit_bore") is not None:
-        remedy = "Write what conduit it is, or leave the bore out."
-        actual = repr(str(data["conduit_bore"]))
-        yield Fault(("conduit_bore",), "no bore where there is no conduit", actual, remedy)
 
 
 def _number_of(wires: Mapping[str, SheetWires]) -> int:
@@ -325,60 +329,34 @@ class SheetSpecimen(Block):
         return Specimen(*named, self.dimensions, bundle, self.labels)
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Refuse dimensions that look like a misspelt key, and labels that are called like keys."""
-        if not isinstance(data, Mapping):
-            return []
         keys = [*cls.keys(), "span"]
-        faults = [_misspelt(str(key), keys) for key in data if _is_misspelt(str(key), keys)]
-        misspelt = {fault.path[0] for fault in faults}
-        faults += [
-            _no_dimension(str(key), value)
-            for key, value in data.items()
-            if key not in misspelt and key not in keys and _is_no_length(value)
-        ]
-        labels = data.get("labels")
-        taken = [key for key in labels if key in keys] if isinstance(labels, Mapping) else []
-        return faults + [_taken(key) for key in taken]
+        for key, value in data.items():
+            if key in keys:
+                continue
+            small = re.sub(r"\W+", "_", key.casefold())
+            remedy = f"Write it as {small!r}." if small != key else did_you_mean(key, keys)
+            if re.fullmatch(_NAME, key) is None or difflib.get_close_matches(key, keys, 1, 0.8):
+                expected = "a known key, or the name of a dimension in small letters"
+                yield Fault((key,), expected, repr(key), remedy, "key")
+            elif not _may_be_length(value):
+                expected = "a dimension, which is a length with its unit such as '2 mm'"
+                remedy = f"Write other words on the specimen as 'labels: {{{key}: {value}}}'."
+                yield Fault((key,), expected, shown(value), remedy, "key")
+        for key in {*block_in(data, "labels")} & {*keys}:
+            expected = "a label that is not called like a key of 'specimen'"
+            remedy = "Write it one level up, or rename it."
+            yield Fault(("labels", key), expected, repr(key), remedy, "key")
 
 
-def _is_misspelt(key: str, keys: list[str]) -> bool:
-    if key in keys:
-        return False
-    if re.fullmatch(_NAME, key) is None:
-        return True
-    return bool(difflib.get_close_matches(key, keys, n=1, cutoff=0.8))
-
-
-def _misspelt(key: str, keys: list[str]) -> Fault:
-    small = re.sub(r"\W+", "_", key.casefold())
-    remedy = did_you_mean(key, keys)
-    if small != key and re.fullmatch(_NAME, small):
-        remedy = f"Write it as {small!r}."
-    expected = "a known key, or the name of a dimension in small letters"
-    return Fault((key,), expected, repr(key), remedy, "key")
-
-
-def _is_no_length(value: object) -> bool:
-    """Whether a value is a word, or no length: a label rather than a dimension."""
+def _may_be_length(value: object) -> bool:
+    """Return whether a value is a length, or one without its unit; else it is a label."""
     try:
         parse_quantity(value, "m")
     except ValueError:
-        return isinstance(value, str) and re.fullmatch(_BARE, value) is None
-    return False
-
-
-def _no_dimension(key: str, value: object) -> Fault:
-    expected = "a dimension, which is a length with its unit such as '2 mm'"
-    remedy = f"Write other words on the specimen as 'labels: {{{key}: {value}}}'."
-    return Fault((key,), expected, shown(value), remedy, "key")
-
-
-def _taken(key: str) -> Fault:
-    expected = "a label that is not called like a key of 'specimen'"
-    return Fault(
-        ("labels", key), expected, repr(key), "Write it one level up, or rename it.", "key"
-    )
+        return not isinstance(value, str) or re.fullmatch(_BARE, value) is not None
+    return True
 
 
 COPY_IT = "Copy the export into the folder of the test and name it from there."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import date
 from math import hypot
 from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
@@ -11,13 +10,14 @@ from pydantic import (
     Field,
     PlainSerializer,
     PrivateAttr,
+    ValidationInfo,
+    field_validator,
 )
-from pydantic_core import PydanticCustomError
 
-from labpipe.errors import Fault
+from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import PlausibleRange
-from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, parse_day, si_unit_like
+from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, si_unit_like
 from labpipe.records.declarations import Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
@@ -69,23 +69,14 @@ class Certificate(Block):
     )
     k: CoverageFactor = Field(2.0, description="Coverage factor; 1 for a standard uncertainty")
 
+    @field_validator("due")
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
-        """Refuse a calibration that was due before it was made."""
-        values = data if isinstance(data, Mapping) else {}
-        calibrated, due = (_day(values.get(key)) for key in ("date", "due"))
-        if calibrated is None or due is None or due > calibrated:
-            return []
-        expected = f"a day after 'date', {calibrated}"
-        return [Fault(("due",), expected, str(due), "Correct the one that is wrong.")]
-
-
-def _day(value: object) -> date | None:
-    """The day; None for what is none, which is a fault of its own."""
-    try:
-        return parse_day(value)
-    except PydanticCustomError:
-        return None
+    def _is_after_the_date(cls, due: date | None, info: ValidationInfo) -> date | None:
+        calibrated = info.data.get("date")
+        if due is not None and calibrated is not None and due <= calibrated:
+            expected = f"a day after 'date', {calibrated}"
+            raise error_of(expected=expected, found=due, remedy="Correct the one that is wrong.")
+        return due
 
 
 def standard_uncertainty(certificate: Certificate | None) -> float | None:

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, ValidationError, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault, nearest
-from labpipe.protocol.faults import error_of, faults_of, raised
+from labpipe.protocol.faults import Values, error_of, faults_of, raised
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import number_remedy
 from labpipe.records.wire import WireSpec
@@ -172,19 +172,14 @@ class WireRow(Block):
     remark: str = ""
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Refuse stress tables together with the numbers that they replace."""
-        row, faults = data if isinstance(data, Mapping) else {}, []
         for table, numbers in _NUMBERS_OF.items():
-            stated = [name for name in numbers if row.get(name)]
-            if row.get(table) and stated:
+            stated = [name for name in numbers if data.get(name)]
+            if data.get(table) and stated:
                 expected = "either a stress table, whose first slope is the modulus, or the numbers"
-                actual, remedy = (
-                    f"a stress table and {', '.join(stated)}",
-                    "Empty one or the other.",
-                )
-                faults.append(Fault((table,), expected, actual, remedy))
-        return faults
+                found = f"a stress table and {', '.join(stated)}"
+                yield Fault((table,), expected, found, "Empty one or the other.")
 
     @model_validator(mode="before")
     @classmethod
