@@ -187,14 +187,10 @@ def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value:
         return
     way = float(curve.displacement[top] - curve.displacement[branch.start])
     pull = float(curve.force[top] - curve.force[branch.start])
-    message = error_text(
-        "curve.compliance",
-        "",
-        expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N in loading",
-        found=f"{1e6 * value:.4g} um/N, with which the specimen would get shorter",
-        remedy="Check its unit, and the test of the stiff bar.",
-    )
-    raise ProcessingError(message)
+    expected = f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N in loading"
+    found = f"{1e6 * value:.4g} um/N, with which the specimen would get shorter"
+    remedy, place = "Check its unit, and the test of the stiff bar.", "curve.compliance"
+    raise ProcessingError(error_text(place, "", expected=expected, found=found, remedy=remedy))
 
 
 def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | None:

@@ -305,21 +305,10 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """Read a test from the raw group of an earlier result."""
     raw = read_raw(result_path)
     if not is_name_of_a_test(raw.test):
-        message = error_text(
-            result_path,
-            "test",
-            expected="the name of a test, such as A2-085-1",
-            found=repr(raw.test),
-            remedy="Process the test again from its exports.",
+        raise _bad_result(
+            result_path, "test", "the name of a test, such as A2-085-1", repr(raw.test)
         )
-        raise StoreError(message, code="bad_result")
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
-    _require_fitting(raw, protocol, result_path)
-    return raw, protocol
-
-
-def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> None:
-    """Refuse a raw group without the channels of its protocol, or with invalid times."""
     for role, source in protocol.sources.items():
         recording = raw.recordings.get(role, Recording(""))
         tracks = [] if recording.markers is None else [recording.markers.time]
@@ -328,15 +317,18 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
-            actual = ", ".join(map(repr, names)) or "none"
-        elif not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
-            expected, actual = "increasing times", "decreasing times, or times that are not numbers"
-        else:
-            continue
-        remedy = "Process the test again from its exports."
-        place = f"raw/{role}"
-        text = error_text(result_path, place, expected=expected, found=actual, remedy=remedy)
-        raise StoreError(text, code="bad_result")
+            found = ", ".join(map(repr, names)) or "none"
+            raise _bad_result(result_path, f"raw/{role}", expected, found)
+        if not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
+            found = "decreasing times, or times that are not numbers"
+            raise _bad_result(result_path, f"raw/{role}", "increasing times", found)
+    return raw, protocol
+
+
+def _bad_result(path: Path, place: str, expected: str, found: str) -> StoreError:
+    remedy = "Process the test again from its exports."
+    text = error_text(path, place, expected=expected, found=found, remedy=remedy)
+    return StoreError(text, code="bad_result")
 
 
 def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
@@ -438,7 +430,7 @@ def attempt(
         return refuse(task, error.code, str(error))
     except Exception as error:
         code = code_of(error)
-        refused = refuse(task, code, _FAULT_TEXTS[code](task.sheet, error))
+        refused = refuse(task, code, _fault_text(code, task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
         return refused
@@ -500,30 +492,19 @@ def _with_inputs(failure: FailedTest, task: Task) -> FailedTest:
         return failure
 
 
-def _out_of_memory(test: Path, _error: Exception) -> str:
-    return error_text(
-        test,
-        "",
-        expected="a test that fits into memory",
-        found="out of memory",
-        remedy="Close other programs, choose fewer --jobs, or leave the test out.",
-    )
-
-
-def _internal_error(test: Path, error: Exception) -> str:
-    """Describe an internal error, with the line of labpipe that raised it."""
+def _fault_text(code: str, test: Path, error: Exception) -> str:
+    """Describe an error that is no `LabpipeError`; one of labpipe with the line that raised it."""
+    if code == "system_refused":
+        return f"{test}: {refusal(error)}"
+    if code == "out_of_memory":
+        expected, found = "a test that fits into memory", "out of memory"
+        remedy = "Close other programs, choose fewer --jobs, or leave the test out."
+        return error_text(test, "", expected=expected, found=found, remedy=remedy)
     frames = traceback.extract_tb(error.__traceback__)
     own_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
-    frame = own_frames[-1] if own_frames else frames[-1]
+    frame = (own_frames or frames)[-1]
     error_message = " ".join(str(error).split())
-    actual = f"a fault of labpipe itself ({type(error).__name__}: {error_message})"
+    found = f"a fault of labpipe itself ({type(error).__name__}: {error_message})"
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
     remedy = f"Report it ({place}) with the exports of the test; processed alone, it says more."
-    return error_text(test, "", expected="no error", found=actual, remedy=remedy)
-
-
-_FAULT_TEXTS = {
-    "out_of_memory": _out_of_memory,
-    "system_refused": lambda test, error: f"{test}: {refusal(error)}",
-    "fault_of_labpipe": _internal_error,
-}
+    return error_text(test, "", expected="no error", found=found, remedy=remedy)
