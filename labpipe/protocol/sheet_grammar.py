@@ -5,9 +5,9 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from datetime import date
-from math import hypot, pi, sqrt
+from math import dist, pi, sqrt
 from typing import Annotated, Any, Literal
 
 import yaml
@@ -53,8 +53,6 @@ DENSEST_PACKING = pi / sqrt(12)
 OVERLAP_TOLERANCE = 0.01
 """Share of the thinner diameter by which wires may overlap, because insulation is soft."""
 Places = tuple[tuple[float, float], ...]
-Circle = tuple[float, float, float]
-"""x, y and diameter, m."""
 _WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
 _EXPECTED_WIRES = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
 
@@ -99,7 +97,7 @@ def wires_in_words(value: object) -> object:
     return wires
 
 
-Wires = Annotated[
+StatedWires = Annotated[
     dict[Line, Annotated[SheetWires, OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
     Field(min_length=1),
     OrShort(wires_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
@@ -112,7 +110,7 @@ Place = Annotated[tuple[Offset, Offset], row_of(2, "[0 mm, 1.2 mm]")]
 class SheetBundle(Block):
     """What a harness bundle is made of."""
 
-    wires: Wires = Field(description="By type: how many, or number and diameter")
+    wires: StatedWires = Field(description="By type: how many, or number and diameter")
     number: Annotated[int, WholeNumber(1, 100_000)] | None = Field(
         None, description="Of all wires together, as a check"
     )
@@ -156,61 +154,49 @@ class SheetBundle(Block):
                 ("conduit_bore",), "no bore where there is no conduit", shown(found), remedy
             )
 
-    @field_validator("number")
+    @field_validator("number", "arrangement", "positions", "conduit_bore")
     @classmethod
-    def _is_the_sum(cls, number: int | None, info: ValidationInfo) -> int | None:
-        wires = info.data.get("wires")
-        if wires is None or number in (None, _number_of(wires)):
-            return number
+    def _fits_the_wires(cls, value: Any, info: ValidationInfo) -> Any:
+        wires, check = info.data.get("wires"), _BUNDLE_CHECKS[str(info.field_name)]
+        if wires is None or value is None:
+            return value
+        if faults := list(check(value, wires)):
+            raise raised(faults, value)
+        return value
+
+
+Wires = Mapping[str, SheetWires]
+
+
+def _number_faults(number: int, wires: Wires) -> Iterator[Fault]:
+    total = _number_of(wires)
+    if number != total:
         numbers = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
-        expected = f"{_number_of(wires)}, the number of the wires ({numbers})"
-        raise error_of(expected=expected, found=number, remedy="Correct one of the two.")
+        expected = f"{total}, the number of the wires ({numbers})"
+        yield Fault((), expected, repr(str(number)), "Correct one of the two.")
 
-    @field_validator("arrangement")
-    @classmethod
-    def _arranges_kinds(cls, arrangement: str, info: ValidationInfo) -> str:
-        wires = info.data.get("wires")
-        if wires is None or len(wires) > 1 or arrangement == PACKED:
-            return arrangement
-        expected = "'packed' for wires of one type"
+
+def _arrangement_faults(arrangement: str, wires: Wires) -> Iterator[Fault]:
+    if len(wires) == 1 and arrangement != PACKED:
         remedy = "Only wires of different types can be spread one way or another: leave it out."
-        raise error_of(expected=expected, found=arrangement, remedy=remedy)
-
-    @field_validator("positions")
-    @classmethod
-    def _lie_beside_each_other(
-        cls, positions: Places | None, info: ValidationInfo
-    ) -> Places | None:
-        wires = info.data.get("wires")
-        if wires is None or positions is None:
-            return positions
-        faults = list(_position_faults(positions, wires))
-        if faults:
-            raise raised(faults, positions)
-        return positions
-
-    @field_validator("conduit_bore")
-    @classmethod
-    def _holds_the_wires(cls, bore: float | None, info: ValidationInfo) -> float | None:
-        wires = info.data.get("wires")
-        diameters = [] if wires is None else _diameters(wires)
-        if bore is None or not diameters:
-            return bore
-        densest = 1.0 if len(diameters) == 1 else DENSEST_PACKING
-        least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
-        if bore < least:
-            expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
-            actual = f"{bore * 1e3:.4g} mm"
-            remedy = "Check the bore, the diameters and the number of wires."
-            raise raised([Fault((), expected, actual, remedy)], bore)
-        return bore
+        yield Fault((), "'packed' for wires of one type", repr(arrangement), remedy)
 
 
-def _number_of(wires: Mapping[str, SheetWires]) -> int:
+def _bore_faults(bore: float, wires: Wires) -> Iterator[Fault]:
+    diameters = _diameters(wires)
+    densest = 1.0 if len(diameters) == 1 else DENSEST_PACKING
+    least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
+    if bore < least:
+        expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
+        remedy = "Check the bore, the diameters and the number of wires."
+        yield Fault((), expected, f"{bore * 1e3:.4g} mm", remedy)
+
+
+def _number_of(wires: Wires) -> int:
     return sum(of.number for of in wires.values())
 
 
-def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
+def _diameters(wires: Wires) -> list[float]:
     """Diameter of every wire, m; nothing where one is not known."""
     stated = [(of.number, of.diameter) for of in wires.values()]
     complete = [(number, diameter) for number, diameter in stated if diameter is not None]
@@ -218,7 +204,7 @@ def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
     return diameters if len(complete) == len(stated) else []
 
 
-def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iterator[Fault]:
+def _position_faults(positions: Places, wires: Wires) -> Iterator[Fault]:
     """Find what keeps positions from being those of the wires."""
     number, diameters = _number_of(wires), _diameters(wires)
     if len(positions) != number:
@@ -230,27 +216,30 @@ def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iter
         expected = "positions of wires whose diameters are given"
         yield Fault((), expected, f"none for {missing}", remedy)
     else:
-        circles = [(*place, size) for place, size in zip(positions, diameters, strict=True)]
         kinds = [kind for kind, of in wires.items() for _ in range(of.number)]
-        yield from _overlaps(circles, [f"wire {i + 1} ({kind})" for i, kind in enumerate(kinds)])
+        names = [f"wire {i} ({kind})" for i, kind in enumerate(kinds, start=1)]
+        yield from _overlaps(list(zip(names, positions, diameters, strict=True)))
 
 
-def _overlaps(circles: Sequence[Circle], names: Sequence[str]) -> Iterator[Fault]:
+def _overlaps(circles: list[tuple[str, tuple[float, float], float]]) -> Iterator[Fault]:
     """Find wires that lie inside an earlier one; the first such pair of each wire."""
-    for later, circle in enumerate(circles):
-        depths = [_overlap(circle, other) for other in circles[:later]]
-        earlier = next((number for number, depth in enumerate(depths) if depth > 0.0), None)
-        if earlier is not None:
-            actual = f"{names[later]} {depths[earlier] * 1e3:.3g} mm inside {names[earlier]}"
-            remedy = "Check both positions and the diameters."
-            yield Fault((later,), "wires beside each other", actual, remedy)
+    for later, (name, place, size) in enumerate(circles):
+        for other_name, other_place, other_size in circles[:later]:
+            depth = (size + other_size) / 2 - dist(place, other_place)
+            if depth > OVERLAP_TOLERANCE * min(size, other_size):
+                found = f"{name} {depth * 1e3:.3g} mm inside {other_name}"
+                remedy = "Check both positions and the diameters."
+                yield Fault((later,), "wires beside each other", found, remedy)
+                break
 
 
-def _overlap(one: Circle, other: Circle) -> float:
-    """How deep one circle lies in another, m; 0 within the tolerance."""
-    apart = hypot(one[0] - other[0], one[1] - other[1])
-    depth = (one[2] + other[2]) / 2 - apart
-    return depth if depth > OVERLAP_TOLERANCE * min(one[2], other[2]) else 0.0
+_BUNDLE_CHECKS: Mapping[str, Callable[[Any, Wires], Iterator[Fault]]] = {
+    "number": _number_faults,
+    "arrangement": _arrangement_faults,
+    "positions": _position_faults,
+    "conduit_bore": _bore_faults,
+}
+"""Checks of the fields of a bundle against its wires."""
 
 
 def bundle_in_words(text: str, *, arrangement: str = PACKED) -> Bundle:
