@@ -6,15 +6,15 @@ import difflib
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import BeforeValidator, ValidationError, model_validator
 from pydantic_core import CoreSchema, core_schema
 
-from labpipe.errors import Fault, nearest
-from labpipe.protocol.faults import Values, error_of, faults_of, raised
+from labpipe.errors import Fault
+from labpipe.protocol.faults import Values, error_of, faults_of, not_among, raised
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import number_remedy
 from labpipe.records.wire import WireSpec
@@ -150,6 +150,7 @@ class WireRow(Block):
     conductor_modulus_gpa: Annotated[float | None, Column("GPa", 0.1, 1000.0)] = None
     poisson: Annotated[float | None, Column("", -0.99, 0.5)] = None
     insulation_poisson: Annotated[float | None, Column("", -0.99, 0.5)] = None
+    insulation_strain: Annotated[float | None, Column("", 1e-4, 1.0)] = None
     copper_k_mpa: Annotated[float | None, Column("MPa", 1.0, 1e4)] = None
     copper_n: Annotated[float | None, Column("", 0.01, 0.99)] = None
     friction_strand: Annotated[float | None, Column("", 0.0, 10.0)] = None
@@ -166,7 +167,6 @@ class WireRow(Block):
         Literal["auto", "hexagonal", "concentric", "packed", "compressed"],
         BeforeValidator(lambda text: str(text).casefold()),
     ] = "auto"
-    insulation_strain: Annotated[float | None, Column("", 1e-4, 1.0)] = None
     stress_table: str = ""
     insulation_table: str = ""
     remark: str = ""
@@ -339,11 +339,7 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _density(stated: float | None, field: str) -> float:
-    return stated if stated is not None else float(_default_of(field))
-
-
-def _default_of(field: str) -> Any:
-    return next(spec_field.default for spec_field in fields(WireSpec) if spec_field.name == field)
+    return _SPEC_DEFAULTS[field] if stated is None else stated
 
 
 def wire_spec(
@@ -369,33 +365,31 @@ def wire_spec(
     values: dict[str, Any] = {"layer_counts": row.counts, "stress_table": curve}
     values["insulation_table"] = insulation
     values["strand_diameters"] = tuple(map(COLUMNS["strand_diameter_mm"].in_si, row.diameters))
-    values["lay_angles"] = tuple(map(COLUMNS["lay_angles_deg"].in_si, row.lay_angles_deg))
-    if row.layer_radii_mm:
-        values["layer_radii"] = tuple(map(COLUMNS["layer_radii_mm"].in_si, row.layer_radii_mm))
-    for name in COLUMNS:
+    for name, column in COLUMNS.items():
         value = getattr(row, name)
         if isinstance(value, float) and name not in SIZES:
-            values[field_of(name)] = COLUMNS[name].in_si(value)
+            values[field_of(name)] = column.in_si(value)
+    for name in ("lay_angles_deg", *(["layer_radii_mm"] if row.layer_radii_mm else [])):
+        values[field_of(name)] = tuple(map(COLUMNS[name].in_si, getattr(row, name)))
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
     needless = {*(_OF_THE_CURVE if curve else ()), *(_OF_THE_WALL if insulation else ())}
     needless |= {*(_DENSITIES if row.has_mass else ())}
-    silent = {field_of(name): name for name in _WITH_DEFAULT if name not in needless}
     defaults = {
-        field: default_words(name) + " (blank in this row)" * (name in blank)
-        for field, name in silent.items()
-        if field not in values
+        field_of(name): default_words(name) + " (blank in this row)" * (name in blank)
+        for name in WireRow.model_fields
+        if name not in needless
+        and field_of(name) not in values
+        and (field_of(name) in _SPEC_DEFAULTS or name == "largest_curvature_per_m")
     }
     return WireSpec(name=row.wire, **values, defaults=defaults, place=place)
 
 
-_WITH_DEFAULT = (
-    *("insulation_modulus_mpa", "conductor_modulus_gpa", "poisson"),
-    *("insulation_poisson", "insulation_strain", "copper_k_mpa", "copper_n"),
-    *("friction_strand", "friction_insulation", "radial_force_n"),
-    *(*_DENSITIES, "length_mm", "tension_n"),
-    *("orientation_deg", "largest_curvature_per_m", "layout"),
-)
+_SPEC_DEFAULTS: Final[Mapping[str, Any]] = {
+    spec_field.name: spec_field.default
+    for spec_field in fields(WireSpec)
+    if isinstance(spec_field.default, str | float)
+}
 
 
 def field_of(name: str) -> str:
@@ -413,11 +407,7 @@ def default_words(name: str) -> str:
     field = field_of(name)
     if field == "largest_curvature":
         return "largest curvature at a bending radius of five wire diameters"
-    value = _default_of(field)
-    if value is MISSING:
-        message = f"{name}: allowed are columns with a default"
-        raise ValueError(message)
-    column = COLUMNS.get(name)
+    value, column = _SPEC_DEFAULTS[field], COLUMNS.get(name)
     value_text = f"{value}" if column is None else f"{value / column.factor:.6g} {column.unit}"
     return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
@@ -456,9 +446,15 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     intended = set(names)
     for number, name in enumerate(names):
         if name not in WireRow.model_fields:
-            column, fault = _unknown(name, headings[number])
-            intended.add(column)
-            yield number, fault
+            meant = next((x for x in COLUMNS if _is_in_another_unit(name, x)), "")
+            unit = COLUMNS[meant].unit if meant else ""
+            remedy = f"Give it in {unit} as {meant!r}." if unit else ""
+            like = difflib.get_close_matches(name, WireRow.model_fields, n=1)
+            intended |= {meant, *like}
+            other = "Correct its name, or remove the column."
+            columns = list(WireRow.model_fields)
+            fault = not_among((), headings[number], columns, "one of the columns", remedy=other)
+            yield number, replace(fault, remedy=remedy or fault.remedy)
         elif name in names[:number]:
             remedy = "Remove or rename one of them."
             yield number, Fault((), "each column once", f"{name!r} again", remedy)
@@ -468,23 +464,6 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     if not intended & set(SIZES):
         expected = f"a column {SIZES[2]!r}, {SIZES[0]!r} or {SIZES[1]!r}"
         yield 0, Fault((), expected, "none of them", "Add one.")
-
-
-def _unknown(name: str, heading: str) -> tuple[str, Fault]:
-    """The column that an unknown one may mean, empty if none is like it, and words for it."""
-    columns = list(WireRow.model_fields)
-    same = [column for column in COLUMNS if _is_in_another_unit(name, column)]
-    like = same or difflib.get_close_matches(name, columns, n=1)
-    if not like:
-        expected = f"a column of a wire sheet, such as {', '.join(map(repr, _ALWAYS_THERE))}"
-        return "", Fault((), expected, repr(heading), "Correct its name, or remove the column.")
-    nearest_column = like[0]
-    remedy = f"Did you mean {nearest_column!r}?"
-    if same and COLUMNS[nearest_column].unit:
-        remedy = f"Give it in {COLUMNS[nearest_column].unit} as {nearest_column!r}."
-    listed = dict.fromkeys([nearest_column, *nearest(name, columns, most=3)])
-    expected = f"one of {', '.join(map(repr, listed))}, ..."
-    return nearest_column, Fault((), expected, repr(heading), remedy)
 
 
 def _is_in_another_unit(name: str, column: str) -> bool:
