@@ -7,10 +7,12 @@ are farthest from each other at a waypoint of one of them: only these steps are 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations, product
+from operator import add, sub
 from pathlib import Path
+from typing import TypeVar
 
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.harness_file import (
@@ -82,7 +84,8 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     harness : whose line may leave both to the clip at its start
     """
     line = harness.line
-    first = next((boundary for boundary in _held(harness) if boundary.at == START), None)
+    held = (boundary for _, boundary in _numbered(harness, *HELD))
+    first = next((boundary for boundary in held if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
         position = (0.0, 0.0, 0.0) if first is None or isinstance(first, Grip) else first.position
@@ -117,15 +120,24 @@ def first_anchor(string: String, place: Vector3) -> Vector3:
     place : m, where the line is tied to it at the start
     """
     distance = math.dist(string.anchor, place)
-    share = min(1.0, string.length / distance) if distance > 0.0 else 1.0
+    return _between(place, string.anchor, min(1.0, string.length / distance if distance else 1.0))
+
+
+def _between(start: Vector3, stop: Vector3, share: float) -> Vector3:
+    """Return the place at a share of the way between two places; the second one itself at 1."""
     if share == 1.0:
-        return string.anchor
-    x, y, z = (a + share * (b - a) for a, b in zip(place, string.anchor, strict=True))
+        return stop
+    x, y, z = (a + share * (b - a) for a, b in zip(start, stop, strict=True))
     return x, y, z
 
 
-def _held(harness: HarnessFile) -> list[Held]:
-    return [boundary for boundary in harness.boundaries if isinstance(boundary, HELD)]
+_B = TypeVar("_B")
+
+
+def _numbered(harness: HarnessFile, *kinds: type[_B]) -> list[tuple[int, _B]]:
+    """List the boundaries of some kinds with their numbers."""
+    numbered = enumerate(harness.boundaries)
+    return [(number, boundary) for number, boundary in numbered if isinstance(boundary, kinds)]
 
 
 def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
@@ -169,38 +181,34 @@ def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterato
 
 
 def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
-    # Share of the length.
-    tolerance = 1e-9
-    numbers = {boundary.name: number for number, boundary in enumerate(harness.boundaries)}
+    tolerance = 1e-9 * harness.line.length
     radius = 0.5 * (harness.line.section.diameter or 0.0)
     first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
-    ties = [_tie_of(harness, boundary, harness.line.length) for boundary in _held(harness)]
-    for plane in (boundary for boundary in harness.boundaries if isinstance(boundary, Plane)):
-        for tie in ties:
-            legs = [leg for leg in tie.legs[first:] if leg.step <= tie.last]
-            lowest = min(legs, key=lambda leg: _height(plane, leg.position), default=None)
-            if (
-                lowest
-                and _height(plane, lowest.position) < radius - tolerance * harness.line.length
-            ):
-                expected = f"the axis of the line {_mm(radius)} above {plane.name!r}, its radius"
-                actual = f"{_mm(_height(plane, lowest.position))} at step {lowest.step}"
-                remedy = "Hold it higher, or begin higher ('line.start')."
-                yield Fault(_path(tie, numbers), expected, actual, remedy)
+    places = _held_places(harness, harness.line.length)
+    for (_, plane), place in product(_numbered(harness, Plane), places):
+        heights = {
+            leg.step: _height(plane, leg.position)
+            for leg in place.legs[first:]
+            if leg.step <= place.last
+        }
+        step = min(heights, key=lambda step: heights[step], default=0)
+        if heights and heights[step] < radius - tolerance:
+            expected = f"the axis of the line {_mm(radius)} above {plane.name!r}, its radius"
+            remedy = "Hold it higher, or begin higher ('line.start')."
+            found = f"{_mm(heights[step])} at step {step}"
+            yield Fault(("boundaries", place.number), expected, found, remedy)
 
 
 def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
     """Find what lets go before it is there; a grip may go on without the line."""
-    for number, boundary in enumerate(harness.boundaries):
-        if not isinstance(boundary, HELD) or boundary.release is None:
-            continue
-        there = boundary.path[0].step if isinstance(boundary, Grip) else boundary.by
-        if there is not None and boundary.release <= there:
-            expected = (
-                f"a step after {there}, at which {boundary.name!r} is where it brings the line"
-            )
+    for number, held in _numbered(harness, *HELD):
+        there = getattr(held, "by", None)
+        if isinstance(held, Grip) and held.path:
+            there = held.path[0].step
+        if held.release is not None and there is not None and held.release <= there:
+            expected = f"a step after {there}, at which {held.name!r} is where it brings the line"
             remedy = "Let it go later, or bring it there earlier."
-            yield Fault(("boundaries", number, "release"), expected, str(boundary.release), remedy)
+            yield Fault(("boundaries", number, "release"), expected, str(held.release), remedy)
 
 
 def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
@@ -211,9 +219,21 @@ def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
             per_step = math.degrees(abs(turn)) / (end - start)
             if per_step >= max_turn:
                 expected = f"less than {max_turn:g} deg of turn in a step, which has one meaning"
-                actual = f"{per_step:.6g} deg in each from step {start} to {end}"
+                found = f"{per_step:.6g} deg in each from step {start} to {end}"
                 remedy = "Take more steps for it: raise 'steps', and 'by' or 'step'."
-                yield Fault(("boundaries", number, *key), expected, actual, remedy)
+                yield Fault(("boundaries", number, *key), expected, found, remedy)
+
+
+def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
+    """Where each turn is written, the steps from and to which it goes, and by how much, rad."""
+    if isinstance(boundary, Clip):
+        yield ("turn",), 0, boundary.by or steps, boundary.turn
+    elif isinstance(boundary, Grip):
+        at, before = 0, 0.0
+        for number, point in enumerate(boundary.path):
+            turn = before if point.turn is None else point.turn
+            yield ("path", number, "turn"), at, point.step, turn - before
+            at, before = point.step, turn
 
 
 def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
@@ -230,14 +250,10 @@ def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _falling(harness: HarnessFile) -> Iterator[Fault]:
-    releases = {
-        number: boundary.release
-        for number, boundary in enumerate(harness.boundaries)
-        if isinstance(boundary, HELD)
-    }
+    releases = {number: held.release for number, held in _numbered(harness, *HELD)}
     section = harness.line.section
     has_weight = section.kind != "bending_stiffness" or section.mass_per_length is not None
-    others = any(not isinstance(boundary, (*HELD, Load)) for boundary in harness.boundaries)
+    others = len(_numbered(harness, *HELD, Load)) < len(harness.boundaries)
     if others or not has_weight or not any(harness.gravity) or None in releases.values():
         return
     number = max(releases, key=lambda release: releases[release] or 0)
@@ -246,47 +262,28 @@ def _falling(harness: HarnessFile) -> Iterator[Fault]:
     yield Fault(("boundaries", number, "release"), expected, "nothing: it falls", remedy)
 
 
-def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
-    """Where each turn is written, the steps from and to which it goes, and by how much, rad."""
-    if isinstance(boundary, Clip):
-        yield ("turn",), 0, boundary.by or steps, boundary.turn
-    elif isinstance(boundary, Grip):
-        at, before = 0, 0.0
-        for number, point in enumerate(boundary.path):
-            turn = before if point.turn is None else point.turn
-            yield ("path", number, "turn"), at, point.step, turn - before
-            at, before = point.step, turn
-
-
 def _height(plane: Plane, position: Vector3) -> float:
     rows = zip(plane.normal, position, plane.point, strict=True)
     return sum((n * (a - b) for n, a, b in rows), 0.0) / math.hypot(*plane.normal)
 
 
 def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    numbers = {boundary.name: number for number, boundary in enumerate(harness.boundaries)}
-    ties = [_tie_of(harness, boundary, length) for boundary in _held(harness)]
-    ties.sort(key=lambda tie: tie.along)
-    strings = [boundary for boundary in harness.boundaries if isinstance(boundary, String)]
-    for one, other in combinations(ties, 2):
-        yield from _apart(one, other, other.along - one.along, path or _path(other, numbers))
-    for string in strings:
-        end = _tie_of(harness, string, length)
-        for tie in ties:
-            reach = abs(end.along - tie.along) + string.length
-            yield from _apart(tie, end, reach, path or _path(end, numbers))
-    for ring in (boundary for boundary in harness.boundaries if isinstance(boundary, Ring)):
-        yield from _out_of_reach(ring, ties, length, path or _path(ring, numbers))
-
-
-def _path(tie: _HeldPlace | Ring, numbers: Mapping[str, int]) -> KeyPath:
-    return ("boundaries", numbers[tie.name])
+    places = sorted(_held_places(harness, length), key=lambda place: place.along)
+    for one, other in combinations(places, 2):
+        yield from _apart(one, other, other.along - one.along, path)
+    for number, string in _numbered(harness, String):
+        end = _place_of(harness, number, string, length)
+        for place in places:
+            yield from _apart(place, end, abs(end.along - place.along) + string.length, path)
+    for number, ring in _numbered(harness, Ring):
+        yield from _out_of_reach(ring, places, length, path or ("boundaries", number))
 
 
 @dataclass(frozen=True, slots=True)
 class _HeldPlace:
-    """A place of the line and where it is held, or tied to; `last` step at which it is."""
+    """A place of the line and where a boundary holds it, or is tied to it, up to a last step."""
 
+    number: int
     name: str
     along: float
     legs: tuple[Leg, ...]
@@ -297,51 +294,55 @@ class _HeldPlace:
         before = [leg for leg in self.legs if leg.step <= step][-1]
         after = next((leg for leg in self.legs if leg.step > step), before)
         share = (step - before.step) / max(after.step - before.step, 1)
-        x, y, z = (
-            a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)
-        )
-        return x, y, z
+        return _between(before.position, after.position, share)
 
 
-def _tie_of(harness: HarnessFile, boundary: Held | String, length: float) -> _HeldPlace:
-    along = min(boundary.at, length)
+def _held_places(harness: HarnessFile, length: float) -> list[_HeldPlace]:
+    return [_place_of(harness, number, x, length) for number, x in _numbered(harness, *HELD)]
+
+
+def _place_of(
+    harness: HarnessFile, number: int, boundary: Held | String, length: float
+) -> _HeldPlace:
+    along, name = min(boundary.at, length), boundary.name
     start, direction = start_of(harness)
     x, y, z = (begin + along * component for begin, component in zip(start, direction, strict=True))
     if isinstance(boundary, String):
         first, by = Leg(0, first_anchor(boundary, (x, y, z))), boundary.by or harness.steps
-        return _HeldPlace(boundary.name, along, (first, Leg(by, boundary.anchor)), harness.steps)
+        return _HeldPlace(number, name, along, (first, Leg(by, boundary.anchor)), harness.steps)
     legs = legs_of(boundary, (x, y, z), harness.steps)
     last = harness.steps if boundary.release is None else boundary.release - 1
-    return _HeldPlace(boundary.name, along, legs, last)
+    return _HeldPlace(number, name, along, legs, last)
 
 
 def _apart(one: _HeldPlace, other: _HeldPlace, reach: float, path: KeyPath) -> Iterator[Fault]:
     last = min(one.last, other.last)
-    steps = sorted({leg.step for tie in (one, other) for leg in tie.legs} | {last})
+    steps = sorted({leg.step for place in (one, other) for leg in place.legs} | {last})
     for step in (step for step in steps if step <= last):
         distance = math.dist(one.position(step), other.position(step))
         if distance > reach * REACH_FACTOR:
             expected = f"at most the {_mm(reach)} that lie between {one.name!r} and {other.name!r}"
-            actual = f"{_mm(distance)} between them at step {step}"
-            yield Fault(path, expected, actual, "Bring them nearer, or make the line longer.")
+            found, remedy = f"{_mm(distance)} between them at step {step}", _NEARER
+            yield Fault(path or ("boundaries", other.number), expected, found, remedy)
             return
 
 
+_NEARER = "Bring them nearer, or make the line longer."
+
+
 def _out_of_reach(
-    ring: Ring, ties: Sequence[_HeldPlace], length: float, path: KeyPath
+    ring: Ring, places: Sequence[_HeldPlace], length: float, path: KeyPath
 ) -> Iterator[Fault]:
     """Find a ring that no place of the line comes to, once all that holds the line is there."""
-    ends = [(tie.along, tie.position(tie.last)) for tie in ties]
-    far = [math.dist(ring.position, position) for _, position in ends]
-    rooms = [(length - ends[-1][0], far[-1]), (ends[0][0], far[0])] if ends else []
-    rooms += [
-        (b[0] - a[0], one + other) for (a, one), (b, other) in pairwise(zip(ends, far, strict=True))
-    ]
+    alongs = [place.along for place in places]
+    far = [math.dist(ring.position, place.position(place.last)) for place in places]
+    rooms = [(length - alongs[-1], far[-1]), (alongs[0], far[0])] if places else []
+    rooms += zip(map(sub, alongs[1:], alongs), map(add, far, far[1:]), strict=True)
     if rooms and not any(needed <= reach * REACH_FACTOR for reach, needed in rooms):
         reach, needed = min(rooms, key=lambda room: room[1] - room[0])
         expected = f"a ring that the line comes to: {_mm(reach)} of it are there"
-        actual = f"a way of {_mm(needed)} by {ring.name!r}"
-        yield Fault(path, expected, actual, "Bring it nearer, or make the line longer.")
+        found = f"a way of {_mm(needed)} by {ring.name!r}"
+        yield Fault(path, expected, found, "Bring it nearer, or make the line longer.")
 
 
 def _mm(length: float) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import date
 from math import hypot
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
