@@ -225,69 +225,67 @@ def infer_test(
     -------
     The inferred test. Exports that cannot be read are in the remarks and raise nothing.
     """
-    contents, named = read_folder(folder), _named(folder)
-    if neighbours is None:
-        neighbours = neighbours_in(folder.resolve().parent)
-    stated_files = {role: file_names(stated[role]) for role in ROLES if role in stated}
+    contents = read_folder(folder)
+    fits = _fits(folder, contents, stated, neighbours or neighbours_in(folder.resolve().parent))
+    fit = fits[0] if len(fits) == 1 else None
+    unclear = {(role, fit) for fit in fits for role in fit.unclear if role not in stated}
+    doubtful = {name for role, fit in unclear for name in fit.files[role]}
+    exports = {path: x for path, x in contents.exports.items() if path.name not in doubtful}
+    facts, contradictory = combine_facts(_facts(folder, exports))
+    facts = {key: facts[key] for key in _FACT_KEYS if key in facts and key not in stated}
+
+    name = safe_name(folder.resolve().name)
+    values = {"test": name} | ({"protocol": fit.protocol.name} if fit else {})
+    values |= {key: fact.value for key, fact in facts.items()} | dict(stated)
+    files = _files(contents, fits) | _stated_files(stated)
+    needed = ["protocol", "type", "spool", "sample"]
+    needed += ["span"] if fit and needs_span(fit.protocol) else []
+    open_keys = [key for key in needed if not values.get(key)]
+    open_roles = sorted(fits[0].unclear - {*files}) if fits else []
+    open_keys += open_roles or ([] if files else ["files"])
+
+    remarks = [
+        *_about_protocol(contents, fits, stated),
+        *_about_files(contents, {role: x for role, x in files.items() if role not in stated}),
+    ]
+    for role in open_roles:
+        possible = ", ".join(map(_printable, fits[0].files[role]))
+        remarks.append(
+            f"{role}: {possible} are all possible, and are not parts of one recording; name one "
+            f"with --{role}, and use a folder for each test"
+        )
+    for where in dict.fromkeys(fact.where for fact in facts.values()):
+        parts = [_statement(fact) for fact in facts.values() if fact.where == where]
+        remarks.append(f"{', '.join(parts)}: from {where}")
+    if "test" not in stated and name != folder.resolve().name:
+        remarks.append(f"test: {name}, as a name of a test has no blanks or other signs")
+    remarks += [sentence for key, sentence in contradictory.items() if key not in stated]
+    remarks += _contradictions(folder, exports, fit, values.get("length", ""))
+    used = {name for names in files.values() for name in names}
+    remarks += _unused(folder, contents, used | {x for r in open_roles for x in fits[0].files[r]})
+    return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), contents.unread)
+
+
+def _stated_files(stated: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+    """Return the exports by role that the user named."""
+    return {role: file_names(stated[role]) for role in ROLES if role in stated}
+
+
+def _fits(
+    folder: Path, contents: FolderContents, stated: Mapping[str, str], neighbours: Neighbours
+) -> list[Fit]:
+    """Find the protocols that fit best, by exports, names and the other tests."""
+    named = _named(folder)
     kind = stated.get("type") or named.get("type", "")
     of_type = [neighbours.protocols_beside(folder, kind)] if kind else []
-    fits = match_protocols(
+    return match_protocols(
         contents.exports,
         _candidates(stated, folder),
         names=(folder.name, kind, *(path.stem for path in contents.exports)),
         length=_metres(stated.get("length") or named.get("length", "")),
         siblings=[*of_type, neighbours.protocols_beside(folder)],
-        roles=stated_files,
+        roles=_stated_files(stated),
     )
-    fit = fits[0] if len(fits) == 1 else None
-    unclear = {role for fit in fits for role in fit.unclear if role not in stated}
-    open_files = {path for role in unclear for fit in fits for path in fit.files.get(role, ())}
-    exports = {path: x for path, x in contents.exports.items() if path.name not in open_files}
-
-    facts, contradictory = combine_facts(_facts(folder, exports))
-    facts = {key: facts[key] for key in _FACT_KEYS if key in facts and key not in stated}
-    name = safe_name(folder.resolve().name)
-    protocol = {"protocol": fit.protocol.name} if fit else {}
-    values = {"test": name, **protocol, **{key: fact.value for key, fact in facts.items()}}
-    values |= stated
-    inferred_files = _files(contents, fits, stated_files)
-    files = inferred_files | stated_files
-    needed = ["protocol", "type", "spool", "sample"]
-    needed += ["span"] if fit and needs_span(fit.protocol) else []
-    open_keys = [key for key in needed if not values.get(key)]
-    open_roles = sorted(set(fits[0].unclear) - set(files)) if fits else []
-    open_keys += open_roles or ([] if files else ["files"])
-
-    remarks = list(_about_protocol(contents, fits, stated))
-    if inferred_files:
-        readers = {path.name: export.reader for path, export in contents.exports.items()}
-        remarks.append(
-            "; ".join(
-                f"{role}: {', '.join(f'{_printable(name)} ({readers[name]})' for name in names)}"
-                for role, names in inferred_files.items()
-            )
-        )
-    remarks += [
-        f"{role}: {', '.join(map(_printable, fits[0].files[role]))} are all possible, and are not"
-        f" parts of one recording; name one with --{role}, and use a folder for each test"
-        for role in open_roles
-    ]
-    for where in dict.fromkeys(fact.where for fact in facts.values()):
-        parts = [_statement(fact) for fact in facts.values() if fact.where == where]
-        remarks.append(f"{', '.join(parts)}: from {where}")
-    if values["test"] != folder.resolve().name and "test" not in stated:
-        remarks.append(f"test: {name}, as a name of a test has no blanks or other signs")
-    remarks += [sentence for key, sentence in contradictory.items() if key not in stated]
-    remarks += _contradictions(folder, exports, fit, values.get("length", ""))
-    used = {name for names in files.values() for name in names}
-    used |= {name for role in open_roles for name in fits[0].files[role]}
-    remarks += _unused(contents, used)
-    remarks += [
-        f"not there yet: {_printable(name)}"
-        for name in sorted(used)
-        if not (folder / name).exists()
-    ]
-    return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), contents.unread)
 
 
 def _candidates(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
@@ -312,9 +310,7 @@ def _facts(folder: Path, exports: Mapping[Path, Recording]) -> list[Fact]:
     return facts
 
 
-def _files(
-    contents: FolderContents, fits: Sequence[Fit], stated: Mapping[str, object]
-) -> dict[str, tuple[str, ...]]:
+def _files(contents: FolderContents, fits: Sequence[Fit]) -> dict[str, tuple[str, ...]]:
     """Return exports by role: those on which all protocols that fit agree, or by format."""
     files: dict[str, tuple[str, ...]] = {}
     for path, export in contents.exports.items() if not fits else ():
@@ -324,7 +320,18 @@ def _files(
     for role, names in fits[0].files.items() if fits else ():
         if all(fit.files.get(role) == names and role not in fit.unclear for fit in fits):
             files[role] = names
-    return {role: names for role, names in files.items() if role not in stated}
+    return files
+
+
+def _about_files(contents: FolderContents, files: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield one sentence on the exports by role that were inferred."""
+    readers = {path.name: export.reader for path, export in contents.exports.items()}
+    roles = [
+        f"{role}: {', '.join(f'{_printable(name)} ({readers[name]})' for name in names)}"
+        for role, names in files.items()
+    ]
+    if roles:
+        yield "; ".join(roles)
 
 
 def _about_protocol(
@@ -388,13 +395,17 @@ def _contradictions(
             yield f"look: the markers of {path.name} show a length of about {lengths}"
 
 
-def _unused(contents: FolderContents, used: set[str]) -> Iterator[str]:
+def _unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[str]:
+    """Yield a sentence for each file that is not used, or is not there."""
     for path, export in contents.exports.items():
         if path.name not in used:
             yield f"not used: {_printable(path.name)} ({export.reader})"
     for name, why in {**contents.unread, **contents.others}.items():
         if name not in used:
             yield f"not used: {_printable(name)}: {why.splitlines()[0]}"
+    for name in sorted(used):
+        if not (folder / name).exists():
+            yield f"not there yet: {_printable(name)}"
 
 
 def file_names(text: str) -> tuple[str, ...]:

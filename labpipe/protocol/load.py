@@ -249,8 +249,7 @@ def load_harness(path: Path) -> HarnessFile:
         If anything is wrong with it, or a file that it names is not there; the message has one line
         per fault.
     """
-    from labpipe.protocol.harness_file import HarnessFile  # tests do without it
-    from labpipe.protocol.harness_reach import file_faults, reach_faults
+    from labpipe.protocol.harness_file import HarnessFile, file_faults, reach_faults
 
     document = parse_yaml(read_text(path), str(path))
     harness = checked(HarnessFile, document)

@@ -29,8 +29,10 @@ from labpipe.protocol.harness_file import (
     String,
     Vector3,
     Waypoint,
+    first_anchor,
+    legs_of,
+    start_of,
 )
-from labpipe.protocol.harness_reach import first_anchor, legs_of, start_of
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line, Section, line_along

@@ -15,8 +15,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, ReadError, UsageError, error_text, nearest
 from labpipe.law.sliders import SliderLaw, linear_moment_law
-from labpipe.protocol.harness_file import HarnessFile, SectionBlock
-from labpipe.protocol.harness_reach import file_beside
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
