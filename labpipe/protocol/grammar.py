@@ -75,8 +75,7 @@ class Block(BaseModel):
         """Replace the markers by validators before pydantic reads the types."""
         super().__init_subclass__(**options)
         hints = inspect.get_annotations(cls, eval_str=True)
-        keys = {name: _key(hint, name) for name, hint in hints.items()}
-        cls.__annotations__ = {name: validated(hint, keys) for name, hint in hints.items()}
+        cls.__annotations__ = {name: validated(hint) for name, hint in hints.items()}
 
     @classmethod
     def keys(cls) -> list[str]:
@@ -130,13 +129,12 @@ class Block(BaseModel):
         }
 
 
-def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
+def validated(hint: Any) -> Any:
     """Replace the markers in a type by what pydantic validates with.
 
     Parameters
     ----------
     hint : type of a field; a plain dataclass in it is read as a block of its settings
-    keys : YAML keys of the fields of the block, by name
 
     Returns
     -------
@@ -144,7 +142,7 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
     """
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _annotated(parts[0], parts[1:], keys or {})
+        return _annotated(parts[0], parts[1:])
     if origin in (Union, UnionType):
         return Union[tuple(validated(part) for part in parts)]  # noqa: UP007 - of a list
     if origin in (tuple, list, dict):
@@ -155,32 +153,19 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
     return Annotated[hint, _Settings(hint)] if is_dataclass(hint) else hint
 
 
-def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) -> Any:
-    """Return a type with validators in place of its markers; a text is the description."""
-    annotations: list[Any] = []
+def _annotated(inner: Any, markers: tuple[Any, ...]) -> Any:
+    """Return a type with validators in place of its markers."""
     for marker in markers:
-        match marker:
-            case Quantity() | WholeNumber() | PatternText():
-                annotations += _annotations_of(marker)
-            case TaggedChoice():
-                kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
-                return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
-            case LargerThan():
-                quantity = next(marker for marker in markers if isinstance(marker, Quantity))
-                annotations.append(
-                    _larger_than(marker.field, keys[marker.field], QuantityText(quantity))
-                )
-            case Key():
-                annotations.append(Field(alias=marker.name))
-            case str():
-                annotations.append(Field(description=marker))
-            case _:
-                annotations.append(marker)
+        if isinstance(marker, TaggedChoice):
+            kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
+            return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
+    annotations = [part for marker in markers for part in _annotations_of(marker, markers)]
     return Annotated[(validated(inner), *annotations)]
 
 
-def _annotations_of(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
-    """Return validator, serializer and schema of a value with a marker."""
+def _annotations_of(marker: object, markers: tuple[Any, ...]) -> list[Any]:
+    """Return what pydantic takes for one of several markers; a text is the description."""
+    part: Any = marker
     match marker:
         case Quantity():
             text = QuantityText(marker)
@@ -191,25 +176,23 @@ def _annotations_of(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
         case PatternText():
             return [BeforeValidator(partial(parse_word, marker))]
+        case LargerThan():
+            quantity = next(other for other in markers if isinstance(other, Quantity))
+            return [AfterValidator(partial(_larger, marker, QuantityText(quantity)))]
+        case Key():
+            part = Field(alias=marker.name)
+        case str():
+            part = Field(description=marker)
+    return [part]
 
 
-def _key(hint: Any, name: str) -> str:
-    """Return the YAML key of a field."""
-    markers = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
-    return next((marker.name for marker in markers if isinstance(marker, Key)), name)
-
-
-def _larger_than(field: str, key: str, text: QuantityText) -> AfterValidator:
+def _larger(than: LargerThan, text: QuantityText, value: float, info: ValidationInfo) -> float:
     """Refuse a value that is not above that of a field before it."""
-
-    def checked(value: float, info: ValidationInfo) -> float:
-        least = info.data.get(field)
-        if least is not None and value <= least:
-            expected = f"more than {key!r} ({text.written(least)})"
-            raise error_of(expected=expected, found=text.written(value))
-        return value
-
-    return AfterValidator(checked)
+    least = info.data.get(than.field)
+    if least is not None and value <= least:
+        expected = f"more than {than.key!r} ({text.written(least)})"
+        raise error_of(expected=expected, found=text.written(value))
+    return value
 
 
 class _SettingsBlock(Block):

@@ -467,7 +467,7 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     harness : whose line may leave both to the clip at its start
     """
     line = harness.line
-    held = (boundary for _, boundary in _numbered(harness, *HELD))
+    held = (boundary for _, boundary in _held(harness))
     first = next((boundary for boundary in held if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
@@ -517,10 +517,14 @@ def _between(start: Vector3, stop: Vector3, share: float) -> Vector3:
 _B = TypeVar("_B")
 
 
-def _numbered(harness: HarnessFile, *kinds: type[_B]) -> list[tuple[int, _B]]:
-    """List the boundaries of some kinds with their numbers."""
-    numbered = enumerate(harness.boundaries)
-    return [(number, boundary) for number, boundary in numbered if isinstance(boundary, kinds)]
+def _numbered(harness: HarnessFile, kind: type[_B]) -> list[tuple[int, _B]]:
+    """List the boundaries of a kind with their numbers."""
+    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, kind)]
+
+
+def _held(harness: HarnessFile) -> list[tuple[int, Held]]:
+    """List the boundaries that hold the line, with their numbers."""
+    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, HELD)]
 
 
 def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
@@ -584,7 +588,7 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
 
 def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
     """Find what lets go before it is there; a grip may go on without the line."""
-    for number, held in _numbered(harness, *HELD):
+    for number, held in _held(harness):
         there = getattr(held, "by", None)
         if isinstance(held, Grip) and held.path:
             there = held.path[0].step
@@ -633,10 +637,10 @@ def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _falling(harness: HarnessFile) -> Iterator[Fault]:
-    releases = {number: held.release for number, held in _numbered(harness, *HELD)}
+    releases = {number: held.release for number, held in _held(harness)}
     section = harness.line.section
     has_weight = section.kind != "bending_stiffness" or section.mass_per_length is not None
-    others = len(_numbered(harness, *HELD, Load)) < len(harness.boundaries)
+    others = any(not isinstance(boundary, (*HELD, Load)) for boundary in harness.boundaries)
     if others or not has_weight or not any(harness.gravity) or None in releases.values():
         return
     number = max(releases, key=lambda release: releases[release] or 0)
@@ -681,7 +685,7 @@ class _HeldPlace:
 
 
 def _held_places(harness: HarnessFile, length: float) -> list[_HeldPlace]:
-    return [_place_of(harness, number, x, length) for number, x in _numbered(harness, *HELD)]
+    return [_place_of(harness, number, x, length) for number, x in _held(harness)]
 
 
 def _place_of(

@@ -209,7 +209,9 @@ class Slack(Block):
     """Toe compensation: where a line through the steep part meets zero force, travel begins."""
 
     start: Annotated[Share, Key("from"), "Of the largest force, such as 10 %"]
-    stop: Annotated[Share, Key("to"), LargerThan("start"), "Of the largest force, such as 30 %"]
+    stop: Annotated[
+        Share, Key("to"), LargerThan("start", "from"), "Of the largest force, such as 30 %"
+    ]
 
 
 def _words_once(value: object) -> object:

@@ -94,9 +94,11 @@ class LargerThan:
     Parameters
     ----------
     field : name of the other field, which is declared before
+    key : its key in YAML
     """
 
     field: str
+    key: str
 
 
 @dataclass(frozen=True, slots=True)

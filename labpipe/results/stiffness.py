@@ -715,7 +715,7 @@ class Window(Kind):
     """A kind of result from a range of displacement."""
 
     start: Annotated[Distance, Key("from")]
-    stop: Annotated[Distance, Key("to"), LargerThan("start")]
+    stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
 
     @property
     def in_words(self) -> str:
@@ -1000,7 +1000,7 @@ class ComplianceResult(Kind):
     result: ClassVar = "compliance"
     outputs: ClassVar = (Output("compliance", "m/N", "Compliance of frame and grips"),)
     start: Annotated[Force, Key("from")]
-    stop: Annotated[Force, Key("to"), LargerThan("start")]
+    stop: Annotated[Force, Key("to"), LargerThan("start", "from")]
 
     def compute(self, test: ReducedTest) -> Computed:
         """Fit displacement against force, with a rigid bar."""

@@ -39,7 +39,7 @@ class Line:
 
     kind: ClassVar = "line"
     start: Annotated[Distance, Key("from")]
-    stop: Annotated[Distance, Key("to"), LargerThan("start"), "Where it ends"]
+    stop: Annotated[Distance, Key("to"), LargerThan("start", "from"), "Where it ends"]
     name: Snake = "line"
     grip: Grip | None = None
     number: int = field(default=0, compare=False)
