@@ -218,16 +218,9 @@ class Source(Block):
         """The channels by name, however they were written; empty for marker tracks."""
         key = self.key
         if self.channel is not None:
-            single = ChannelSource(
-                channel=self.channel,
-                unit=self.unit,
-                wrong_unit_in_file=self.wrong_unit_in_file,
-                calibration=self.calibration,
-                quantity=self.quantity,
-                plausible_peak=self.plausible_peak,
-                scale_uncertainty=self.scale_uncertainty or 0.0,
-                zero_drift=self.zero_drift,
-                certificate=self.certificate,
+            stated = {name: getattr(self, name) for name in ChannelSource.model_fields}
+            single = ChannelSource.model_construct(
+                **{name: value for name, value in stated.items() if value is not None}
             )
             return {self._role: single.named(self._role, key)}
         several = (self.channels or {}).items()
