@@ -9,15 +9,15 @@ takes as much as it can, from the left. A slash separates folders.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import Values, block_in, error_of, faults_of
+from labpipe.protocol.faults import Values, block_in, error_of, faults_of, raised
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Version
 from labpipe.protocol.sheet_grammar import Override, TestSheet
@@ -199,23 +199,23 @@ class ByName(Block):
         """The patterns by role, read."""
         return {role: parse_name_pattern(text) for role, text in self.exports.items()}
 
+    @field_validator("exports")
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def _have_the_same_fields(cls, exports: dict[Role, str]) -> dict[Role, str]:
         """Ask the patterns of all roles for the same fields: by these, exports are paired."""
-        fields: dict[str, tuple[str, ...]] = {}
-        for role, text in block_in(data, "exports").items():
-            try:
-                fields[str(role)] = tuple(sorted(parse_name_pattern(str(text)).fields))
-            except ValueError:
-                return  # reported where the pattern stands
-        first = next(iter(fields.items()), ("", ()))
+        fields = {role: sorted(parse_name_pattern(text).fields) for role, text in exports.items()}
+        (first, first_fields), *_ = fields.items()
+        faults = []
         for role, role_fields in fields.items():
             if not role_fields:
-                remedy = "Name what tells the tests apart, such as {test}."
-                yield Fault(("exports", role), "a field at least", "none", remedy)
-            elif role_fields != first[1]:
-                expected = f"the fields of {first[0]!r}: {', '.join(first[1])}"
-                yield Fault(("exports", role), expected, ", ".join(role_fields))
+                remedy = "Name what distinguishes the tests, such as {test}."
+                faults.append(Fault((role,), "a field at least", "none", remedy))
+            elif role_fields != first_fields:
+                expected = f"the fields of {first!r}: {', '.join(first_fields)}"
+                faults.append(Fault((role,), expected, ", ".join(role_fields)))
+        if faults:
+            raise raised(faults, exports)
+        return exports
 
 
 def _by(value: object) -> object:
