@@ -11,7 +11,7 @@ lengths side by side. One blank cell is refused.
 File structure: cells separated by tabulator, semicolon, comma or blanks, whichever splits the first
 rows into numbers; decimal point or comma, the same in the whole file. Rows above the names are
 skipped. A file without names is read if its columns are numbered. Of a workbook, the first sheet.
-An incomplete last line without line end (`table_body.whole_lines`) is refused: a curve has no
+An incomplete last line without line end (`number_table.whole_lines`) is refused: a curve has no
 notes, and its last point is often its largest force.
 
 A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read
@@ -37,6 +37,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, nearest
+from labpipe.readers.number_table import Body, whole_lines
 from labpipe.readers.raw_files import (
     decode,
     is_binary,
@@ -46,7 +47,6 @@ from labpipe.readers.raw_files import (
     unreadable,
 )
 from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
-from labpipe.readers.table_body import Body, whole_lines
 from labpipe.readers.text_cells import (
     NUMERAL,
     are_units,
@@ -164,7 +164,7 @@ def _text_cells(path: Path) -> list[list[Cell]]:
         if first is not None:
             names, start = [cell.text for cell in head[first]], line_start(content.data, first)
             columns = range(len(names))
-            body = Body(content.data, names, columns, first + 1, separator, start=start)
+            body = Body(content.data[start:], names, columns, first + 1, separator)
             if whole_lines(body)[1]:
                 expected = "a complete last line; the numbers above it are longer"
                 remedy = "Export the curve again; if the line is complete, add a line end."

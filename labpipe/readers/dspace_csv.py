@@ -28,9 +28,8 @@ from pathlib import Path
 
 from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import Export, Trace, load_export, written_date
-from labpipe.readers.number_rows import read_columns
+from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import read_head, reading, unreadable
-from labpipe.readers.table_body import Body
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
@@ -113,13 +112,12 @@ def _samples(
     size = traces.get("trace_size", [""])[0]
     width = len(traces[_NAMES])
     body = Body(
-        data=content,
+        data=content[start + len(_SAMPLES_MARK) :],
         names=("", "time", *traces[_NAMES][1:]),
         columns=range(1, width + 1),
         first_line=content[:start].count(b"\n") + 1,
         separator=",",
         decimal=".",
-        start=start + len(_SAMPLES_MARK),
         stated_rows=whole_number(size),
         as_exported=True,
     )

@@ -36,9 +36,9 @@ from labpipe.readers.motive_table import (
     needed_columns,
     parse_header,
 )
-from labpipe.readers.number_rows import read_columns, rows_note
+from labpipe.readers.number_table import Body, read_columns, rows_note, sheet_columns
 from labpipe.readers.raw_files import DAMAGE_ERRORS, read_head, reading, unreadable
-from labpipe.readers.table_body import Body
+from labpipe.readers.text_cells import as_text
 from labpipe.readers.time_axes import clock_notes
 from labpipe.readers.tracking import track_notes
 from labpipe.readers.workbooks import forget_sheets, is_workbook, open_sheets
@@ -106,13 +106,12 @@ def _read_table_style(content: bytes, path: Path) -> Recording:
     header = parse_header(rows, path)
     offset = sum(len(line) + 1 for line in lines[: header.rows])
     body = Body(
-        data=content,
+        data=content[offset:],
         names=header.names,
         columns=needed_columns(header),
         first_line=header.rows + 1,
         separator=",",
         decimal=".",
-        start=offset,
         stated_rows=header.stated_rows,
         as_exported=True,
     )
@@ -121,8 +120,6 @@ def _read_table_style(content: bytes, path: Path) -> Recording:
 
 
 def _read_workbook(path: Path) -> Recording:
-    from labpipe.readers.sheet_cells import as_text, sheet_columns
-
     name, rows = _find_sheet(path)
     header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
     wanted = {column: header.names[column] for column in needed_columns(header)}

@@ -95,7 +95,7 @@ def test_a_large_workbook_is_read_in_a_process_of_its_own(
 
 def test_a_stray_cell_in_a_large_workbook_ends_that_process_alone(large: Path) -> None:
     changed(large, stray())
-    with pytest.raises(ReadError, match=r"sheet 'v', cell XFD1048576: expected cells close"):
+    with pytest.raises(ReadError, match=r"sheet 'v': expected cells close .* memory"):
         open_sheets(large)
 
 
@@ -103,11 +103,11 @@ OLD = b"\xd0\xcf\x11\xe0synthetic"
 
 
 ENDS = {
-    "import os; os.abort()": "no reason",
-    "import os, sys; print('out of memory\\nat', file=sys.stderr); os.abort()": "out of memory",
-    "raise MemoryError": "MemoryError",
+    "import os; os.abort()": "a damaged one (no reason)",
+    "import os, sys; print('out of memory\\nat', file=sys.stderr); os.abort()": "(out of memory)",
+    "raise MemoryError": "(MemoryError)",
     "import time; time.sleep(60)": "not read within 0 s",
-    "print('no pickle')": "its cells could not be transferred",
+    "print('no pickle')": "no reason",
 }
 
 
@@ -120,7 +120,7 @@ def test_an_old_workbook_that_ends_the_process_that_reads_it(
     monkeypatch.setattr("labpipe.readers.workbooks._CHILD", script)
     if "sleep" in script:
         monkeypatch.setattr("labpipe.readers.workbooks._CHILD_SECONDS", 0.3)
-    with pytest.raises(ReadError, match=rf"a whole workbook, found a damaged one \({ENDS[script]}"):
+    with pytest.raises(ReadError, match=re.escape(ENDS[script])):
         open_sheets(path)
 
 
@@ -176,7 +176,7 @@ def test_whoever_opens_a_workbook_is_safe(tmp_path: Path, opens: str) -> None:
     if opens == "motive":
         table = [["Format Version", "1.23"], ["", 1.0]]
     path = changed(workbook(tmp_path / "a.xlsx", {"Take": table}), stray())
-    with pytest.raises(ReadError, match=r"sheet 'Take', cell XFD1048576: expected cells close"):
+    with pytest.raises(ReadError, match=r"sheet 'Take': expected cells close"):
         WHO_OPENS[opens](path)
 
 

@@ -18,8 +18,9 @@ from labpipe.readers.load_frame.frame_recording import (
     time_column,
     word_columns,
 )
+from labpipe.readers.number_table import sheet_columns
 from labpipe.readers.raw_files import unreadable
-from labpipe.readers.sheet_cells import as_text, sheet_columns
+from labpipe.readers.text_cells import as_text
 from labpipe.readers.workbooks import Sheets
 from labpipe.records.quality import QualityNote, Severity
 

@@ -20,7 +20,7 @@ from labpipe.readers.raw_files import (
     read_beginning,
     unreadable,
 )
-from labpipe.readers.sheet_cells import as_text
+from labpipe.readers.text_cells import as_text
 from labpipe.readers.workbooks import is_workbook, open_sheets
 
 _SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")

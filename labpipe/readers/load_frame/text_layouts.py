@@ -20,7 +20,7 @@ from labpipe.readers.load_frame.frame_recording import (
     wanted_columns,
     word_columns,
 )
-from labpipe.readers.number_rows import read_columns
+from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import (
     HEAD_BYTES,
     Content,
@@ -30,7 +30,6 @@ from labpipe.readers.raw_files import (
     lines_of,
     unreadable,
 )
-from labpipe.readers.table_body import Body
 from labpipe.readers.text_cells import is_sample, split_line
 from labpipe.records.quality import QualityNote, Severity
 
@@ -72,8 +71,7 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
     columns_read = wanted_columns(header, card, wanted, place.path)
     start = line_start(content.data, header.first)
     body = Body(
-        data=content.data,
-        start=start,
+        data=content.data[start:],
         others_numeric=not word_columns(header.names, card),
         names=unique_names(header.names),
         columns=columns_read,
