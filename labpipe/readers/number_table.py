@@ -349,7 +349,6 @@ def _read_csv(
         skip_blank_lines=False,
         skipinitialspace=not body.as_exported,
         encoding_errors="replace",
-        float_precision="round_trip" if body.sheet else None,
     )
 
 

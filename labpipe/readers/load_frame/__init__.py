@@ -20,27 +20,15 @@ catman, Deben Microtest, TA Instruments DMA Q800, TestResources; a lab adds its 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from labpipe.readers.channels import ReportOptions
-from labpipe.readers.load_frame.cards import Card
-from labpipe.readers.load_frame.frame_recording import (
-    Export,
-    Table,
-    assemble,
-    choose_part,
-    without_codes,
-    without_last_row,
-)
-from labpipe.readers.load_frame.frame_workbook import read_sheets
+from labpipe.readers.load_frame.frame_recording import assemble
 from labpipe.readers.load_frame.recognition import CardNames, choose_card, recognise_card
-from labpipe.readers.load_frame.text_layouts import Place, read_tables
+from labpipe.readers.load_frame.tables import read_sheets, read_text
 from labpipe.readers.raw_files import read_content
 from labpipe.readers.workbooks import forget_sheets, open_sheets
-from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Recording
-from labpipe.units import whole_number
 
 __all__ = ["read", "recognise"]
 
@@ -78,42 +66,11 @@ def read(
         not a number, or a wanted channel or part does not exist.
     """
     card = choose_card(path, dialect)
-    export = _read_export(path, card, channels if part is None else None)
-    tables = (without_codes(without_last_row(table, card), card) for table in export.tables)
-    kept = choose_part(list(tables), part, path)
-    notes = (*export.notes, *_count_notes(export, kept, card), *_generic_note(card))
-    return assemble(replace(export, tables=kept, notes=notes), card, path, channels)
-
-
-def _read_export(path: Path, card: Card, channels: Sequence[ReportOptions] | None) -> Export:
     if card.kind == "text":
-        return read_tables(read_content(path), Place(path, card, channels))
-    try:
-        return read_sheets(open_sheets(path), card, path)
-    finally:
-        forget_sheets()
-
-
-def _count_notes(export: Export, tables: Sequence[Table], card: Card) -> list[QualityNote]:
-    """Compare the stated numbers of samples and of columns with the actual ones."""
-    if len(export.tables) != 1 or not tables:
-        return []
-    rows = max((len(values) for values in tables[0].columns.values()), default=0)
-    counts = (
-        ("rows", card.stated_rows, rows),
-        ("columns", card.stated_columns, len(tables[0].names)),
-    )
-    notes = []
-    for what, key, count in counts:
-        stated = whole_number(str(export.about.get(key, ""))) if key else None
-        if stated not in {None, count}:
-            message = f"the header states {stated} {what}, the file holds {count}"
-            notes.append(QualityNote(f"{what}_differ", Severity.WARNING, "file", message))
-    return notes
-
-
-def _generic_note(card: Card) -> list[QualityNote]:
-    if not card.fallback:
-        return []
-    message = "no vendor's card fits: names and units were detected by their text, check them"
-    return [QualityNote("dialect_generic", Severity.INFO, "file", message)]
+        export = read_text(read_content(path), card, path, channels if part is None else None)
+    else:
+        try:
+            export = read_sheets(open_sheets(path), card, path)
+        finally:
+            forget_sheets()
+    return assemble(export, card, path, channels, part)
