@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, error_text
-from labpipe.readers.motive_table import derived_rate, unique_names
+from labpipe.readers.motive_takes import derived_rate, unique_names
 from labpipe.readers.raw_files import unreadable
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody

@@ -256,7 +256,7 @@ def _size(text: bytes) -> int | None:
 
     None if the places of its cells are not written as most programs write them.
     """
-    cells = _CELL.findall(text)
+    cells: list[tuple[bytes, bytes]] = _CELL.findall(text)
     is_plain = b"<c " in text or b"<sheetData/>" in text
     if not is_plain or len(cells) < text.count(b"</c>"):
         return None

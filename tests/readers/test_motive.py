@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
 from labpipe.readers.motive_rows import RowExport, parse_rows
-from labpipe.readers.motive_table import Header, derived_rate, parse_header, unique_names
+from labpipe.readers.motive_takes import Header, derived_rate, parse_header, unique_names
 from labpipe.readers.tracking import longest, runs, track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody

@@ -164,7 +164,8 @@ def header_of_rows(
             found = f"{len(above[-2])} in {quoted([text])}" if text else "none"
             raise fault(2, f"{len(rows[first])} names, one per column", found, _CARD_REMEDY)
     names, units, n_rows = _titles([(), (), *above][-2:], card, fault)
-    above, specimens = above[:-n_rows], ()
+    above = above[:-n_rows]
+    specimens: _Cells = ()
     has_specimens = card.names == "above units" and card.layout in {
         "side by side",
         "specimen above",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from labpipe.errors import ReadError, nearest
@@ -125,7 +125,7 @@ def _text_test(path: Path) -> Callable[[Card], bool]:
         text = text_in(card.encodings)
         return card.fits(text) and (
             not card.fallback
-            or _is_test_header(lambda: find_header(text.split("\n"), card, path), card)
+            or _is_test_header(partial(find_header, text.split("\n"), card, path), card)
         )
 
     return fits
@@ -139,16 +139,11 @@ def _sheet_test(path: Path) -> Callable[[Card], bool]:
         return lambda _: False
 
     def fits(card: Card) -> bool:
-        return any(
-            card.fits("\n".join(map("\t".join, head)))
-            and (
-                not card.fallback
-                or _is_test_header(
-                    lambda head=head: header_of_rows(head, card, path, "row 1"), card
-                )
-            )
-            for head in heads
-        )
+        fitting = (head for head in heads if card.fits("\n".join(map("\t".join, head))))
+        if not card.fallback:
+            return any(True for _ in fitting)
+        headers = (partial(header_of_rows, head, card, path, "row 1") for head in fitting)
+        return any(_is_test_header(find, card) for find in headers)
 
     return fits
 
