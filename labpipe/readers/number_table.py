@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -103,14 +103,9 @@ def sheet_columns(
     -------
     As `read_columns`.
     """
-    text = io.StringIO()
-    lines = csv.writer(text, delimiter="\t", lineterminator="\n")
-    for row in rows[first:]:
-        cells = (row[i] if i < len(row) else "" for i in names)
-        # csv writes all digits of a float
-        lines.writerow([cell if type(cell) is float else _one_line(cell) for cell in cells])
+    wanted = ([row[i] if i < len(row) else "" for i in names] for row in rows[first:])
     body = Body(
-        data=text.getvalue().encode(),
+        data=sheet_text(wanted).encode(),
         names=[*names.values()],
         columns=range(len(names)),
         first_line=first + 1,
@@ -120,6 +115,15 @@ def sheet_columns(
     )
     columns, notes = read_columns(body, where[0])
     return dict(zip(names, columns.values(), strict=True)), notes
+
+
+def sheet_text(rows: Iterable[Sequence[object]]) -> str:
+    """Return rows of a sheet as lines of cells separated by tabs, with all digits of numbers."""
+    text = io.StringIO()
+    lines = csv.writer(text, delimiter="\t", lineterminator="\n")
+    for row in rows:  # csv writes all digits of a float
+        lines.writerow([cell if type(cell) is float else _one_line(cell) for cell in row])
+    return text.getvalue()
 
 
 def _one_line(cell: object) -> str:
