@@ -10,8 +10,8 @@ import numpy as np
 
 from labpipe.readers import recognise_export
 from labpipe.readers.time_axes import SAMPLED_ON_EVENT, TIME_VARIABLE, find_holes
-from labpipe.readers.tracking import blank, longest, runs, unchanged
-from labpipe.records.arrays import Floats, median
+from labpipe.readers.tracking import blank, longest, unchanged
+from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
@@ -180,17 +180,18 @@ def _markers(tracks: MarkerTracks) -> dict[str, Any]:
 def _gaps(track: Floats) -> dict[str, Any]:
     # The count in the output is of all gaps.
     max_ranges = 100
-    stretches = runs(blank(track))
+    missing = blank(track)
+    stretches = stretches_of(missing)
     return {
         "count": len(stretches),
-        "longest": longest(stretches),
-        "ranges": [[run.first, run.last] for run in stretches[:max_ranges]],
+        "longest": longest(missing),
+        "ranges": [[start, stop - 1] for start, stop in stretches[:max_ranges]],
     }
 
 
 def _frozen(track: Floats) -> dict[str, int]:
     still = unchanged(track)
-    return {"steps": int(still.sum()), "longest": longest(runs(still))}
+    return {"steps": int(still.sum()), "longest": longest(still)}
 
 
 def _body(body: RigidBody) -> dict[str, Any]:
