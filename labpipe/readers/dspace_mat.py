@@ -49,6 +49,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _REVISION = re.compile(r"Revision (\d+\.\d+)")
 _QUOTED = re.compile(r'"([^"]*)"$')
 _KNOWN_REVISIONS = frozenset({"2.0", "2.1"})
+_EXPORT_AGAIN = "Export the recording from ControlDesk again."
 _MAX_EAGER = 64
 """Elements; larger arrays are read on demand."""
 
@@ -99,7 +100,7 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
         file = h5py.File(path, "r")
     with file:
         with reading(path, "a whole MAT v7.3 file"):
-            _require_all_inside(file)
+            _refuse_links(file)
             size = path.stat().st_size
             nodes = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
         yield nodes, created
@@ -110,6 +111,7 @@ def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:
 
     if not isinstance(node, h5py.Group):
         return _from_dataset(node, file, size)
+    _refuse_links(node)
     rows = [len(item) for item in node.values() if _holds_references(item)]
     if not rows:
         return [{key: _from_hdf5(item, file, size) for key, item in node.items()}]
@@ -118,6 +120,16 @@ def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:
         {key: _from_hdf5(file[refs[i]], file, size) for key, refs in table.items()}
         for i in range(min(rows))
     ]
+
+
+def _refuse_links(group: h5py.Group) -> None:
+    """Refuse links into other files, which exports do not use."""
+    import h5py
+
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+            message = f"{group.name.strip('/')}/{name} is a link into another file"
+            raise ValueError(message)
 
 
 def _holds_references(item: Any) -> bool:
@@ -147,19 +159,6 @@ def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
     return item if item.size > _MAX_EAGER else np.asarray(item[()])
 
 
-def _require_all_inside(file: h5py.File) -> None:
-    """Refuse links into other files, which exports do not use."""
-    import h5py
-
-    def leaving(name: bytes, about: Any) -> bytes | None:
-        return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
-
-    link = file.id.links.visit(leaving, info=True)
-    if link is not None:
-        message = f"{link.decode(errors='replace')} is a link into another file"
-        raise ValueError(message)
-
-
 def _is_whole(item: h5py.Dataset) -> bool:
     """Return whether the file contains all samples of a data set; small ones are not checked."""
     if item.size <= _MAX_EAGER:
@@ -172,24 +171,14 @@ def _is_whole(item: h5py.Dataset) -> bool:
 
 def _find_recording(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str, Node]]:
     """Return the only variable with the fields X and Y, whatever its name."""
-    structs = {
-        name: item[0]
-        for name, item in variables.items()
-        if isinstance(item, list)
-        and item
-        and isinstance(item[0], dict)
-        and {"X", "Y"} <= {*item[0]}
-    }
+    structs = {name: _nested(variables, name) for name in variables}
+    structs = {name: item for name, item in structs.items() if {"X", "Y"} <= {*item}}
     if len(structs) == 1:
         return next(iter(structs.items()))
     names = ", ".join(list(structs or variables)[:5]) or "nothing"
-    raise unreadable(
-        path,
-        "",
-        "one variable with the fields X and Y, as ControlDesk writes it",
-        f"{len(structs)} among the variables {names}" if structs else f"only {names}",
-        "Export the recording from ControlDesk as MAT.",
-    )
+    found = f"{len(structs)} among the variables {names}" if structs else f"only {names}"
+    expected = "one variable with the fields X and Y, as ControlDesk writes it"
+    raise unreadable(path, "", expected, found, "Export the recording from ControlDesk as MAT.")
 
 
 def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Export:
@@ -218,13 +207,8 @@ def _structs(tree: Mapping[str, Node], field: str, path: Path) -> list[dict[str,
     items = tree[field]
     if isinstance(items, list) and all(isinstance(item, dict) and "Data" in item for item in items):
         return items
-    raise unreadable(
-        path,
-        f"field {field}",
-        "a struct with the field Data",
-        "something else",
-        "Export the recording from ControlDesk again.",
-    )
+    expected = "a struct with the field Data"
+    raise unreadable(path, f"field {field}", expected, "something else", _EXPORT_AGAIN)
 
 
 def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
@@ -233,12 +217,9 @@ def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
     full = f"{folder}/{port}" if folder else port
     index = _number(item.get("XIndex", 1))
     if index is None or not 1 <= index <= n_axes or index != int(index):
+        place, found = f"channel '{full}', XIndex", str(to_json(item.get("XIndex")))
         raise unreadable(
-            path,
-            f"channel '{full}', XIndex",
-            f"the number of a time axis, 1 to {n_axes}",
-            str(to_json(item.get("XIndex"))),
-            "Export the recording from ControlDesk again.",
+            path, place, f"the number of a time axis, 1 to {n_axes}", found, _EXPORT_AGAIN
         )
     return Trace(
         name=quoted.group(1) if quoted else port,
@@ -288,18 +269,12 @@ def _revision(tree: Mapping[str, Node], path: Path) -> str:
     info = _nested(tree, "Info")
     numbers = [_number(info.get(key)) for key in ("RevisionMajor", "RevisionMinor")]
     match = _REVISION.search(_text(_nested(tree, "Description"), "GeneratorVersion"))
+    revision = match[1] if match else ""
     if None not in numbers:
         revision = ".".join(f"{number:g}" for number in numbers)
-    else:
-        revision = match.group(1) if match else ""
     if revision and not revision.startswith("2."):
-        raise unreadable(
-            path,
-            "Info",
-            "a file format revision 2.x",
-            revision,
-            "Export the recording with ControlDesk 7 as MAT.",
-        )
+        remedy = "Export the recording with ControlDesk 7 as MAT."
+        raise unreadable(path, "Info", "a file format revision 2.x", revision, remedy)
     return revision
 
 
