@@ -17,10 +17,11 @@ from labpipe.readers.load_frame.column_titles import (
 )
 from labpipe.readers.load_frame.tables import sheet_head
 from labpipe.readers.raw_files import (
+    as_content,
     decode,
     is_binary,
     is_blank,
-    read_beginning,
+    read_head,
     unreadable,
 )
 from labpipe.readers.workbooks import is_workbook, open_sheets
@@ -107,7 +108,7 @@ def _text_test(path: Path) -> Callable[[Card], bool]:
     """Return the test of whether a card fits a text."""
     # Characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
-    content = read_beginning(path)
+    content = as_content(read_head(path))
     if is_blank(content.data):
         return lambda card: card.blank and bool(content.written_in)
     if is_binary(content):
