@@ -309,13 +309,13 @@ def _parse(body: Body) -> tuple[pd.DataFrame, list[QualityNote]]:
 
 def _separators(body: Body) -> tuple[Ints, Ints]:
     """Return the offsets of the lines and of the end, and the number of separators of each line."""
-    letters = np.frombuffer(body.data, dtype=np.uint8)
-    ends = np.append(np.flatnonzero(letters == ord("\n")) + 1, len(letters)).astype(np.int64)
-    starts = np.concatenate(([0], ends))
+    letters, end_of_line = np.frombuffer(body.data, dtype=np.uint8), ord("\n")
+    marks = np.flatnonzero((letters == ord(body.separator)) | (letters == end_of_line))
+    ends = np.flatnonzero(letters[marks] == end_of_line)
+    starts = np.concatenate(([0], marks[ends] + 1, [len(letters)])).astype(np.int64)
     if body.separator == " ":
         return starts, np.array([len(line.split()) - 1 for line in body.data.split(b"\n")])
-    before = np.searchsorted(np.flatnonzero(letters == ord(body.separator)), ends)
-    return starts, np.diff(before, prepend=0)
+    return starts, np.diff(np.concatenate(([-1], ends, [len(marks)]))) - 1
 
 
 def _missing_words(body: Body, width: int) -> tuple[list[str], list[QualityNote]]:
