@@ -23,7 +23,6 @@ from labpipe.readers.text_cells import (
     NUMERAL,
     as_text,
     describe_cell,
-    is_grouped,
     is_missing,
     is_number,
     is_summary_row,
@@ -385,7 +384,7 @@ def _first_error(body: Body, path: Path) -> ReadError:
             cell = row[column].strip() if column < len(row) else ""
             if cell and not _is_finite(cell, body):
                 place = f"{body.place(i)}, column '{body.names[column]}'"
-                return unreadable(path, place, *_describe_bad_cell(body, cell, column))
+                return unreadable(path, place, *describe_cell(cell, body.decimal))
     place = f"from {body.place(0)} on"
     return unreadable(path, place, "rows of numbers", "others", EXPORT_AGAIN)
 
@@ -401,23 +400,10 @@ def _extra_cells_error(row: Sequence[str], body: Body, place: str, path: Path) -
 
 
 def _is_finite(cell: str, body: Body) -> bool:
-    if NUMERAL[body.decimal].fullmatch(cell) is None:
-        is_infinite = cell.strip("+-").casefold() in INFINITE_WORDS
-        return is_missing(cell) or (body.as_exported and is_infinite)
-    return bool(np.isfinite(float(cell.replace(body.decimal, "."))))
-
-
-def _describe_bad_cell(body: Body, cell: str, column: int) -> tuple[str, str, str]:
-    expected, found, remedy = describe_cell(cell, body.decimal)
-    if re.search("[^-+0-9.,]", cell):
-        return expected, found, remedy
-    for i, row in enumerate(body.rows()):  # two thousands separators show what happened
-        if column < len(row) and is_grouped(row[column].strip()):
-            grouped = row[column].strip()
-            found = quoted([cell])
-            found += f" (and '{grouped}' in {body.place(i)})" if grouped != cell else ""
-            return expected, found, LOST_DECIMALS
-    return expected, found, remedy
+    if NUMERAL[body.decimal].fullmatch(cell):
+        return bool(np.isfinite(float(cell.replace(body.decimal, "."))))
+    is_infinite = cell.strip("+-").casefold() in INFINITE_WORDS
+    return is_missing(cell) or (body.as_exported and is_infinite)
 
 
 def _refuse_lost_decimals(body: Body, column: int, values: Floats, path: Path) -> None:

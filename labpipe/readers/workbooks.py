@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gc
 import re
-import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -128,14 +127,12 @@ def _sheets(path: Path) -> Sheets:
 def cells_of(path: Path, before: Callable[[str], None] = lambda _: None) -> Sheets:
     """Read the cells of all sheets in this process; see `open_sheets`.
 
-    An xlsx that calamine refuses is read by openpyxl, which is slower and more tolerant.
-
     Parameters
     ----------
     path : the workbook
     before : called with the name of each sheet before it is parsed
     """
-    from python_calamine import CalamineError, CalamineWorkbook, PasswordError
+    from python_calamine import CalamineWorkbook, PasswordError
 
     sheets = {}
     try:
@@ -143,16 +140,12 @@ def cells_of(path: Path, before: Callable[[str], None] = lambda _: None) -> Shee
             for name in book.sheet_names:
                 before(name)
                 sheets[name] = _rows(path, name, book.get_sheet_by_name(name))
-        return sheets
     except PasswordError as error:
         remedy = "Open it in the spreadsheet program and save a copy without a password."
         raise unreadable(
             path, "", "a workbook that opens", "one with a password", remedy
         ) from error
-    except CalamineError:
-        if not read_head(path, 8).startswith(_XLSX):
-            raise
-    return _by_openpyxl(path)
+    return sheets
 
 
 def _rows(path: Path, name: str, sheet: CalamineSheet) -> list[list[Any]]:
@@ -220,25 +213,6 @@ def _without_collector() -> Iterator[None]:
     finally:
         if was_at_work:
             gc.enable()
-
-
-def _by_openpyxl(path: Path) -> Sheets:
-    import openpyxl
-
-    with path.open("rb") as stream, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about omitted parts, which are not read here
-        book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
-        return {
-            sheet.title: [
-                ["" if cell is None else _plain(cell) for cell in row]
-                for row in sheet.iter_rows(values_only=True)
-            ]
-            for sheet in book.worksheets
-        }
-
-
-def _plain(cell: object) -> object:
-    return float(cell) if isinstance(cell, int) and not isinstance(cell, bool) else cell
 
 
 def _is_small_and_compact(path: Path) -> bool:

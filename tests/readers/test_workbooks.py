@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import python_calamine
 
 from labpipe.errors import ReadError
 from labpipe.readers import read_export, recognise_export
@@ -63,18 +62,6 @@ def test_a_workbook_is_parsed_once(tmp_path: Path) -> None:
     for _ in range(2):
         with pytest.raises(ReadError, match=r"a\.xlsx: expected a whole workbook, found a damaged"):
             open_sheets(file)
-
-
-def test_openpyxl_steps_in(book: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A workbook that calamine refuses is read by openpyxl, to the same cells."""
-    whole = open_sheets(book)
-    forget_sheets()
-
-    def refuse(path: object) -> None:
-        raise python_calamine.CalamineError
-
-    monkeypatch.setattr(python_calamine.CalamineWorkbook, "from_path", refuse)
-    assert open_sheets(book) == whole
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import codecs
 import re
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -40,6 +41,11 @@ _EXPECTED = {
 """What a value should be, by the type of error of pydantic."""
 
 
+def _require(is_right: bool, expected: str) -> None:
+    if not is_right:
+        raise ValueError(expected)
+
+
 def _compiled(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
     try:
         return re.compile(str(value), flags)
@@ -49,25 +55,20 @@ def _compiled(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
 
 
 def _one_group(pattern: re.Pattern[str]) -> re.Pattern[str]:
-    if pattern.groups != 1:
-        message = "a pattern with one group in round brackets"
-        raise ValueError(message)
+    _require(pattern.groups == 1, "a pattern with one group in round brackets")
     return pattern
 
 
 def _encoding(name: str) -> str:
-    try:
-        codecs.lookup("ascii" if name == "detect" else name)
-    except LookupError as error:
-        message = "the name of an encoding"
-        raise ValueError(message) from error
+    is_known = name == "detect"
+    with suppress(LookupError):
+        is_known = is_known or bool(codecs.lookup(name))
+    _require(is_known, "the name of an encoding")
     return name
 
 
 def _separator(sign: str) -> str:
-    if sign != "blanks" and (len(sign) != 1 or not sign.isascii()):
-        message = 'one sign, or "blanks"'
-        raise ValueError(message)
+    _require(sign == "blanks" or (len(sign) == 1 and sign.isascii()), 'one sign, or "blanks"')
     return " " if sign == "blanks" else sign
 
 
