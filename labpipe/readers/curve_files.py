@@ -32,6 +32,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from labpipe.readers.number_table import Body, read_columns, sheet_text
 from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content, unreadable
 from labpipe.readers.sheet_cells import workbook_cells
 from labpipe.readers.text_cells import (
+    NUMERAL,
     are_units,
     has_dimension_of,
     is_sample,
@@ -310,15 +312,14 @@ def _unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
     return factor
 
 
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """The values below one heading, of the second component."""
+class _Block(NamedTuple):
+    """The mean of the second component below one heading."""
 
     quantity: str
     set_name: str
     time: str
     line: int
-    values: tuple[float, ...]
+    value: float
 
 
 def is_calculix(lines: Sequence[str]) -> bool:
@@ -343,14 +344,22 @@ def _tip_lines(lines: Sequence[str], path: Path) -> list[str]:
     )
     for quantity, printed in ((_DEFLECTION, deflections), (_FORCE, forces)):
         if not printed:
-            others = ", ".join(sorted({block.quantity for block in blocks}))
-            raise unreadable(path, "", f"blocks '{quantity}'", f"only {others}", _PRINT_REMEDY)
-    _require_pairs(path, deflections, forces)
-    times = 2.0 if names[0].upper().endswith(HALF_MODEL_SUFFIX) else 1.0
+            found = f"only {', '.join(sorted({block.quantity for block in blocks}))}"
+            raise unreadable(path, "", f"blocks '{quantity}'", found, _PRINT_REMEDY)
+    times = [[block.time for block in printed] for printed in (deflections, forces)]
+    for block in (*deflections, *forces):
+        if not all(block.time in others for others in times):
+            expected = f"displacements and total force at time {block.time}"
+            found = f"only {block.quantity}"
+            raise unreadable(path, f"line {block.line}", expected, found, _RUN_AGAIN)
+    if times[0] != times[1]:
+        found = f"{len(deflections)} and {len(forces)} in another order"
+        raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)
+    share = 2.0 if names[0].upper().endswith(HALF_MODEL_SUFFIX) else 1.0
     table = [""] * (len(lines) + 1)
     table[0] = "deflection / m\tforce / N"
     for u, f in zip(deflections, forces, strict=True):
-        table[u.line - 1] = f"{sum(u.values) / len(u.values):.9g}\t{times * f.values[0]:.9g}"
+        table[u.line - 1] = f"{u.value:.9g}\t{share * f.value:.9g}"
     return table
 
 
@@ -360,37 +369,16 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
     ends = [*(i for i, _ in headings[1:]), len(lines)]
     for (start, match), end in zip(headings, ends, strict=True):
         quantity, _, set_name, time = (group.strip() for group in match.groups())
-        at_second = 2 if quantity != _FORCE else 1
-        filled = [i for i in range(start + 1, end) if lines[i].strip()]
-        values = tuple(
-            _second_component(lines[i], at_second, f"line {i + 1}", path) for i in filled
-        )
-        if not values:
+        second = 2 if quantity != _FORCE else 1  # behind the number of the node
+        values, filled = [], [i for i in range(start + 1, end) if lines[i].strip()]
+        if not filled:
             expected = f"numbers under '{quantity}'"
             raise unreadable(path, f"line {start + 1}", expected, "none", _RUN_AGAIN)
-        yield _Block(quantity, set_name, time, filled[0] + 1, values)
-
-
-def _second_component(line: str, at: int, place: str, path: Path) -> float:
-    """Return the second component. Exponents of very small ones may lack the letter."""
-    cells = line.split()
-    try:
-        if len(cells) == at + 2:
-            return float(cells[at])
-    except ValueError:
-        pass
-    expected = f"{at + 2} numbers"
-    raise unreadable(path, place, expected, repr(line.strip()[:60]), _RUN_AGAIN)
-
-
-def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_Block]) -> None:
-    """Refuse deflections without forces, and vice versa."""
-    at, of = [block.time for block in deflections], [block.time for block in forces]
-    alone = next((block for block in deflections if block.time not in of), None)
-    alone = alone or next((block for block in forces if block.time not in at), None)
-    if alone is not None:
-        expected = f"displacements and total force at time {alone.time}"
-        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _RUN_AGAIN)
-    if at != of:
-        found = f"{len(at)} and {len(of)} in another order"
-        raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)
+        for i in filled:
+            cells = lines[i].split()
+            # Exponents of very small numbers beside it may lack the letter.
+            if len(cells) != second + 2 or not NUMERAL["."].fullmatch(cells[second]):
+                found = repr(lines[i].strip()[:60])
+                raise unreadable(path, f"line {i + 1}", f"{second + 2} numbers", found, _RUN_AGAIN)
+            values.append(float(cells[second]))
+        yield _Block(quantity, set_name, time, filled[0] + 1, sum(values) / len(values))

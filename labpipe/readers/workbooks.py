@@ -7,11 +7,9 @@ small xlsx whose cells are close together is parsed in this process.
 
 from __future__ import annotations
 
-import gc
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,7 +115,7 @@ def _parsed(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: A
 def _sheets(path: Path) -> Sheets:
     from python_calamine import CalamineError
 
-    with reading(path, "a whole workbook", also=(CalamineError,)), _without_collector():
+    with reading(path, "a whole workbook", also=(CalamineError,)):
         if not read_head(path, 8).startswith(_XLSX):
             return _read_in_child(path)
         _refuse_others(path)
@@ -201,18 +199,6 @@ def _child_error(path: Path, lines: Sequence[str]) -> ReadError:
     found = f"a damaged one ({lines[-1] if lines else 'no reason'})"
     remedy = "Open it in the spreadsheet program and save it again as xlsx."
     return unreadable(path, place, "a whole workbook", found, remedy)
-
-
-@contextmanager
-def _without_collector() -> Iterator[None]:
-    """Pause garbage collection, which would scan all cells repeatedly."""
-    was_at_work = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_at_work:
-            gc.enable()
 
 
 def _is_small_and_compact(path: Path) -> bool:
