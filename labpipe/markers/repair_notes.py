@@ -82,12 +82,12 @@ def _warning(
 
 
 def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
-    seen = in_sight(measured).any(axis=0)
+    seen = np.flatnonzero(in_sight(measured).any(axis=0)).tolist()
     named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named:
         if column not in naming.markers:
             name = take.names[column]
-            how = "seen only as another marker" if seen[column] else "missing in every frame"
+            how = "seen only as another marker" if column in seen else "missing in every frame"
             message = f"{name} is {how} and was left out"
             yield QualityNote("marker_missing", Severity.WARNING, name, message)
 

@@ -91,7 +91,7 @@ def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]
             message = f"time runs backwards {len(back)} times, first at sample {i + 2}:"
             message += f" {time[i + 1]:.9g} s after {time[i]:.9g} s"
             return [_note(clock, "time_not_increasing", message, Severity.ERROR)]
-    same = np.flatnonzero(steps == 0.0) if len(steps) and not steps.min() > 0.0 else []
+    same = np.flatnonzero(steps == 0.0)
     if len(same):
         message = f"{len(same)} time stamps repeat the one before, first at sample {same[0] + 2}"
         message += f" ({time[same[0]]:.9g} s)"

@@ -220,7 +220,7 @@ def _size(text: bytes) -> int | None:
     is_plain = b"<c " in text or b"<sheetData/>" in text
     if not is_plain or len(cells) < text.count(b"</c>"):
         return None
-    max_columns = 26 ** max((len(letters) for letters, _ in cells), default=0)
+    max_columns: int = 26 ** max((len(letters) for letters, _ in cells), default=0)
     return max((int(row) for _, row in cells), default=0) * max_columns
 
 
