@@ -10,9 +10,8 @@ from typing import Any
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
-from labpipe.report.comparison_figures import figures_of_families
 from labpipe.report.comparisons import remarks_on_pairs
-from labpipe.report.group_figures import group_drawings, stems
+from labpipe.report.group_figures import figures_of_families, group_drawings
 from labpipe.report.group_panels import group_panels
 from labpipe.report.group_tables import (
     cause_lines,
@@ -31,6 +30,7 @@ from labpipe.report.page_facts import (
     report_id,
     roles_words,
     samples_of,
+    stems,
 )
 from labpipe.report.page_groups import (
     about_group,
@@ -286,7 +286,7 @@ def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> l
         for group, stem in zip(campaign.groups, names, strict=True)
         for drawing in group_drawings(group)
     ]
-    wanted += [figure for _, figure in figures_of_families(campaign)]
+    wanted += figures_of_families(campaign)
     wanted += place_figures(campaign)
     return save_pages(
         wanted,

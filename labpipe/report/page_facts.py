@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -73,6 +74,25 @@ class PageTests:
     def rejected(self, stem: str) -> list[PageTest]:
         """Return the rejected tests of a group."""
         return [test for test in self.every if test.state == "rejected" and test.stem == stem]
+
+
+def stems(names: Iterable[str]) -> list[str]:
+    """Turn names of groups into stems of file names: ASCII, lower case, unique.
+
+    Examples
+    --------
+    >>> stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
+    ['a2-wire-cantilever', 'a2-wire-cantilever-2', 'group']
+    """
+    stems: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
+        stem, number = plain, 1
+        while stem in stems:
+            number += 1
+            stem = f"{plain}-{number}"
+        stems.append(stem)
+    return stems
 
 
 def key_of(sample: Sample) -> str:

@@ -10,9 +10,15 @@ from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Group, GroupNumber, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.report.budget_figures import COLOURS_OF_CAUSES, bar_parts, causes_in_key, named_causes
+from labpipe.report.budget_figures import (
+    COLOURS_OF_CAUSES,
+    OTHER_COLOUR,
+    Bar,
+    bar_parts,
+    causes_in_key,
+    group_bars,
+)
 from labpipe.report.figure_page import split_pages
-from labpipe.report.group_plots import count_words
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentences
 from labpipe.report.page_facts import PageTests, days_words, key_of, operators_words
@@ -20,17 +26,15 @@ from labpipe.report.page_plots import mean_strip
 from labpipe.report.wording import (
     as_label,
     count_of,
+    count_words,
     display_of,
     heading,
-    is_first_cycle,
     is_main,
     mean_with_interval,
     shown_in,
-    unit_words,
     with_interval,
     write_number,
 )
-from labpipe.statistics.group_budgets import group_budget
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -255,28 +259,31 @@ def budget_drawing(group: Group) -> Markup | None:
     None if no number has a budget.
     """
     bar_height = 20
-    text_widths = ((0, 202), (1, 118))  # smallest room for name and half width beside a bar
+    min_name_width, min_text_width = 202, 118
     letter_width = 6.6
     from markupsafe import Markup, escape
 
     bars = _budget_bars(group)
     if not bars:
         return None
-    named = named_causes([shares for _, _, shares in bars])
+    named = set(causes_in_key([bar.shares for bar in bars]))
     left, right = (
-        max(room, letter_width * max(len(bar[which]) for bar in bars) + 6)
-        for which, room in text_widths
+        max(room, letter_width * max(map(len, texts)) + 6)
+        for texts, room in (
+            ([bar.name for bar in bars], min_name_width),
+            ([bar.text for bar in bars], min_text_width),
+        )
     )
     whole = f"{_BAR_LEFT - left:.0f} 0 {left + _BAR_WIDTH + right:.0f} {len(bars) * bar_height + 4}"
     parts = [
         f'<svg class="budget" role="img" viewBox="{whole}"'
         f' aria-label="Shares of the causes of the intervals of {escape(group.name)}.">'
     ]
-    for row, (name, half, shares) in enumerate(bars):
+    for row, bar in enumerate(bars):
         parts.append(f'<g transform="translate(0 {row * bar_height})">')
-        parts.append(f'<text class="end" x="196" y="14">{escape(name)}</text>')
-        parts += _bar(bar_parts(shares, set(named)))
-        parts.append(f'<text x="612" y="14">{escape(half)}</text></g>')
+        parts.append(f'<text class="end" x="196" y="14">{escape(bar.name)}</text>')
+        parts += _bar(bar_parts(bar.shares, named))
+        parts.append(f'<text x="612" y="14">{escape(bar.text)}</text></g>')
     return Markup("".join([*parts, "</svg>"]))
 
 
@@ -288,7 +295,7 @@ def _bar(shares: Mapping[str, float]) -> Iterator[str]:
     start = 0.0
     for cause, share in shares.items():
         x, width = _BAR_LEFT + _BAR_WIDTH * start, f"{_BAR_WIDTH * share:.1f}"
-        colour = COLOURS_OF_CAUSES.get(cause, "#ededed")
+        colour = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
         hatch = ' class="shared"' if IS_COMMON.get(cause, False) else ""
         if share >= min_drawn_share:
             yield f'<rect{hatch} x="{x:.0f}" y="2" width="{width}" height="16" fill="{colour}"/>'
@@ -300,22 +307,16 @@ def _bar(shares: Mapping[str, float]) -> Iterator[str]:
 
 def budget_causes(group: Group) -> list[tuple[str, str, bool]]:
     """List the causes in the drawing of the budget: name, colour, common to all tests."""
-    causes = causes_in_key([shares for _, _, shares in _budget_bars(group)])
-    return [(cause, COLOURS_OF_CAUSES.get(cause, "#ededed"), IS_COMMON.get(cause, False))
-            for cause in causes]  # fmt: skip
+    causes = causes_in_key([bar.shares for bar in _budget_bars(group)])
+    return [
+        (cause, COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR), IS_COMMON.get(cause, False))
+        for cause in causes
+    ]
 
 
-def _budget_bars(group: Group) -> list[tuple[str, str, Mapping[str, float]]]:
-    """Return name, half width and shares of the first numbers with budgets."""
-    display, bars = display_of(group), []
-    for number in group.numbers:
-        if not (is_main(number.name) and is_first_cycle(number.name)):
-            continue
-        budget = group_budget(number)
-        shares = budget.of_mean or budget.of_tests
-        if shares and number.mean is not None:
-            unit = shown_in(number.name, number.unit, display)
-            half = write_number(number.mean.chosen.half, None, unit.factor, digits=2).value
-            width_text = f"\u00b1 {half} {unit_words(unit.unit)}" if budget.of_mean else "one test"
-            bars.append((as_label(number.name.partition(".")[0]), width_text, shares))
-    return bars[:5]
+def _budget_bars(group: Group) -> list[Bar]:
+    """Return the budgets of the first means; of a single test, its own."""
+    n_bars = 5
+    means = [bar for bar in group_bars(group, of_means=True) if bar.shares]
+    tests = [bar._replace(text="one test") for bar in group_bars(group, of_means=False)]
+    return (means or tests)[:n_bars]

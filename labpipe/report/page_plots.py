@@ -31,14 +31,14 @@ class Axis:
     ----------
     name, unit : as they are written; an empty unit for a pure number
     low, high : ends, in `unit`
-    is_bare : without ticks
+    names : of rows at 0, -1, -2 ..., in place of numbers; not written on the page
     """
 
     name: str
     unit: str
     low: float
     high: float
-    is_bare: bool = False
+    names: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -98,6 +98,7 @@ class Plot:
     lines : later ones are drawn over earlier ones
     keys : entries below the plot
     size : width and height in points of the drawing, without its frame
+    heading : above it, where a figure has several plots
     """
 
     kind: str
@@ -109,6 +110,7 @@ class Plot:
     lines: Sequence[Line]
     keys: Sequence[Key] = field(default=())
     size: tuple[int, int] = (640, 280)
+    heading: str = ""
 
 
 LEFT, TOP, RIGHT, BELOW = 52, 8, 12, 38
@@ -223,7 +225,7 @@ def _x_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
 def _y_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
     from markupsafe import escape
 
-    values = [] if axis.is_bare else ticks(axis, max(2, height // 46))
+    values = [] if axis.names else ticks(axis, max(2, height // 46))
     yield f'<g class="y-axis" transform="translate({LEFT} 0)">'
     for value, label in zip(values, tick_words(values), strict=True):
         at = TOP + height * (axis.high - value) / (axis.high - axis.low)
@@ -322,15 +324,3 @@ def sparkline(curves: Sequence[tuple[Floats, Floats]]) -> Markup:
     paths = "".join(f'<path d="{path_steps(Line("", *curve), x, y)}"/>' for curve in curves)
     box = f'viewBox="0 0 {FULL} {FULL}" preserveAspectRatio="none"'
     return Markup(f'<svg class="spark" {box}>{paths}</svg>')
-
-
-def equal_scale_height(plot_width: int, x: Axis, y: Axis) -> int:
-    """Return the height of a plot with equal axis scale, points.
-
-    Parameters
-    ----------
-    plot_width : points
-    x, y : axes of one unit
-    """
-    ratio = (y.high - y.low) / (x.high - x.low)
-    return round(plot_width * ratio) if isfinite(ratio) else plot_width

@@ -23,7 +23,6 @@ from labpipe.report.detail_sheets import (
     results_sheet,
     tests_sheet,
 )
-from labpipe.report.group_plots import group_scale
 from labpipe.report.page_facts import (
     days_words,
     instrument_lines,
@@ -36,6 +35,7 @@ from labpipe.report.wording import (
     as_label,
     count_of,
     display_of,
+    group_scale,
     is_first_cycle,
     shown_in,
     unit_words,

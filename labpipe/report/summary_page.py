@@ -15,7 +15,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.result import Result
 from labpipe.report.comparisons import Pair, answer_cells, field_words, single_field_pairs
-from labpipe.report.group_plots import first_loading
+from labpipe.report.group_panels import first_loading
 from labpipe.report.group_tables import DASH, Cell, Line, Table, cause_lines
 from labpipe.report.issues import Cause, Kind
 from labpipe.report.page_facts import PageTest, PageTests, samples_of

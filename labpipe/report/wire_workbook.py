@@ -12,7 +12,7 @@ from labpipe.records.arrays import Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.report.plot_thinning import simplify_line
-from labpipe.report.wire_sections import (
+from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
     LENGTH,

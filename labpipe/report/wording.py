@@ -104,6 +104,17 @@ def count_of(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
+def count_words(group: Group) -> str:
+    """Count samples and spools of a group, such as ``6 samples from 2 spools``."""
+    spools = {sample.specimen.spool for sample in group.samples}
+    return f"{count_of(len(group.samples), 'sample')} from {count_of(len(spools), 'spool')}"
+
+
+def group_title(group: Group) -> str:
+    """Write name, protocol and counts of a group in one line."""
+    return f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
+
+
 def why_missing(result: TestResult, what: str) -> str:
     """Explain a missing stage of a test with its first error."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
@@ -238,6 +249,13 @@ def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
 def display_of(group: Group) -> Mapping[str, str]:
     """Return the display units of a group: those of its first sample, as all share a protocol."""
     return group.samples[0].display if group.samples else {}
+
+
+def group_scale(group: Group, quantity: str) -> Scale:
+    """Return the display unit of displacement, force, curvature or moment in a group."""
+    si_unit = {"displacement": "m", "force": "N", "curvature": "1/m", "moment": "N*m"}[quantity]
+    unit = display_of(group).get(quantity, si_unit)
+    return Scale(1.0 / si_factor(unit, si_unit), unit_words(unit))
 
 
 def unit_words(unit: str) -> str:

@@ -18,7 +18,7 @@ from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import save_calibration_figures
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.figure_page import titled_page
+from labpipe.report.figure_page import new_page, titled
 from labpipe.report.figures import FIGURES, save_figures
 from labpipe.report.lab_report import write_report
 from labpipe.report.saving import (
@@ -37,9 +37,9 @@ RESULT = build_result(half_cycle=1.0)
 
 
 def page() -> Figure:
-    figure = titled_page("title", "", width_mm=25.4, height_mm=25.4)
+    figure = new_page(width_mm=25.4, height_mm=25.4)
     figure.subplots().plot([0.0, 1.0])
-    return figure
+    return titled(figure, "title")
 
 
 def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:

@@ -21,9 +21,11 @@ from labpipe.report.wire_figures import (
     cantilever_figure,
     comparison_figure,
     moment_figure,
+    plot_section,
+    section_figure,
     stiffness_figure,
+    strand_patches,
 )
-from labpipe.report.wire_sections import plot_section, section_figure, strand_patches
 from labpipe.report.wire_workbook import (
     SUMMARY,
     orientation_spread,
