@@ -52,7 +52,7 @@ from labpipe.protocol.schema import Groups
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
 from labpipe.report.page_facts import report_id, samples_of
-from labpipe.report.page_tests import page_file
+from labpipe.report.page_tables import page_file
 from labpipe.report.single_test import render_test
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE

@@ -30,9 +30,8 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.errors import LabpipeError, UsageError, error_text, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below
-from labpipe.report.lab_report import PAGE_FILE
-from labpipe.report.page_parts import allow_own_server
-from labpipe.report.page_tests import page_file
+from labpipe.report.lab_report import PAGE_FILE, allow_own_server
+from labpipe.report.page_tables import page_file
 from labpipe.report.wording import count_of
 from labpipe.units import whole_number
 

@@ -154,15 +154,15 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
-    causes = causes_in_key([bar.shares for bar in bars])
-    for cause in causes:
+    parts = bar_parts([bar.shares for bar in bars])
+    for cause in causes_in_key(parts):
         add_key(axes, cause, is_area=True, **_bar_style(cause))
-    if any(cause_names.IS_COMMON.get(cause, False) for cause in causes):
+    if any(cause_names.IS_COMMON.get(cause, False) for cause in causes_in_key(parts)):
         add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED)
     beside = axes.get_yaxis_transform()
-    for height, bar in enumerate(bars):
+    for height, (bar, shares) in enumerate(zip(bars, parts, strict=True)):
         start = 0.0
-        for cause, share in bar_parts(bar.shares, set(causes)).items():
+        for cause, share in shares.items():
             corner = 100 * start, height - bar_height / 2
             axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_bar_style(cause)))
             if share >= _MIN_LABELLED_SHARE:
@@ -196,36 +196,38 @@ def _write_share(axes: Axes, at: float, height: float, share: float, cause: str)
     label.set_in_layout(False)  # it lies on its bar
 
 
-def bar_parts(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
-    """Sort shares in the order of the key, with the sum of those not named at the end.
+def bar_parts(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """Sort the shares of bars as in the key, with the sum of small causes at the end.
 
     Parameters
     ----------
-    shares : by cause
-    named : causes that have a colour of their own
+    bars : shares by cause; a cause whose share is small in all of them has no part of its own
     """
-    ordered = {cause: shares[cause] for cause in sort_causes(shares)}
-    parts = {cause: share for cause, share in ordered.items() if cause in named}
-    rest = sum(share for cause, share in ordered.items() if cause not in named)
-    return {**parts, **({SMALLER: rest} if rest > 0.0 else {})}
+    min_named_share = 0.02
+    named = {cause for bar in bars for cause, share in bar.items() if share >= min_named_share}
+    parts = []
+    for shares in bars:
+        drawn = {cause: shares[cause] for cause in sort_causes(shares) if cause in named}
+        rest = sum(share for cause, share in shares.items() if cause not in named)
+        parts.append({**drawn, **({SMALLER: rest} if rest > 0.0 else {})})
+    return parts
+
+
+def causes_in_key(parts: Sequence[Mapping[str, float]]) -> list[str]:
+    """List the causes that bars show, `SMALLER` last.
+
+    Parameters
+    ----------
+    parts : of `bar_parts`
+    """
+    every = {cause for shares in parts for cause in shares}
+    return [*sort_causes(every - {SMALLER}), *([SMALLER] if SMALLER in every else [])]
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
     """Sort causes as in the key: scatter first."""
     every = set(causes)
     return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
-
-
-def named_causes(bars: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes whose share in at least one bar is large enough to be drawn.
-
-    Parameters
-    ----------
-    bars : shares by cause
-    """
-    min_named_share = 0.02
-    every = {cause for bar in bars for cause, share in bar.items() if share >= min_named_share}
-    return sort_causes(every)
 
 
 _HATCHED: dict[str, Any] = {
@@ -236,18 +238,6 @@ _HATCHED: dict[str, Any] = {
 def _bar_style(cause: str) -> dict[str, Any]:
     hatch = _HATCHED["hatch"] if cause_names.IS_COMMON.get(cause, False) else None
     return {**_HATCHED, "facecolor": COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR), "hatch": hatch}
-
-
-def causes_in_key(bars: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that bars show, `SMALLER` last if any bar has a rest.
-
-    Parameters
-    ----------
-    bars : shares by cause
-    """
-    named = named_causes(bars)
-    has_rest = any(SMALLER in bar_parts(shares, set(named)) for shares in bars)
-    return [*named, *([SMALLER] if has_rest else [])]
 
 
 def group_bars(group: Group, *, of_means: bool) -> list[Bar]:

@@ -23,8 +23,8 @@ from labpipe.report.figure_page import (
     style_colours,
     titled,
 )
-from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentences
+from labpipe.report.page_tables import DASH, Cell, Table
 from labpipe.report.plot_thinning import split_doubtful
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, set_log_axes

@@ -10,8 +10,8 @@ from math import nan
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
-from labpipe.report.group_tables import Cell, Table
 from labpipe.report.issues import sentences
+from labpipe.report.page_tables import Cell, Table
 from labpipe.report.wording import Written, display_of, heading, shown_in, unit_words, write_number
 from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
 

@@ -1,15 +1,18 @@
-"""Figures of groups and of comparisons as files, drawn by matplotlib from the plots of the page."""
+"""Plots of comparisons, and figures of groups and comparisons as files, drawn by matplotlib."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from labpipe.records.group import Campaign, Group
+import numpy as np
+
+from labpipe.records.group import Band, Campaign, Group
 from labpipe.report.budget_figures import draw_group_budgets, group_bars
-from labpipe.report.comparisons import context_words, equal_words, families, field_words
+from labpipe.report.comparisons import Family, context_words, equal_words, families, field_words
 from labpipe.report.figure_page import (
     DASHED,
     DOTTED,
@@ -25,12 +28,29 @@ from labpipe.report.figure_page import (
     style_colours,
     titled,
 )
-from labpipe.report.group_panels import file_panels
-from labpipe.report.page_comparisons import family_plots
+from labpipe.report.group_panels import (
+    COLOURS,
+    DotRow,
+    band_lines,
+    clipped_axis,
+    dot_with_bar,
+    file_panels,
+    mean_lines,
+)
 from labpipe.report.page_facts import stems
-from labpipe.report.page_plots import Plot
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
 from labpipe.report.saving import FigureToSave
-from labpipe.report.wording import count_words, group_title, shortened
+from labpipe.report.wording import (
+    Scale,
+    as_label,
+    count_of,
+    count_words,
+    display_of,
+    group_scale,
+    group_title,
+    shortened,
+    shown_in,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -172,3 +192,115 @@ def figures_of_families(campaign: Campaign) -> Iterator[FigureToSave]:
         yield FigureToSave(
             name, partial(draw_plots, title, plots, columns=3), caption, plots[0].title
         )
+
+
+def family_plots(
+    family: Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
+) -> list[Plot]:
+    """Return the plots of a family: mean curves, and the main number of each group.
+
+    Parameters
+    ----------
+    family : of groups
+    stems : names of groups in links, by name; None for files
+    has_scaled : include force over peak force
+    """
+    names = stems or {group.name: group.name for group in family.groups}
+    plots = [
+        _curve_plot(family, names),
+        _curve_plot(family, names, is_scaled=True) if has_scaled else None,
+        _mean_plot(family, names),
+    ]
+    return [plot for plot in plots if plot is not None]
+
+
+def _curve_plot(
+    family: Family, stems: Mapping[str, str], *, is_scaled: bool = False
+) -> Plot | None:
+    """Return the plot of the mean first loading of each group with its band."""
+    first = family.groups[0]
+    across, up = group_scale(first, "displacement"), group_scale(first, "force")
+    if is_scaled:
+        up = Scale(1.0, "")
+    lines, keys, bands = [], [], []
+    for at, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
+        band = group.band_scaled if is_scaled else group.band
+        if band is None:
+            continue
+        look, stem = f"c{at % COLOURS}", stems[group.name]
+        bands.append(band)
+        lines += [
+            *band_lines(band, across.factor, up.factor, look, stem),
+            *mean_lines(band, across.factor, up.factor, look, stem),
+        ]
+        keys.append(Key(f"mean {look}", f"{label} (n = {group.band.n})", "group", stem))
+    if not lines:
+        return None
+    kinds = {line.look.partition(" ")[0] for line in lines}
+    keys += [Key(kind, label) for kind, label in _SIGNS.items() if kind in kinds]
+    x = axis_over("Displacement", across.unit, [line.x for line in lines])
+    y = _force_axis("Force / peak force" if is_scaled else "Force", bands, up)
+    title = f"Mean force against displacement of {count_of(len(family.groups), 'group')}."
+    heading = "Force / peak force" if is_scaled else "First loading"
+    return Plot("means", "", title, "", x, y, lines, keys, (392, 200), heading)
+
+
+_SIGNS = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise"}
+
+
+def _force_axis(name: str, bands: Sequence[Band], scale: Scale) -> Axis:
+    """Return an axis with full means, and intervals only as far as the means stay apart."""
+    means = axis_over(name, scale.unit, [scale.factor * band.mean for band in bands])
+    edges = [scale.factor * edge for band in bands for edge in (band.lower, band.upper)]
+    whole = axis_over(name, scale.unit, edges) if any(map(np.size, edges)) else means
+    room = 0.4 * (means.high - means.low)
+    low, high = max(whole.low, means.low - room), min(whole.high, means.high + room)
+    return replace(means, low=min(low, means.low), high=max(high, means.high))
+
+
+def main_number(family: Family) -> str:
+    """Return the number by which groups are compared: bending stiffness or the first common one.
+
+    Parameters
+    ----------
+    family : of groups
+
+    Returns
+    -------
+    Empty without a common number.
+    """
+    has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
+    shared = [
+        number.name
+        for number in family.groups[0].numbers
+        if all(number.name in names for names in has)
+    ]
+    return "bending_stiffness" if "bending_stiffness" in shared else next(iter(shared), "")
+
+
+def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
+    """Return the plot of the main number: a row per group with mean, interval and samples."""
+    name = main_number(family)
+    if not name:
+        return None
+    numbers = [
+        next(number for number in group.numbers if number.name == name) for group in family.groups
+    ]
+    scale = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
+    lines: list[Line] = []
+    for row, (number, group) in enumerate(zip(numbers, family.groups, strict=True)):
+        values = [value.value for value in number.values.values() if value.value is not None]
+        x = np.array([part for value in values for part in (scale.factor * value, np.nan)])
+        look, stem = f"c{row % COLOURS}", stems[group.name]
+        lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
+        if number.mean is not None:
+            mean = number.mean.chosen
+            place = DotRow(-row, scale.factor, look, stem)
+            lines += dot_with_bar("dot", mean.mean, mean.interval, place)
+    shown = [line.x for line in lines if not line.look.startswith("interval")]
+    x_axis = clipped_axis(as_label(name), scale, lines, shown)
+    y_axis = Axis("", "", 0.5 - len(numbers), 0.5, family.labels)
+    title = f"{as_label(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
+    keys = [Key("sample", "sample"), Key("dot", "mean")]
+    heading = as_label(name)
+    return Plot("numbers", "", title, "", x_axis, y_axis, lines, keys, (180, 200), heading)

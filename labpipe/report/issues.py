@@ -225,6 +225,8 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
         )
 
 
+_HEADINGS = {Kind.UNREADABLE: "Not read", Kind.UNLIKE: "Other processing", Kind.SLIP: "Slips"}
+"""Headings that differ from the name of the kind."""
 _ALL_VALUES_EFFECT = 5.0
 """Effect, in half intervals, of a cause that affects all values of a number."""
 _NO_INTERVAL_EFFECT = 10.0
@@ -261,6 +263,11 @@ class Cause:
     code: str
     concerns: tuple[Issue, ...]
     effect: Effect | None
+
+    @property
+    def heading(self) -> str:
+        """Kind in one or two words."""
+        return _HEADINGS.get(self.kind, self.kind.name.capitalize().replace("_", " "))
 
     @property
     def subject(self) -> str:

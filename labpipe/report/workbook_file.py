@@ -6,13 +6,14 @@ import io
 import math
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 from labpipe.errors import StoreError, error_text
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.report.wording import place_of, printable, shortened
 
@@ -107,6 +108,42 @@ class Sheet(NamedTuple):
     def printed_columns(self) -> int:
         """Number of printed columns."""
         return list(self.heads).index(self.printed) + 1 if self.printed else len(self.heads)
+
+
+def unite_heads(records: Iterable[Record]) -> list[str]:
+    """List the headings of records in the order in which they appear."""
+    return list(dict.fromkeys(head for record in records for head in record))
+
+
+def sheet_of(
+    name: str, records: Iterable[Record], *, heads: Sequence[str] = (), **layout: Any
+) -> Sheet:
+    """Make a sheet of records, a column per heading.
+
+    Parameters
+    ----------
+    name : of the sheet
+    records : cells by heading; a missing one is empty
+    heads : headings in order; those of the records if empty
+    layout : other fields of the sheet
+    """
+    rows = list(records)
+    heads = heads or unite_heads(rows) or ["no rows"]
+    if not rows:
+        layout["printed"] = ""
+    return Sheet(name, heads, [[row.get(head) for head in heads] for row in rows], **layout)
+
+
+def array_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
+    """Return a record per element of arrays, each with the same first cells.
+
+    Parameters
+    ----------
+    head : first cells
+    columns : arrays of one length by heading
+    """
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [{**head, **dict(zip(columns, row, strict=True))} for row in values]
 
 
 class About(NamedTuple):
@@ -452,7 +489,8 @@ class NumberCell(NamedTuple):
 
 
 Value: TypeAlias = str | float | NumberCell | None
-Row: TypeAlias = Sequence[Value]
+Record: TypeAlias = dict[str, Value]
+"""Cells of a row by their headings."""
 
 
 def number_cell(
@@ -476,27 +514,28 @@ def number_cell(
     )
 
 
-def interval_cells(
-    value: float | None, interval: Interval | None, factor: float = 1.0
-) -> tuple[NumberCell | None, NumberCell | None, NumberCell | None]:
+def ends_record(
+    value: float | None, interval: Interval | None, factor: float = 1.0, *, name: str = "value"
+) -> Record:
     """Return cells that display a number and the ends of its interval to the same digit.
 
     Parameters
     ----------
     value, interval : in SI
     factor : from SI to the unit of the cells
+    name : heading of the number; those of the ends are ``lower`` and ``upper``
 
     Returns
     -------
-    Value, lower, upper; None for missing ones.
+    Three cells by heading; None for missing ones.
     """
-    if interval is None:
-        return number_cell(value, None, factor), None, None
-    lower, upper = sorted((factor * interval.lower, factor * interval.upper))
-    about = interval.lower if value is None else value
-    place = place_of(about, interval, factor)
-    low, high = (NumberCell(end, number_format(end, place)) for end in (lower, upper))
-    return number_cell(value, interval, factor), low, high
+    cells: Record = {name: number_cell(value, interval, factor), "lower": None, "upper": None}
+    if interval is not None:
+        lower, upper = sorted((factor * interval.lower, factor * interval.upper))
+        place = place_of(interval.lower if value is None else value, interval, factor)
+        cells["lower"] = NumberCell(lower, number_format(lower, place))
+        cells["upper"] = NumberCell(upper, number_format(upper, place))
+    return cells
 
 
 def percent_cell(share: float | None) -> NumberCell | None:

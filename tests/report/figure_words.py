@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 
-from labpipe.report.group_tables import Cell, Table
+from labpipe.report.page_tables import Cell, Table
 
 MOST_LINES = 12
 NUMBER = re.compile(r"\d[\d.]* × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|\d+\.\d+|[\d.]+(?= %)|\d{2,}")  # noqa: RUF001

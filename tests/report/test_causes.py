@@ -12,8 +12,8 @@ from scipy import stats
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report.group_tables import note_table
 from labpipe.report.issues import Kind, find_causes, find_issues, find_notes
+from labpipe.report.page_tables import note_table
 from labpipe.statistics import groups
 from tests.builders.bundle_campaigns import bundle_sample
 from tests.builders.campaigns import build_group, build_sample, troubled_samples

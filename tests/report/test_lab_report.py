@@ -19,9 +19,15 @@ from labpipe.errors import UsageError
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
-from labpipe.report.lab_report import Extras, Letterhead, render_page, write_report
+from labpipe.report.lab_report import (
+    Extras,
+    Letterhead,
+    page_data,
+    page_script,
+    render_page,
+    write_report,
+)
 from labpipe.report.logo import read_logo
-from labpipe.report.page_parts import page_data, page_script
 from labpipe.report.single_test import render_test
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
