@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from math import isnan
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from labpipe.report.figure_page import (
 from labpipe.report.issues import sentences
 from labpipe.report.page_tables import DASH, Cell, Table
 from labpipe.report.plot_thinning import split_doubtful
-from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.saving import FigureToSave
 from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, set_log_axes
 from labpipe.report.wording import Scale, display_of, shown_in, unit_words, write_number
 
@@ -221,26 +220,8 @@ def _plot_value(place: BundlePlace, row: int, factor: float, axes: Axes) -> None
                   size=6, color=GREY)  # fmt: skip
 
 
-FIGURE = "bundle"
-"""Name of the files, without the ending."""
-
-
-def save_bundle_figure(model: BundleModel, folder: Path, *, png: bool = False) -> list[Path]:
-    """Draw a bundle as SVG.
-
-    Parameters
-    ----------
-    model : of the bundle
-    folder : made if it is not there
-    png : as PNG, too
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
-    """
-    page = FigureToSave(FIGURE, partial(bundle_figure, model))
-    return save_pages([page], folder, what="the figure", again="model the bundle", png=png)
+FIGURE, LOOP_FIGURE = "bundle", "bundle-loop"
+"""Names of the files, without the ending."""
 
 
 def bundle_figure(model: BundleModel) -> Figure:
@@ -288,8 +269,7 @@ def _plot_section(model: BundleModel, axes: Axes) -> None:
     axes.set_aspect("equal")
     axes.set_xlim(-margin_factor * reach, margin_factor * reach)
     axes.set_ylim(-margin_factor * reach, margin_factor * reach)
-    axes.set_xlabel(LENGTH.label("x"))
-    axes.set_ylabel(LENGTH.label("y, direction of bending"))
+    axes.set(xlabel=LENGTH.label("x"), ylabel=LENGTH.label("y, direction of bending"))
 
 
 def _draw_axes(model: BundleModel, axes: Axes) -> None:
@@ -372,29 +352,6 @@ def _is_isotropic(model: BundleModel) -> bool:
     return largest - least <= rel_tolerance * largest
 
 
-LOOP_FIGURE = "bundle-loop"
-"""Name of the files, without the ending."""
-
-
-def save_loop_figure(name: str, fit: FrictionFit, folder: Path, *, png: bool = False) -> list[Path]:
-    """Draw the cycles of a bundle as SVG.
-
-    Parameters
-    ----------
-    name : of the test
-    fit : of its friction
-    folder : made if it is not there
-    png : as PNG, too
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
-    """
-    page = FigureToSave(LOOP_FIGURE, partial(loop_figure, name, fit))
-    return save_pages([page], folder, what="the figure", again="model the bundle", png=png)
-
-
 def loop_figure(name: str, fit: FrictionFit) -> Figure:
     """Draw (a) the fitted and (b) the predicted force, each over the measured force.
 
@@ -414,8 +371,7 @@ def loop_figure(name: str, fit: FrictionFit) -> Figure:
         axes.plot(deflection, fit.loop.force[chosen], "o-", label="measured", **measured)
         axes.plot(deflection, fit.predicted[chosen], color=colour, linewidth=1.4, label=label)
         axes.axhline(0.0, color="#bbbbbb", linewidth=0.5, zorder=0)
-        axes.set_xlabel(LENGTH.label("Deflection"))
-        axes.set_ylabel("Force at the tip (N)")
+        axes.set(xlabel=LENGTH.label("Deflection"), ylabel="Force at the tip (N)")
         axes.set_title(f"{heading}, error {_percent(error)} of the peak", loc="left")
     return titled(page, f"{name}  ·  friction between the wires", _loop_note(fit))
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -57,7 +56,7 @@ from labpipe.report.figure_page import (
 )
 from labpipe.report.issues import sentences as reason_sentences
 from labpipe.report.plot_thinning import extremes, split_doubtful
-from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import count_of
 from labpipe.statistics.mean_curves import block_means
 
@@ -103,8 +102,7 @@ def _plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
         _label_end(shape, axes)
     low, high = _bounds(shapes)
     axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_xlabel(DEFLECTION.label("Along the undeformed wire, x"))
     axes.set_ylabel(DEFLECTION.label("Towards the pull, y"))
 
@@ -164,45 +162,6 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
         yield FigureToSave(f"shapes-{number}", partial(shapes_figure, name, shapes))
 
 
-def save_calibration_figures(
-    report: CalibrationReport,
-    folder: Path,
-    *,
-    say: Callable[[str], None] = lambda _: None,
-    png: bool = False,
-) -> list[Path]:
-    """Draw the figures of a calibration, each as SVG.
-
-    Parameters
-    ----------
-    report : all that they show
-    folder : made if it is not there
-    say : called with the name of each figure as it is drawn
-    png : each as PNG, too
-
-    Returns
-    -------
-    The files, in the order of `calibration_drawings`.
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
-
-    Notes
-    -----
-    The same report gives the same bytes with the same version of matplotlib.
-    """
-    return save_pages(
-        calibration_drawings(report),
-        folder,
-        what="figures of a calibration",
-        again="calibrate",
-        say=say,
-        png=png,
-    )
-
-
 N_MEANS = 25
 """Least number of blocks over which residuals are averaged."""
 
@@ -241,8 +200,7 @@ def _plot_loadings(
             )  # fmt: skip
     axes.set_xlim(left=0.0)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    axes.set_xlabel(DEFLECTION.label("Tip deflection"))
-    axes.set_ylabel(FORCE.label("Force"))
+    axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
 
 
 def _sample_looks(calibration: Calibration) -> dict[float, Look]:
@@ -582,8 +540,7 @@ def _plot_group(group: ValidationGroup, axes: Axes) -> None:
     )  # fmt: skip
     axes.set_xlim(left=0.0)
     axes.set_ylim(min(0.0, _lowest(group)), _HEADROOM * axes.get_ylim()[1])
-    axes.set_xlabel(DEFLECTION.label("Tip deflection"))
-    axes.set_ylabel(FORCE.label("Force"))
+    axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
 
 
 def agreement_words(group: ValidationGroup) -> str:

@@ -392,4 +392,4 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
         If the file cannot be written.
     """
     title = f"Calibration of {report.calibration.wire}"
-    save_book(About(title, _ABOUT), tables_of(report), path, again="calibrate")
+    save_book(About(title, _ABOUT), tables_of(report), path)

@@ -236,8 +236,7 @@ def _plot(
 
 def _label_axes(result: TestResult, axes: Axes) -> None:
     across, up = _scales(result)
-    axes.set_xlabel(across.label("Displacement"))
-    axes.set_ylabel(up.label("Force"))
+    axes.set(xlabel=across.label("Displacement"), ylabel=up.label("Force"))
     axes.locator_params(axis="x", nbins=7)
 
 
@@ -417,8 +416,7 @@ def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
         # the points show through
         axes.fill_between(curvature, *ends, zorder=3, label="95 % of the law", **_BAND)
         axes.axvspan(-floor, floor, label="below noise", **_NOISE)
-    axes.set_xlabel(across.label("Curvature"))
-    axes.set_ylabel(up.label("Bending moment"))
+    axes.set(xlabel=across.label("Curvature"), ylabel=up.label("Bending moment"))
 
 
 def _points_from_rest(bending: Bending) -> tuple[Floats, Floats]:
@@ -463,8 +461,7 @@ def _plot_stiffness(result: TestResult, law: MeasuredLaw, axes: Axes) -> None:
     axes.set_ylim(bottom=0.0)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
-    axes.set_xlabel(across.label("Curvature"))
-    axes.set_ylabel(up.label("Bending stiffness"))
+    axes.set(xlabel=across.label("Curvature"), ylabel=up.label("Bending stiffness"))
 
 
 def _bending_scale(result: TestResult, quantity: str) -> Scale:
@@ -617,8 +614,7 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
         message = f"figures: expected names of {list(FIGURES)}, found {unknown}"
         raise ValueError(message)
     pages = [FigureToSave(name, partial(FIGURES[name], result)) for name in result.figures]
-    again = "process the test"
-    return save_pages(pages, folder, what="figures", again=again, run=result.run, png=png)
+    return save_pages(pages, folder, run=result.run, png=png)
 
 
 def draw_figure(result: TestResult, name: str) -> Figure:

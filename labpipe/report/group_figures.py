@@ -115,10 +115,8 @@ def plot_lines(plot: Plot, axes: Axes) -> None:
     for key in plot.keys:
         is_area = key.look.startswith("band")
         add_key(axes, shortened(key.label, 100), is_area=is_area, **_look(key.look))
-    axes.set_xlim(plot.x.low, plot.x.high)
-    axes.set_ylim(plot.y.low, plot.y.high)
-    axes.set_xlabel(plot.x.label)
-    axes.set_ylabel(plot.y.label)
+    axes.set(xlim=(plot.x.low, plot.x.high), ylim=(plot.y.low, plot.y.high))
+    axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
     axes.locator_params(axis="x", nbins=6)
     if plot.heading:
         axes.set_title(shortened(plot.heading, 40), loc="left")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from labpipe.report.figure_page import (
     new_page,
     titled,
 )
-from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.saving import FigureToSave
 from labpipe.report.wire_figures import LENGTH
 
 if TYPE_CHECKING:
@@ -112,27 +111,18 @@ class DrawnHarness:
     allowed: float
 
 
-def save_harness_figure(
-    drawn: DrawnHarness, sweep: DrawnSweep | None, folder: Path, *, png: bool = False
-) -> list[Path]:
-    """Draw a harness as SVG, and its sweep, if any.
+def harness_drawings(drawn: DrawnHarness, sweep: DrawnSweep | None) -> list[FigureToSave]:
+    """List the figures of a harness: its shape, and its sweep, if any.
 
     Parameters
     ----------
     drawn : the harness
     sweep : several lengths of it
-    folder : made if it is not there
-    png : as PNG, too
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
     """
     pages = [FigureToSave(FIGURE, partial(harness_figure, drawn))]
     if sweep is not None:
         pages.append(FigureToSave(SWEEP_FIGURE, partial(sweep_figure, sweep)))
-    return save_pages(pages, folder, what="the figure", again="run the harness", png=png)
+    return pages
 
 
 def harness_figure(drawn: DrawnHarness) -> Figure:
@@ -277,8 +267,7 @@ def _set_view(drawn: DrawnHarness, pair: list[int], axes: Axes) -> None:
     axes.update_datalim(LENGTH.factor * np.array([middle - half, middle + half]))
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(LENGTH.label(_AXES[pair[0]]))
-    axes.set_ylabel(LENGTH.label(_AXES[pair[1]]))
+    axes.set(xlabel=LENGTH.label(_AXES[pair[0]]), ylabel=LENGTH.label(_AXES[pair[1]]))
 
 
 def _plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
@@ -297,8 +286,7 @@ def _plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
     highest = max([100.0 * allowed, *(3.0 * radius for radius in sharpest if np.isfinite(radius))])
     axes.set_ylim(0.7 * min(*sharpest, allowed), highest)
     axes.set_xlim(along[0], along[-1])
-    axes.set_xlabel(LENGTH.label("From the start"))
-    axes.set_ylabel(LENGTH.label("Bend radius"))
+    axes.set(xlabel=LENGTH.label("From the start"), ylabel=LENGTH.label("Bend radius"))
     label_log_axis(axes.yaxis)
 
 
@@ -364,8 +352,7 @@ def _plot_lengths(sweep: DrawnSweep, pair: list[int], axes: Axes) -> None:
             points = LENGTH.factor * positions[:, pair]
             axes.plot(*points.T, color=colour, linewidth=1.1, linestyle=dash, label=label)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(LENGTH.label(_AXES[pair[0]]))
-    axes.set_ylabel(LENGTH.label(_AXES[pair[1]]))
+    axes.set(xlabel=LENGTH.label(_AXES[pair[0]]), ylabel=LENGTH.label(_AXES[pair[1]]))
 
 
 def _plot_sweep(sweep: DrawnSweep, axes: Axes) -> None:
@@ -384,5 +371,4 @@ def _plot_sweep(sweep: DrawnSweep, axes: Axes) -> None:
         low, high = map(_finite_radius, sweep.radius_band)
         axes.fill_between(length, low, high, label=_POINTWISE, **_BAND, zorder=0)
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel(LENGTH.label("Length of the line"))
-    axes.set_ylabel(LENGTH.label("Smallest bend radius"))
+    axes.set(xlabel=LENGTH.label("Length of the line"), ylabel=LENGTH.label("Smallest bend radius"))

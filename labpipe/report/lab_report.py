@@ -61,7 +61,7 @@ from labpipe.report.page_tables import (
 )
 from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.saving import save_pages, written_to
+from labpipe.report.saving import save_pages, writing
 from labpipe.report.wording import (
     as_label,
     count_of,
@@ -643,7 +643,7 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
         campaign, letterhead=extras.letterhead, has_test_pages=bool(extras.test_pages)
     )
     tables, pages = folder / TABLES_FILE, {PAGE_FILE: page, **extras.test_pages}
-    with written_to(folder, "a report", again="make the report"):
+    with writing(folder, "a report"):
         for name, text in pages.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -669,8 +669,6 @@ def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> l
     return save_pages(
         wanted,
         folder,
-        what="figures",
-        again="make the report",
         png="png" in formats,
         pdf="pdf" in formats,
         dpi=report_dpi,

@@ -240,8 +240,7 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0, rig)))
     axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane, rig)))
     axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set_xlabel(way.label("x"))
-    axes.set_ylabel(way.label("xyz"[plane]))
+    axes.set(xlabel=way.label("x"), ylabel=way.label("xyz"[plane]))
 
 
 def _draw_markers(shape: Shape, frame: int, how: tuple[int, float, str], axes: Axes) -> None:

@@ -105,7 +105,7 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
     """
     footer = f"{campaign.title}  \u00b7  report {report_id(campaign)}"
     about = About(campaign.title, (*_facts(campaign), *_ABOUT), footer)
-    save_book(about, list(_sheets(campaign)), path, again="make the report")
+    save_book(about, list(_sheets(campaign)), path)
 
 
 def _facts(campaign: Campaign) -> Iterator[str]:

@@ -196,8 +196,6 @@ def save_pages(
     wanted: Iterable[FigureToSave],
     folder: Path,
     *,
-    what: str,
-    again: str,
     say: Callable[[str], None] = lambda _: None,
     run: str = "",
     png: bool = False,
@@ -210,7 +208,6 @@ def save_pages(
     ----------
     wanted : each is drawn and released before the next
     folder : made if it is not there
-    what, again : name of the figures, and how to draw them again, for a message
     say : called with the name of each figure as it is drawn
     run : key of the run of the figures, written to SVG and PNG; may be empty
     png, pdf : each as PNG or PDF, too; the SVG is identical
@@ -229,7 +226,7 @@ def save_pages(
     -----
     The same figure gives the same bytes with the same version of matplotlib.
     """
-    with written_to(folder, what, again=again), style():
+    with writing(folder, "figures"), style():
         folder.mkdir(parents=True, exist_ok=True)
         files = []
         for figure_to_save in wanted:
@@ -252,13 +249,13 @@ def pngs_of(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
 
 
 @contextmanager
-def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
-    """Report a folder that cannot be written to, with its purpose and a remedy.
+def writing(path: Path, what: str) -> Iterator[None]:
+    """Report a file or folder that cannot be written, with a remedy.
 
     Parameters
     ----------
-    folder : written to inside this block
-    what, again : name of the files, and how to make them again
+    path : written inside this block
+    what : name of the files
 
     Raises
     ------
@@ -269,11 +266,12 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
         yield
     except OSError as error:
         message = error_text(
-            folder,
+            path,
             "",
-            expected=f"a folder that {what} can be written to",
+            expected=f"room and permission to write {what}",
             found=str(error),
-            remedy=f"Make room, or change the permissions, and {again} again.",
+            remedy="Make room, change the permissions or close the open file, then repeat the"
+            " command.",
         )
         raise StoreError(message) from error
 

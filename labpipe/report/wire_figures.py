@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from labpipe.report.figure_page import (
     titled,
 )
 from labpipe.report.plot_thinning import split_doubtful
-from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import Scale, write_number
 
 if TYPE_CHECKING:
@@ -187,8 +186,7 @@ def plot_section(
     for label, style in _labels_of_layers(layout).items():
         add_key(axes, label, is_area=True, **style)
     axes.set_aspect("equal", anchor="S")  # free room is between key and titles
-    axes.set_xlim(-edge, edge)
-    axes.set_ylim(-1.22 * edge, edge)
+    axes.set(xlim=(-edge, edge), ylim=(-1.22 * edge, edge))
     axes.set_axis_off()
     axes.set_title(_section_title(table, unit or stiffness_scale([table])), linespacing=1.25)
     _draw_bar(axes, edge)
@@ -416,8 +414,7 @@ def moment_figure(table: WireTable) -> Figure:
     right.set_xlim(across[0], across[-1])
     label_log_axis(right.xaxis)
     right.set_ylim(0.0, 100.0)
-    right.set_xlabel(CURVATURE.label("Curvature"))
-    right.set_ylabel("Share of the moment (%)")
+    right.set(xlabel=CURVATURE.label("Curvature"), ylabel="Share of the moment (%)")
     _shade_doubtful(table, right)
     return titled(page, wire_title(table), warnings_of(table))
 
@@ -432,10 +429,8 @@ def _plot_parts(table: WireTable, axes: Axes) -> None:
     look: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": DOTTED}
     axes.plot(across, elastic, label="without yielding", **look)
     top = 1.04 * min(float(elastic.max()), max_elastic_moments * up * float(table.moment.max()))
-    axes.set_xlim(0.0, across[-1])
-    axes.set_ylim(0.0, top)
-    axes.set_xlabel(CURVATURE.label("Curvature"))
-    axes.set_ylabel(MOMENT.label("Bending moment"))
+    axes.set(xlim=(0.0, across[-1]), ylim=(0.0, top))
+    axes.set(xlabel=CURVATURE.label("Curvature"), ylabel=MOMENT.label("Bending moment"))
     _shade_doubtful(table, axes)
 
 
@@ -480,10 +475,8 @@ def cantilever_figure(table: WireTable) -> Figure:
     ):
         force = FORCE.factor * 3.0 * stiffness / table.spec.length**3 * ends
         axes.plot(LENGTH.factor * ends, force, label=label, **look)
-    axes.set_xlim(0.0, across[-1])
-    axes.set_ylim(0.0, margin_factor * float(np.max(up)))
-    axes.set_xlabel(LENGTH.label("Tip deflection"))
-    axes.set_ylabel(FORCE.label("End load"))
+    axes.set(xlim=(0.0, across[-1]), ylim=(0.0, margin_factor * float(np.max(up))))
+    axes.set(xlabel=LENGTH.label("Tip deflection"), ylabel=FORCE.label("End load"))
     if table.doubtful_deflection < table.tip_deflection[-1]:
         _shade(axes, LENGTH.factor * table.doubtful_deflection, float(across[-1]))
     return titled(page, wire_title(table), note)
@@ -535,8 +528,7 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     left.set_ylabel(unit.label("Secant bending stiffness"))
     right.set_xlim(left=0.0)
     right.set_ylim(bottom=0.0)
-    right.set_xlabel(CURVATURE.label("Curvature"))
-    right.set_ylabel(MOMENT.label("Bending moment"))
+    right.set(xlabel=CURVATURE.label("Curvature"), ylabel=MOMENT.label("Bending moment"))
     left.set_title("secant stiffness", loc="left")
     right.set_title("moment", loc="left")
     return titled(page, "Wires compared  ·  wire model", _RANGES)
@@ -588,42 +580,3 @@ def figure_names(name: str) -> list[str]:
     """
     stem = _INVALID_IN_FILE_NAME.sub("-", name)
     return [f"{stem}.{kind}" for kind in _WIRE_FIGURES]
-
-
-def save_wire_figures(
-    tables: Sequence[WireTable],
-    folder: Path,
-    *,
-    say: Callable[[str], None] = lambda _: None,
-    png: bool = False,
-) -> list[Path]:
-    """Draw the figures of a sheet of wires, each as SVG.
-
-    Parameters
-    ----------
-    tables : of the wires, in the order of the sheet
-    folder : made if it is not there
-    say : called with the name of each figure as it is drawn
-    png : each as PNG, too
-
-    Returns
-    -------
-    The files, in the order of `wire_drawings`.
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
-
-    Notes
-    -----
-    The same tables give the same bytes with the same version of matplotlib.
-    """
-    return save_pages(
-        wire_drawings(tables),
-        folder,
-        what="figures of wires",
-        again="run the model",
-        say=say,
-        png=png,
-    )

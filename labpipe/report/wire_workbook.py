@@ -213,7 +213,7 @@ def save_wire_workbook(
     40 of each; the summary gives their number and the error of straight lines between them.
     """
     sheets = list(_sheets(tables, refused or {}, stated or {}))
-    save_book(About("Laws of wires", _ABOUT), sheets, path, again="run the model")
+    save_book(About("Laws of wires", _ABOUT), sheets, path)
 
 
 def _sheets(

@@ -12,9 +12,9 @@ from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from labpipe.errors import StoreError, error_text
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
+from labpipe.report.saving import writing
 from labpipe.report.wording import place_of, printable, shortened
 
 _WRAPPED_WIDTH = 46
@@ -164,7 +164,7 @@ class About(NamedTuple):
 READ_ME = "read me"
 
 
-def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) -> None:
+def save_book(about: About, sheets: Sequence[Sheet], path: Path) -> None:
     """Write sheets as an xlsx file, after one that describes them.
 
     Parameters
@@ -172,7 +172,6 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
     about : contents of the sheet `READ_ME`, which lists and links the others
     sheets : in order; the first is shown first
     path : of the file
-    again : how to make the file again, for a message
 
     Raises
     ------
@@ -190,17 +189,8 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
     for number, sheet in enumerate(sheets):
         book.add(sheet, is_first=not number)
     book.close()
-    try:
+    with writing(path, "a workbook"):
         path.write_bytes(memory.getvalue())
-    except OSError as error:
-        message = error_text(
-            path,
-            "",
-            expected="a workbook that can be written",
-            found=str(error),
-            remedy=f"Make room, change the permissions or close the open file, and {again} again.",
-        )
-        raise StoreError(message) from error
 
 
 class _WorkbookWriter:

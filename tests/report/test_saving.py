@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from labpipe.errors import StoreError
 from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
-from labpipe.report.calibration_figures import save_calibration_figures
+from labpipe.report.calibration_figures import calibration_drawings
 from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.report.figure_page import new_page, titled
 from labpipe.report.figures import FIGURES, save_figures
@@ -26,7 +26,7 @@ from labpipe.report.saving import (
     inline_svg,
     save_pages,
 )
-from labpipe.report.wire_figures import save_wire_figures
+from labpipe.report.wire_figures import wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
@@ -45,8 +45,8 @@ def page() -> Figure:
 def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
     """The SVG does not depend on the PNG; letters are lines, so that no font changes them."""
     wanted = [FigureToSave("a", page, "How to\x07 read it.", "One & two")]
-    both = save_pages(wanted, tmp_path / "both", what="figures", again="draw", png=True)
-    (alone,) = save_pages(wanted, tmp_path / "alone", what="figures", again="draw")
+    both = save_pages(wanted, tmp_path / "both", png=True)
+    (alone,) = save_pages(wanted, tmp_path / "alone")
     assert [path.name for path in both] == ["a.svg", "a.png"]
     assert alone.read_bytes() == both[0].read_bytes()
     assert list((tmp_path / "alone").iterdir()) == [alone]
@@ -113,8 +113,8 @@ def test_any_name_is_drawn(tmp_path: Path, name: str) -> None:
 
 SAVE: dict[str, Callable[[Path], object]] = {
     "figures": lambda path: save_figures(build_result(half_cycle=0.2, cycles=1), path),
-    "wire figures": lambda path: save_wire_figures([wire_table("A1")], path),
-    "calibration figures": lambda path: save_calibration_figures(report(), path),
+    "wire figures": lambda path: save_pages(wire_drawings([wire_table("A1")]), path),
+    "calibration figures": lambda path: save_pages(calibration_drawings(report()), path),
     "report": lambda path: write_report(Campaign("Synthetic", ()), path),
     "calibration": lambda path: save_calibration_workbook(report(), path / "a.xlsx"),
     "wires": lambda path: save_wire_workbook([wire_table("A1")], path / "a.xlsx"),
@@ -133,6 +133,6 @@ def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
         save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()
     with pytest.raises(StoreError, match="Is a directory"):
-        save_pages([FigureToSave("a", page)], tmp_path, what="figures", again="draw", png=True)
+        save_pages([FigureToSave("a", page)], tmp_path, png=True)
     assert {path.name for path in tmp_path.iterdir()} == {"x", "a.png", "a.svg"}
     approved(messages)
