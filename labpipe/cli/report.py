@@ -15,8 +15,7 @@ from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.report.lab_report import Letterhead
-from labpipe.report.logo import read_logo
+from labpipe.report.lab_report import Letterhead, read_logo
 from labpipe.report.saving import FORMATS
 
 

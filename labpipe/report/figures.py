@@ -390,7 +390,7 @@ def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
     law puts the specimen at rest; the band is the 95 % interval of the law, the grey stripe the
     curvatures within noise.
     """
-    max_cloud_points = 4000
+    max_cloud_points = 2500
     across, up = _bending_scale(result, "curvature"), _bending_scale(result, "moment")
     cloud, branches = bending.cloud, _branches(result)
     x, y = _points_from_rest(bending)

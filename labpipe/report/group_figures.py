@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +37,7 @@ from labpipe.report.group_panels import (
     mean_lines,
 )
 from labpipe.report.page_facts import stems
-from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, clip_range
 from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import (
     Scale,
@@ -248,12 +247,11 @@ _SIGNS = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise
 
 def _force_axis(name: str, bands: Sequence[Band], scale: Scale) -> Axis:
     """Return an axis with full means, and intervals only as far as the means stay apart."""
-    means = axis_over(name, scale.unit, [scale.factor * band.mean for band in bands])
-    edges = [scale.factor * edge for band in bands for edge in (band.lower, band.upper)]
-    whole = axis_over(name, scale.unit, edges) if any(map(np.size, edges)) else means
-    room = 0.4 * (means.high - means.low)
-    low, high = max(whole.low, means.low - room), min(whole.high, means.high + room)
-    return replace(means, low=min(low, means.low), high=max(high, means.high))
+    means = np.concatenate([band.mean for band in bands])
+    edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
+    low, high = clip_range(scale.factor * means, scale.factor * edges, 0.4)
+    room = 0.03 * ((high - low) or 1.0)
+    return Axis(name, scale.unit, low - room, high + room)
 
 
 def main_number(family: Family) -> str:

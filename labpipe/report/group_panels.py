@@ -15,7 +15,7 @@ from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
 from labpipe.records.result import Status
 from labpipe.report.issues import sentence
 from labpipe.report.page_facts import PageTest, PageTests, key_of
-from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, clip_range
 from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.wording import (
     Scale,
@@ -195,27 +195,13 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
         if np.isfinite(curve.force).any()
         for edge in (float(np.nanmin(curve.force)), float(np.nanmax(curve.force)))
     ]
-    finite = [force for force in forces if np.isfinite(force)] or [0.0, 1.0]
-    low, high = _widened(min(finite), max(finite), band.lower, band.upper, 0.5)
-    whole = _widened(low, high, band.lower_all, band.upper_all, np.inf)
+    low, high = clip_range(forces, [*band.lower, *band.upper], 0.5)
+    whole = clip_range([low, high], [*band.lower_all, *band.upper_all], np.inf)
     if whole[1] - whole[0] <= 1.25 * (high - low):
         low, high = whole
     margin = 0.04 * (high - low) or 1.0
     name, unit = ("Force / peak force", "") if is_scaled else ("Force", view.up.unit)
     return Axis(name, unit, factor * (low - margin), factor * (high + margin))
-
-
-def _widened(
-    low: float, high: float, lower: Floats, upper: Floats, most: float
-) -> tuple[float, float]:
-    """Widen a range for a band, at most by a share of itself."""
-    if not np.isfinite(lower).any() or high == low:
-        return low, high
-    room = most * (high - low)
-    return (
-        max(min(low, float(np.nanmin(lower))), low - room),
-        min(max(high, float(np.nanmax(upper))), high + room),
-    )
 
 
 def _sample_lines(view: _GroupView, sample: Sample, *, has_others: bool = True) -> Iterator[Line]:
@@ -588,13 +574,11 @@ _DOT_LABELS = {
 
 def clipped_axis(name: str, scale: Scale, lines: Sequence[Line], values: Sequence[Floats]) -> Axis:
     """Return an axis with all values, and of wide intervals as much as leaves them apart."""
-    interval_room = 1.0  # beside the values, of their range
-    every = axis_over(name, unit_words(scale.unit), [line.x for line in lines])
-    tight = axis_over("", "", values)
-    room = interval_room * (tight.high - tight.low)
-    return replace(
-        every, low=max(every.low, tight.low - room), high=min(every.high, tight.high + room)
-    )
+    margin = 0.03
+    ends = np.concatenate([line.x for line in lines])
+    low, high = clip_range(np.concatenate(values), ends, 1.0)
+    room = margin * ((high - low) or abs(high) or 1.0)
+    return Axis(name, unit_words(scale.unit), low - room, high + room)
 
 
 class DotRow(NamedTuple):

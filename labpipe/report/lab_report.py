@@ -9,11 +9,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
+from io import BytesIO
 from itertools import groupby
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from labpipe.errors import UsageError, error_text
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
@@ -42,7 +44,7 @@ from labpipe.report.page_facts import (
     samples_of,
     stems,
 )
-from labpipe.report.page_plots import Strip, mean_strip, sparkline
+from labpipe.report.page_plots import Strip, clip_range, mean_strip, sparkline
 from labpipe.report.page_tables import (
     DASH,
     Cell,
@@ -99,6 +101,47 @@ class Letterhead:
 
 
 PLAIN = Letterhead()
+_MAX_LOGO_BYTES = 200_000
+_SIGNATURES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+
+
+def read_logo(path: Path) -> str:
+    """Read a picture for page one.
+
+    Parameters
+    ----------
+    path : a PNG or a JPEG
+
+    Returns
+    -------
+    The picture as a ``data:`` address.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be read, has another format, is damaged or too large for a mailed page.
+    """
+    from PIL import Image
+
+    content, kind, fault = b"", "", "a file of another format"
+    try:
+        if not path.is_file() or path.stat().st_size > _MAX_LOGO_BYTES:
+            fault = f"{path.stat().st_size} bytes" if path.is_file() else "no file"
+        else:
+            content = path.read_bytes()
+            kind = next(
+                (kind for sign, kind in _SIGNATURES.items() if content.startswith(sign)), ""
+            )
+        if kind:
+            Image.open(BytesIO(content)).load()
+            fault = ""
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        fault = f"a file that cannot be read ({error})"
+    if fault:
+        expected = f"a picture, PNG or JPEG, of at most {_MAX_LOGO_BYTES // 1000} kB"
+        remedy = "Save the logo as PNG, about 600 points wide, or omit --logo."
+        raise UsageError(error_text(path, "", expected=expected, found=fault, remedy=remedy))
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def render_page(
@@ -308,10 +351,8 @@ def _ends(numbers: Sequence[GroupNumber]) -> tuple[float, float]:
     chosen = [number.mean.chosen for number in numbers if number.mean is not None]
     means = [mean.mean for mean in chosen] or [0.0, 1.0]
     ends = [end for mean in chosen if mean.interval is not None
-            for end in (mean.interval.lower, mean.interval.upper) if isfinite(end)]  # fmt: skip
-    low, high = min(means), max(means)
-    room = (high - low) or 0.5 * abs(high) or 1.0
-    return max(min([low, *ends]), low - room), min(max([high, *ends]), high + room)
+            for end in (mean.interval.lower, mean.interval.upper)]  # fmt: skip
+    return clip_range(means, ends, 1.0)
 
 
 def _mean_strip(group: Group, names: Sequence[str], ends: tuple[float, float]) -> Strip | None:

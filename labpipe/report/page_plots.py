@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import floor, isfinite, log10
+from math import floor, inf, isfinite, log10
 from typing import NamedTuple
 
 import numpy as np
@@ -187,6 +187,22 @@ def axis_over(name: str, unit: str, values: Iterable[Floats], *, room: float = 0
     low, high = min(ends), max(ends)
     span = (high - low) or abs(high) or 1.0
     return Axis(name, unit, low - room * span, high + room * span)
+
+
+def clip_range(values: Iterable[float], wide: Iterable[float], room: float) -> tuple[float, float]:
+    """Return a range with all values, and of wide intervals as much as leaves the values apart.
+
+    Parameters
+    ----------
+    values : shown in full
+    wide : ends of intervals or bands, shown up to `room`; numbers that are not finite are ignored
+    room : beyond the values, as a share of their range; a single value has all of it
+    """
+    shown = [float(value) for value in values if isfinite(value)] or [0.0, 1.0]
+    low, high = min(shown), max(shown)
+    reach = room * (high - low) if high > low else inf
+    every = [*shown, *(float(end) for end in wide if isfinite(end))]
+    return max(min(every), low - reach), min(max(every), high + reach)
 
 
 class Strip(NamedTuple):

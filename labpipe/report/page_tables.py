@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import nan
 from typing import Any
 from urllib.parse import quote
 
@@ -24,7 +24,7 @@ from labpipe.report.budget_figures import (
 from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import Cause, decision_words, find_notes, sentences
 from labpipe.report.page_facts import PageTest, PageTests, days_words, key_of, operators_words
-from labpipe.report.page_plots import Strip, mean_strip
+from labpipe.report.page_plots import Strip, clip_range, mean_strip
 from labpipe.report.wording import (
     as_label,
     count_of,
@@ -144,12 +144,9 @@ def _number_strip(number: GroupNumber) -> Strip:
     chosen = None if number.mean is None else number.mean.chosen
     interval = None if chosen is None else chosen.interval
     mean = nan if chosen is None else chosen.mean
-    low, high = min([*values, mean]), max([*values, mean])
-    reach = max_reach * (high - low)
-    if interval is not None and isfinite(interval.lower + interval.upper):
-        low = max(min(low, interval.lower), low - reach) if reach else interval.lower
-        high = min(max(high, interval.upper), high + reach) if reach else interval.upper
-    return mean_strip((low, high), interval, mean, values if len(values) <= max_dots else ())
+    ends = () if interval is None else (interval.lower, interval.upper)
+    dots = values if len(values) <= max_dots else ()
+    return mean_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
 
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from labpipe.records.causes import IS_COMMON
@@ -146,9 +146,13 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
     if any(group.band_scaled is not None for group in campaign.groups):
         yield _curves_sheet(campaign, is_scaled=True)
     single_field = [difference for difference in campaign.differences if difference.family]
-    differences = [*single_field, *multi_field_differences(campaign)]
+    displays = {group.name: display_of(group) for group in campaign.groups}
+    differences = [
+        _difference(difference, displays.get(difference.first, {}))
+        for difference in (*single_field, *multi_field_differences(campaign))
+    ]
     yield sheet_of(
-        "comparisons", _differences(campaign, differences), frozen=2, printed="question",
+        "comparisons", differences, frozen=2, printed="question",
         printed_rows=len(single_field) or None,
         question="How do pairs of groups differ in each number? Pairs that differ in one field come"
         " first.",
@@ -174,42 +178,25 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
 
 
 def _answer(pair: Pair) -> Record:
+    """Return the verdict on the first main number of a pair."""
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
-    scale = shown_in(difference.name, difference.unit, display_of(pair.first))
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
-    shift = difference.difference
+    record = _difference(difference, display_of(pair.first))
+    shared = ("unit", "irrelevant below", "level (%)", "first", "second")
     return {
         "comparison": f"{field_words(pair.field)}: {after} against {before}",
         "of": context_words((pair.first, pair.second), pair.field),
-        "number": as_label(difference.name),
-        "verdict": str(difference.verdict),
-        "difference (%)": percent_cell(difference.share),
-        **_corrected_shares(difference),
-        "difference": number_cell(shift.mean, shift.interval, scale.factor),
-        "unit": unit_words(scale.unit),
-        "irrelevant below": number_cell(difference.margin, None, scale.factor),
+        **{head: record[head] for head in ("number", "verdict")},
+        "difference (%)": record["share (%)"],
+        **{head: record[head] for head in ("corrected lower (%)", "corrected upper (%)")},
+        "difference": record["second minus first"],
         "n": counts[1],
         "n against": counts[0],
         "why": difference.why,
-        "level (%)": _level(difference),
-        "first": difference.first,
-        "second": difference.second,
+        **{head: record[head] for head in shared},
         "caveats": "; ".join(difference.caveats),
     }
-
-
-def _corrected_shares(difference: Difference) -> Record:
-    """Return the ends of the corrected interval as shares; None for signed numbers."""
-    ends = difference.interval if difference.share is not None else None
-    return {
-        "corrected lower (%)": None if ends is None else percent_cell(ends.lower),
-        "corrected upper (%)": None if ends is None else percent_cell(ends.upper),
-    }
-
-
-def _level(difference: Difference) -> Value:
-    return None if difference.interval is None else percent_cell(difference.interval.level)
 
 
 def _key_numbers_sheet(campaign: Campaign) -> Sheet:
@@ -461,37 +448,36 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     )  # fmt: skip
 
 
-def _differences(campaign: Campaign, differences: Iterable[Difference]) -> Iterator[Record]:
-    """Yield the differences of pairs of groups."""
-    displays = {group.name: display_of(group) for group in campaign.groups}
-    for difference in differences:
-        shift = difference.difference
-        scale = shown_in(difference.name, difference.unit, displays.get(difference.first, {}))
-        in_unit = difference.interval if difference.share is None else None
-        corrected = ends_record(shift.mean, in_unit, scale.factor)
-        yield {
-            "first": difference.first,
-            "second": difference.second,
-            "number": as_label(difference.name),
-            "unit": unit_words(scale.unit),
-            **ends_record(shift.mean, shift.interval, scale.factor, name="second minus first"),
-            "share (%)": percent_cell(difference.share),
-            **_corrected_shares(difference),
-            "corrected lower": corrected["lower"],
-            "corrected upper": corrected["upper"],
-            "verdict": str(difference.verdict),
-            "question": difference.question,
-            "differ in": fields_in_words(difference),
-            "level (%)": _level(difference),
-            "irrelevant below": number_cell(difference.margin, None, scale.factor),
-            "different, p": number_cell(difference.p, None),
-            "equivalent, p": number_cell(difference.p_equivalent, None),
-            "family": difference.family,
-            "in family": difference.tests or None,
-            "why": "; ".join(filter(None, (difference.why, *difference.caveats))),
-            "reason": str(shift.reason or ""),
-            "result": difference.name,
-        }
+def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
+    """Return the difference of two groups in one number."""
+    shift, ends = difference.difference, difference.interval
+    scale = shown_in(difference.name, difference.unit, display)
+    in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
+    corrected = ends_record(shift.mean, in_unit, scale.factor)
+    return {
+        "first": difference.first,
+        "second": difference.second,
+        "number": as_label(difference.name),
+        "unit": unit_words(scale.unit),
+        **ends_record(shift.mean, shift.interval, scale.factor, name="second minus first"),
+        "share (%)": percent_cell(difference.share),
+        "corrected lower (%)": None if of_share is None else percent_cell(of_share.lower),
+        "corrected upper (%)": None if of_share is None else percent_cell(of_share.upper),
+        "corrected lower": corrected["lower"],
+        "corrected upper": corrected["upper"],
+        "verdict": str(difference.verdict),
+        "question": difference.question,
+        "differ in": fields_in_words(difference),
+        "level (%)": None if ends is None else percent_cell(ends.level),
+        "irrelevant below": number_cell(difference.margin, None, scale.factor),
+        "different, p": number_cell(difference.p, None),
+        "equivalent, p": number_cell(difference.p_equivalent, None),
+        "family": difference.family,
+        "in family": difference.tests or None,
+        "why": "; ".join(filter(None, (difference.why, *difference.caveats))),
+        "reason": str(shift.reason or ""),
+        "result": difference.name,
+    }
 
 
 def _budgets_sheet(campaign: Campaign) -> Sheet:
