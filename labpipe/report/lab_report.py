@@ -304,7 +304,7 @@ class KeyBlock(NamedTuple):
 
 
 def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
-    """Return the key numbers of each group: a block per protocol, and one of all single groups.
+    """Return the key numbers of each group: a block for each kind, and one of all single groups.
 
     Parameters
     ----------
@@ -314,17 +314,22 @@ def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
     by_protocol: dict[str, list[tuple[Group, str]]] = {}
     for group, stem in zip(campaign.groups, stems, strict=True):
         by_protocol.setdefault(group.protocol, []).append((group, stem))
+    by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
+    for groups in by_protocol.values():
+        by_heads.setdefault(_key_heads(groups), []).extend(groups)
     blocks: list[KeyBlock] = []
     single: list[KeyRow] = []
-    for groups in by_protocol.values():
-        if len(groups) > 1 or len(by_protocol) == 1:
-            blocks.append(_key_block(groups))
+    for heads, groups in by_heads.items():
+        if len(groups) > 1 or len(by_heads) == 1:
+            texts = tuple(text for _, text in heads)
+            blocks.append(KeyBlock(texts, _key_rows(groups, dict(heads))))
         else:
-            single += _key_block(groups, has_heads=False).rows
+            single += _key_rows(groups, dict(heads), has_heads=False)
     return [*blocks, *([KeyBlock((), single)] if single else [])]
 
 
-def _key_block(groups: Sequence[tuple[Group, str]], *, has_heads: bool = True) -> KeyBlock:
+def _key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
+    """Return names and headings of the first numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
     for group, _ in groups:
@@ -332,14 +337,20 @@ def _key_block(groups: Sequence[tuple[Group, str]], *, has_heads: bool = True) -
             if is_first_cycle(number.name) and not number.is_set_by_rig:
                 unit = shown_in(number.name, number.unit, display_of(group)).unit
                 heads.setdefault(number.name, heading(number.name, unit))
-    names = list(heads)[:n_numbers]
+    return tuple(heads.items())[:n_numbers]
+
+
+def _key_rows(
+    groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool = True
+) -> list[KeyRow]:
+    names = list(heads)
     ends = _ends([first for group, _ in groups if (first := _number(group, names[:1])) is not None])
     rows = []
     for group, stem in groups:
         strip = _mean_strip(group, names, ends) if has_heads else None
         cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in names)
         rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
-    return KeyBlock(tuple(heads[name] for name in names), rows)
+    return rows
 
 
 def _number(group: Group, names: Sequence[str]) -> GroupNumber | None:
