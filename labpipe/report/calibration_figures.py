@@ -17,7 +17,6 @@ from labpipe.records.wire_calibration import (
     Calibration,
     CurveMatch,
     ExternalCurveComparison,
-    Identifiability,
     Prediction,
     Profile,
 )
@@ -26,7 +25,6 @@ from labpipe.report.calibration_summary import (
     DEFLECTION,
     DISPLAYS,
     FORCE,
-    HEADS,
     MODEL,
     SMALL_FORCE,
     BentShape,
@@ -396,21 +394,6 @@ def _set_ticks(axes: Axes) -> None:
         axes.xaxis.set_minor_locator(NullLocator())
 
 
-_PANEL_HEIGHTS = (58.0, 34.0, 32.0)
-"""mm, rows of panels without their headings, numbers and labels."""
-_FRAME_MM = 16.5
-"""Heading, numbers and label of a panel."""
-_LINE_MM = 3.7
-"""Height of a line of text."""
-_DOUBTFUL = {
-    Identifiability.NOT,
-    Identifiability.TWO,
-    Identifiability.AT_BOUND,
-    Identifiability.BY_PRIOR,
-    Identifiability.AGAINST_PRIOR,
-}
-
-
 def calibration_card(
     calibration: Calibration, *, predictions: Mapping[float, Prediction] | None = None
 ) -> Figure:
@@ -427,28 +410,25 @@ def calibration_card(
     of each sample taken out, (d) to (f) profiles of the parameters, and numbers and verdicts in
     words.
     """
-    letters_per_line = 145
-    rows = [HEADS, *(parameter_row(parameter) for parameter in calibration.parameters)]
-    lines = [
-        line
-        for sentence in sentences(calibration)
-        for line in textwrap.wrap(sentence, letters_per_line, subsequent_indent="   ")
-    ]
-    heights = _heights(len(rows) + len(lines) + 1.3)
-    height = sum(heights) + _FRAME_MM * len(_PANEL_HEIGHTS)
+    panel_heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; its heading and labels
+    height = sum(panel_heights) + frame_mm * len(panel_heights)
     page = new_page(height_mm=height, width_mm=DOUBLE_COLUMN)
-    panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff;wwwwww", height_ratios=heights)
+    panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff", height_ratios=panel_heights)
     _plot_loadings(calibration, panels["a"], predictions or {})
     plot_residuals(calibration, panels["b"])
     plot_residuals(calibration, panels["c"], has_own_factor=True)
     for letter, parameter in zip("def", calibration.parameters, strict=True):
         plot_profile(parameter, panels[letter])
     panels["d"].set_ylabel("Deviance")
-    _write_table(panels["w"], rows, lines)
     for letter, heading in zip("abcdef", _HEADINGS, strict=True):
         panels[letter].set_title(heading, loc="left")
-    note = "Residuals: points faint, means of neighbouring points as lines."
-    note += "" if predictions else " The band of the model is not drawn."
+    numbers = [
+        f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
+        for name, value, interval, unit, verdict in map(parameter_row, calibration.parameters)
+    ]
+    about = "Residuals: points faint, means of neighbouring points as lines."
+    about += "" if predictions else " The band of the model is not drawn."
+    note = "\n".join([*numbers, *sentences(calibration), about])
     count = count_of(calibration.n_samples, "sample")
     return titled(page, f"{calibration.wire}  ·  calibration of the wire model  ·  {count}", note)
 
@@ -457,38 +437,6 @@ _HEADINGS = (
     "first loadings", "residuals", "residuals with each sample's own factor", "friction",
     "insulation", "copper",
 )  # fmt: skip
-
-
-def _heights(lines: float) -> tuple[float, ...]:
-    """Return the heights of the panels and of a number of lines of text, mm."""
-    max_height_mm = 255.0  # of an upright A4 page
-    min_panel_share = 0.7  # of the panels' full heights, above much text
-    text_height = _LINE_MM * lines
-    room = max_height_mm - _FRAME_MM * len(_PANEL_HEIGHTS) - text_height
-    share = min(max(room / sum(_PANEL_HEIGHTS), min_panel_share), 1.0)
-    return *(share * height for height in _PANEL_HEIGHTS), text_height
-
-
-def _write_table(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> None:
-    """Write a table and lines below one another, from the top of a panel."""
-    column_edges = (0.0, 0.24, 0.34, 0.53, 0.60)
-    axes.set_axis_off()
-    for number, row in enumerate(rows):
-        for at, text in zip(column_edges, row, strict=True):
-            is_bold = number == 0 or text in _DOUBTFUL
-            _put_text(axes, text, at, number, weight="bold" if is_bold else "normal")
-    for number, line in enumerate(lines, start=len(rows)):
-        _put_text(axes, line, 0.0, number + 0.5)
-
-
-def _put_text(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
-    left = 0.012
-    points_per_mm = 72.0 / 25.4
-    axes.annotate(
-        text, (left + at, 1.0), (0.0, -line * _LINE_MM * points_per_mm), textcoords="offset points",
-        xycoords=("figure fraction", "axes fraction"), va="top", annotation_clip=False,
-        **look,
-    ).set_in_layout(False)  # fmt: skip
 
 
 MAX_PANELS = 6

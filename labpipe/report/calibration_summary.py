@@ -224,13 +224,12 @@ class CalibrationReport:
         }
 
 
-HEADS = ("parameter", "value", "95 % interval", "unit", "verdict")
 _REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
 """Codes of notes that repeat the sentences of the parameters."""
 
 
 def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
-    """Write a parameter as the line of a table, under `HEADS`.
+    """Write a parameter: its name, value, 95 % interval, unit and verdict.
 
     Parameters
     ----------

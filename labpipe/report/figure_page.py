@@ -93,22 +93,23 @@ def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Fig
     page : with everything drawn; panels with a key of their own are left out of the key, and
         several panels with a heading get letters
     title : one line
-    note : footnote, broken into lines here; may be empty
+    note : footnote, whose paragraphs are broken into lines here; may be empty
     columns : of the key; as many as fit if 0
 
     Returns
     -------
     The same page.
     """
-    line_mm, key_line_mm, note_line_mm = 4.2, 4.6, 3.8
-    characters_per_mm = 0.7  # of the width of the page, in a footnote
+    line_mm, key_line_mm = 4.2, 4.6
+    characters_per_mm = 0.8  # of the width of the page, in a footnote
     width, height = (size * _MM_PER_INCH for size in page.get_size_inches().tolist())
     _letter_panels(page.axes)
     keys = _labelled_artists(page.axes)
     columns = columns or _key_columns(list(map(_width_mm, keys)), width - 2.0)
     rows = math.ceil(len(keys) / columns)
-    notes = textwrap.wrap(note, int(characters_per_mm * width))
-    height += key_line_mm * rows + note_line_mm * len(notes)
+    letters = int(characters_per_mm * width)
+    notes = [row for line in note.split("\n") for row in textwrap.wrap(line, letters)]
+    height += key_line_mm * rows + line_mm * len(notes)
     page.set_size_inches(width / _MM_PER_INCH, height / _MM_PER_INCH)
     line = line_mm / height
     page.text(_EDGE, 1 - 0.3 * line, title, va="top", color=GREY)
@@ -119,7 +120,7 @@ def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Fig
             list(keys.values()), list(keys), loc="upper left", ncols=columns, borderpad=0,
             borderaxespad=0, bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
         )  # fmt: skip
-    low = line * (0.4 + 0.9 * len(notes)) if notes else 0.0
+    low = line * (0.4 + len(notes)) if notes else 0.0
     high = 1 - (1.3 + 1.1 * rows) * line
     pad = 1.2 / _MM_PER_INCH
     page.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)

@@ -496,10 +496,7 @@ def _fit_plot(view: _GroupView) -> Plot | None:
     x = axis_over("Displacement", view.across.unit, [line.x[np.isfinite(line.y)] for line in every])
     y = axis_over("Force", view.up.unit, [line.y for line in every])
     title = f"Fitted lines on the first loadings of {view.group.name}."
-    caption = (
-        "Straight lines over their windows; the slopes are those of the table of means. The curves"
-        " continue beyond the right edge."
-    )
+    caption = "Straight lines over their windows; the slopes are those of the table of means."
     return Plot("lines", view.stem, title, caption, x, y, every, keys)
 
 

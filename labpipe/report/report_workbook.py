@@ -327,31 +327,26 @@ def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, o
 
 def _tests_sheet(campaign: Campaign) -> Sheet:
     """Return the sheet of tests, rejected ones last, with a column per number."""
+    last = ("decision", "key of the run")
     every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
     every += [("", sample) for sample in campaign.rejected_samples]
     records = [_test(group, sample) for group, sample in every]
-    last: list[Record] = [
-        {"decision": sample.decided, "key of the run": sample.run} for _, sample in every
-    ]
-    numbers = [_numbers_of_test(sample) for _, sample in every]
-    sizes = unite_heads([_sizes(sample) for _, sample in every])
-    first = unite_heads(records)
-    heads = [*first[:9], *sizes, *first[9:], *unite_heads(numbers), *unite_heads(last)]
-    rows = [
-        row | _sizes(sample) | values | end
-        for row, (_, sample), values, end in zip(records, every, numbers, last, strict=True)
-    ]
+    heads = [*(head for head in unite_heads(records) if head not in last), *last]
     question = "What was measured in each test? One row per test, one column per number."
-    printed = heads[-3] if rows else ""
-    return sheet_of("tests", rows, heads=heads, frozen=1, question=question, printed=printed)
+    printed = heads[-3] if records else ""
+    return sheet_of("tests", records, heads=heads, frozen=1, question=question, printed=printed)
 
 
 def _test(group: str, sample: Sample) -> Record:
     specimen = sample.specimen
-    doubtful, failed = (
-        sum(result.status is status for result in sample.results if is_main(result.name))
-        for status in (Status.DOUBTFUL, Status.FAILED)
-    )
+    main = [result for result in sample.results if is_main(result.name)]
+    numbers: Record = {}
+    for result in main:
+        scale = shown_in(result.name, result.unit, sample.display)
+        head = column_head(as_label(result.name), unit_words(scale.unit))
+        numbers[head] = number_cell(result.value, result.interval, scale.factor)
+    sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
+             for name, size in specimen.dimensions.items()}  # fmt: skip
     return {
         "test": sample.test,
         "group": group,
@@ -362,26 +357,13 @@ def _test(group: str, sample: Sample) -> Record:
         "protocol": sample.protocol,
         "day": "" if sample.date is None else str(sample.date),
         "operator": sample.operator,
-        "doubtful numbers": doubtful,
-        "failed numbers": failed,
+        **sizes,
+        "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
+        "failed numbers": sum(result.status is Status.FAILED for result in main),
+        **numbers,
+        "decision": sample.decided,
+        "key of the run": sample.run,
     }
-
-
-def _sizes(sample: Sample) -> Record:
-    return {
-        f"{name.replace('_', ' ')} (mm)": 1e3 * size
-        for name, size in sample.specimen.dimensions.items()
-    }
-
-
-def _numbers_of_test(sample: Sample) -> Record:
-    numbers: Record = {}
-    for result in sample.results:
-        if is_main(result.name):
-            scale = shown_in(result.name, result.unit, sample.display)
-            head = column_head(as_label(result.name), unit_words(scale.unit))
-            numbers[head] = number_cell(result.value, result.interval, scale.factor)
-    return numbers
 
 
 def _results(campaign: Campaign) -> Iterator[Record]:
