@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
-from math import isnan
+from math import isnan, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,15 +19,23 @@ from labpipe.report.figure_page import (
     GREY,
     label_log_axis,
     new_page,
+    split_pages,
     style_colours,
     titled,
 )
 from labpipe.report.issues import sentences
-from labpipe.report.page_tables import DASH, Cell, Table
+from labpipe.report.page_tables import Cell, Table
 from labpipe.report.plot_thinning import split_doubtful
 from labpipe.report.saving import FigureToSave
 from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, set_log_axes
-from labpipe.report.wording import Scale, display_of, shown_in, unit_words, write_number
+from labpipe.report.wording import (
+    Scale,
+    display_of,
+    shown_in,
+    unit_words,
+    with_interval,
+    write_number,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,33 +89,26 @@ def place_scales(campaign: Campaign) -> dict[str, Scale]:
 
 
 def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
-    head = Cell(place.test, place.group) if place.test else Cell(f"mean of {place.group}")
-    value = place.value if place.value is not None else float("nan")
-    written = write_number(value, place.interval, scale.factor)
-    why = sentences(place.reasons)
-    if isnan(place.low):
-        none = Cell(DASH)
-        return head, Cell(written.value, written.interval), none, none, none, Cell(DASH, why)
     low, free, high, least, largest = (
         write_number(stiffness, None, scale.factor, digits=3).value
         for stiffness in (place.low, place.free, place.high, *place.principal)
     )
-    share = write_number(100.0 * place.share, None, digits=2)
+    value = nan if place.value is None else place.value
+    share = write_number(100.0 * place.share, None, digits=2).value
     if place.share_interval is not None:
-        share = write_number(place.share, place.share_interval, 100.0)
-    text = share.value if isnan(place.share) else f"{share.value} %"
+        share = with_interval(place.share, place.share_interval, 100.0)
     return (
-        head,
-        Cell(written.value, written.interval),
+        Cell(place.test, place.group) if place.test else Cell(f"mean of {place.group}"),
+        Cell(with_interval(value, place.interval, scale.factor)),
         Cell(low),
         Cell(free),
         Cell(high, "" if least == largest else f"{least} to {largest}"),
-        Cell(text, why or (f"{share.interval} %" if share.interval else "")),
+        Cell(share if isnan(place.share) else f"{share} %", sentences(place.reasons)),
     )
 
 
 MAX_ROWS = 36
-"""Rows of a figure, unless one group has more."""
+"""Rows of a figure."""
 _CAPTION = (
     "Grey bar: from every wire and strand slipping to nothing slipping, computed by the bundle"
     " model from the wire sheet, for the wires alone; tick: wires slip, their strands stick. Dots:"
@@ -125,30 +126,16 @@ def place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    No figure without places; otherwise figures of up to `MAX_ROWS` rows, groups kept whole.
+    No figure without places; otherwise figures of up to `MAX_ROWS` rows.
     """
     scales = place_scales(campaign)
-    parts = list(_parts(campaign.places))
+    parts = split_pages(campaign.places, MAX_ROWS)
     for at, part in enumerate(parts, start=1):
         name = "between-slipping-and-sticking" + (f"-{at}" if len(parts) > 1 else "")
         scale = scales[part[0].group]
         groups = ", ".join(dict.fromkeys(place.group for place in part))
         alt = f"Bending stiffness between all slipping and nothing slipping: {groups}."
         yield FigureToSave(name, partial(draw_places, part, scale), _CAPTION, alt)
-
-
-def _parts(places: Sequence[BundlePlace]) -> Iterator[list[BundlePlace]]:
-    groups: dict[str, list[BundlePlace]] = {}
-    for place in places:
-        groups.setdefault(place.group, []).append(place)
-    part: list[BundlePlace] = []
-    for group_places in groups.values():
-        if part and len(part) + len(group_places) > MAX_ROWS:
-            yield part
-            part = []
-        part = [*part, *group_places]
-    if part:
-        yield part
 
 
 def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
@@ -173,13 +160,7 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_ylim(len(places) - 0.4, -0.6)
     axes.set_xlabel(f"Bending stiffness ({unit_words(scale.unit)})")
     label_log_axis(axes.xaxis)
-    axes.xaxis.set_major_formatter(_plain)
     return titled(page, "Between slipping and sticking  \u00b7  bundle model")
-
-
-def _plain(value: float, _: object = None) -> str:
-    """Write a number of an axis without a power of ten, in groups of three digits."""
-    return f"{value:,.0f}".replace(",", "\u2009") if value >= 1.0 else f"{value:g}"
 
 
 def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:

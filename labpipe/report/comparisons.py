@@ -263,10 +263,10 @@ def _difference_words(difference: Difference, display: Mapping[str, str]) -> str
             is_beyond = True
         number, unit = write_number(difference.share, ends, 100.0), " %"
     lower, upper = (f"{_signed(end)}{unit}" if end else "" for end in (number.lower, number.upper))
-    ends = sentences([difference.difference.reason])
+    behind = sentences([difference.difference.reason])
     if lower:
-        ends = f"({lower} to {'more than ' if is_beyond else ''}{upper})"
-    return f"{_signed(number.value)}{unit} {ends}".strip()
+        behind = f"({lower} to {'more than ' if is_beyond else ''}{upper})"
+    return f"{_signed(number.value)}{unit} {behind}".strip()
 
 
 def _signed(number: str) -> str:

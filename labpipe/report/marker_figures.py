@@ -85,13 +85,15 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     -------
     About six frames, the first at rest.
     """
-    n_steps = 5
+    n_steps = 6
+    from matplotlib.ticker import MaxNLocator
+
     way, word = _tip_path(result, shape)
     if np.isnan(way).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), word)
     factor = scale(result, "displacement", "m").factor
-    step = _round_step(float(np.nanmax(way)) * factor / n_steps) / factor
-    levels = np.arange(0.0, np.nanmax(way) * (1 + 1e-9), step)
+    steps = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
+    levels = np.asarray(steps.tick_values(0.0, factor * float(np.nanmax(way)))) / factor
     # the first frame at a level: later ones may belong to another motion
     reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
     frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
@@ -124,15 +126,6 @@ def _last_tracked(shape: Shape) -> int:
     """Return the tracked point nearest to the free end."""
     tracked = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
     return int(tracked[-1]) if len(tracked) else len(shape.names) - 1
-
-
-def _round_step(step: float) -> float:
-    """Round a step to 1, 2 or 5 times a power of ten."""
-    if step <= 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(step))
-    candidates = power * np.array([1.0, 2.0, 5.0, 10.0])
-    return float(candidates[np.argmin(np.abs(np.log(candidates / step)))])
 
 
 def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
