@@ -28,8 +28,9 @@ from labpipe.records.causes import (
     ZERO_OF_FORCE,
 )
 from labpipe.records.curve import Curve, Direction, SlipDecision
-from labpipe.records.signals import FilterFunction, Signal
+from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from labpipe.results.sample_noise import have_no_effect
 from labpipe.results.slips import add_back
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import (
@@ -69,9 +70,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     signals = _displacements(test, curve), _forces(test, unfiltered, curve)
     cuts = [int(np.searchsorted(starts, corner)) for corner in _corners(test)]
     records = [
-        _single_samples(curve.time, filtered, _corners(test), starts)
-        if _have_no_effect(act)
-        else _means(raw, starts)
+        _means(filtered if have_no_effect(act) else raw, starts)
         for (filtered, raw), act in zip(signals, acts, strict=True)
     ]
     grid = replace(
@@ -79,10 +78,9 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     )
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
     inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
-    replicates = draw_replicates(
+    return draw_replicates(
         measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
     )
-    return replace(replicates, before_filters=None) if _have_no_effect(acts[1]) else replicates
 
 
 def traced(test: ReducedTest) -> Trace:
@@ -135,7 +133,9 @@ def _starts(corners: Sequence[int], count: int) -> Ints:
 
     The last block of a piece includes the remainder.
     """
-    block = -(-count // 20_000)
+    # Enough that a branch has about a thousand.
+    blocks = int(np.clip(500 * (len(corners) + 1), 6_000, 20_000))
+    block = -(-count // blocks)
     pieces = pairwise([0, *corners, count])
     starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
     return np.concatenate(starts)
@@ -149,19 +149,18 @@ def _means(values: Floats, starts: Ints) -> Floats:
     return means
 
 
-def _single_samples(time: Floats, values: Floats, corners: Sequence[int], starts: Ints) -> Floats:
-    """Return values of a grid with the noise of single samples.
+def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
+    """Return the samples of a signal at which a new piece begins.
 
-    The largest sample is a single one, and a mean has far less noise. The noise is that of a random
-    sample of each block, as evenly spaced ones would alias hum. The curve is that of the means.
+    Parameters
+    ----------
+    clocks : of the test
+    ends : s on the clock of the curve, of branches, and of the failure
+    signal : the signal
     """
-    if len(starts) == len(values):
-        return values
-    smooth = smooth_curve(time, values, corners, 40)
-    lengths = np.diff(np.append(starts, len(values)))
-    one = starts + np.random.default_rng(0).integers(0, lengths)
-    noise: Floats = (values - smooth)[one]
-    return _means(smooth, starts) + noise
+    at = [clocks.from_curve(end, signal.clock) for end in ends]
+    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    return cuts
 
 
 def _on_grid(trace: Trace, starts: Ints) -> Trace:
@@ -231,12 +230,6 @@ def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterF
         acts.append(act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw)))))
         raw = raw[::stride]
     return acts
-
-
-def _have_no_effect(acts: Sequence[FilterFunction]) -> bool:
-    """Return whether filters do not change a single-sample pulse."""
-    pulse = np.eye(1, 101, 50)[0]
-    return all(np.array_equal(act(pulse), pulse) for act in acts)
 
 
 def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[int]) -> Floats:

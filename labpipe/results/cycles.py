@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from labpipe.results.least_squares import (
     slope_of_line,
     zero_of_line,
 )
-from labpipe.results.load_cell_noise import ForceSamples, PeakSamples
 from labpipe.results.reduced_test import (
     NO_LOADING,
     FailurePoint,
@@ -35,6 +34,7 @@ from labpipe.results.reduced_test import (
     blocked_or,
     sense_of_loading,
 )
+from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 
@@ -678,17 +678,18 @@ def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
 
 
 def _largest(
-    trace: Trace, name: Literal["force", "displacement"], number: int, steps: float = 1.0
+    test: ReducedTest, trace: Trace, quantity: Quantity, number: int, steps: float = 1.0
 ) -> Reading | Failure:
     """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
     ----------
+    test : with all samples of the quantity
     trace, number : one curve, and a cycle of it
-    name : of the quantity
+    quantity : whose largest sample
     steps : sampling steps of its signal per sample of the curve
     """
-    values: Floats = getattr(trace, name)
+    values: Floats = getattr(trace, quantity)
     sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
     seen = sense * values[stretch]
     if np.isnan(seen).all():
@@ -697,10 +698,22 @@ def _largest(
     reach = _reach_beyond_top(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        over = sense * getattr(trace, name)[..., stretch]
-        return (sense * (np.fmax.reduce(over, axis=-1) + trace.beyond * reach),)
+        signed = sense * getattr(trace, quantity)[..., stretch]
+        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.beyond * reach),)
 
-    return Reading(numbers, int((~np.isnan(seen)).sum()))
+    @cache
+    def samples() -> SampleNoise | None:
+        peak = stretch.start + int(np.nanargmax(seen))
+        return SampleNoise.around(test, trace, quantity, stretch, peak)
+
+    def in_noise(drawn: Trace) -> tuple[Floats]:
+        peak_samples = samples()
+        if peak_samples is None:
+            return numbers(drawn)
+        noise = getattr(drawn, quantity) - values
+        return (numbers(trace)[0] + peak_samples.raised(noise, sense),)
+
+    return Reading(numbers, int((~np.isnan(seen)).sum()), in_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -720,39 +733,9 @@ class PeakForce(OfCycle):
         """Of all cycles."""
         return "largest force of the cycle after the filter, in the sense of loading"
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """Use the same samples of the force for all cycles."""
-        samples = cache(partial(ForceSamples.of, test))
-        return lambda number: partial(self.read, test, number=number, samples=samples)
-
-    def read(
-        self,
-        test: ReducedTest,
-        trace: Trace,
-        number: int,
-        samples: Callable[[Trace], ForceSamples | None] | None = None,
-    ) -> Reading | Failure:
-        """Choose the largest sample of the force; with noise, among all its samples."""
-        reading = peak_of(test, trace, number)
-        if isinstance(reading, Failure) or test.force.clock == test.clocks.curve:
-            return reading
-        sense, plain = sense_of(trace, trace.force), reading
-
-        @cache
-        def top() -> PeakSamples | None:
-            stretch = stretch_of_cycle(trace, cycle_of(trace, number))
-            force_samples = samples(trace) if samples is not None else ForceSamples.of(test, trace)
-            return None if force_samples is None else force_samples.of_cycle(trace, stretch, sense)
-
-        def in_noise(drawn: Trace) -> tuple[Floats]:
-            noise = drawn.noise
-            seen = None if noise is None else top()
-            raised = None if noise is None or seen is None else seen.raised(noise)
-            if raised is None:
-                return (plain.numbers(drawn)[0],)
-            return (plain.numbers(trace)[0] + sense * raised,)
-
-        return replace(reading, in_noise=in_noise)
+    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+        """Choose the largest sample of the force."""
+        return peak_of(test, trace, number)
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the largest of all samples of a force on another clock than the curve."""
@@ -778,7 +761,7 @@ def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
     curve_step, force_step = (
         float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
     )
-    return _largest(trace, "force", number, max(1.0, curve_step / force_step))
+    return _largest(test, trace, "force", number, max(1.0, curve_step / force_step))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -807,8 +790,7 @@ class PeakDisplacement(OfCycle):
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
         """Choose the largest sample of the displacement."""
-        del test
-        return _largest(trace, "displacement", number)
+        return _largest(test, trace, "displacement", number)
 
 
 KINDS = (PeakForce, PeakDisplacement, Energy, ResidualDisplacement)

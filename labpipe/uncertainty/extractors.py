@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Samples, Singles
+from labpipe.records.arrays import Floats, Samples
 from labpipe.records.curve import Branch
 from labpipe.records.estimates import Failure
 
@@ -30,8 +30,6 @@ class Trace:
     sizes : m (an area m^2), of specimen and rig by the keys of the protocol
     beyond : time from the last sample before a failure or turn to it, in sampling steps
     steps : parts that each sampling step has been divided into
-    noise : shape (..., n), N, of replicates, noise of the force before all filters; None if it is
-        unknown or filters do nothing
     """
 
     time: Floats
@@ -42,7 +40,6 @@ class Trace:
     sizes: Mapping[str, float] = field(default_factory=dict)
     beyond: float = 0.0
     steps: int = 1
-    noise: Floats | Singles | None = None
 
     def finer(self, times: int) -> Trace:
         """Return the curve with each sampling step divided by linear interpolation.

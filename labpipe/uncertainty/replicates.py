@@ -83,8 +83,6 @@ class Replicates:
     inputs : further uncertain inputs
     seed : of all draws
     noises : noise models of force and displacement, for those that have noise
-    before_filters : shape (replicates, n), N, noise of the force before all filters; None if it is
-        unknown or filters do nothing
     """
 
     measured: Trace
@@ -94,15 +92,13 @@ class Replicates:
     inputs: tuple[Input, ...]
     seed: bytes
     noises: Mapping[str, Noise]
-    before_filters: Singles | None = None
 
     def traces(self) -> Iterator[Trace]:
         """Yield the replicates in batches."""
         for first in range(0, len(self.force), _BATCH_REPLICATES):
             rows = slice(first, first + _BATCH_REPLICATES)
             displacement, force = self.displacement[rows], self.force[rows]
-            noise = None if self.before_filters is None else self.before_filters[rows]
-            yield replace(self.smooth, displacement=displacement, force=force, noise=noise)
+            yield replace(self.smooth, displacement=displacement, force=force)
 
     def draws(self, quantity: Input) -> Floats:
         """Return the draws of an input, in standard uncertainties, shape (replicates,).
@@ -312,7 +308,7 @@ def draw_replicates(
     -------
     The replicates, the same for the same seed.
     """
-    parts, before = spline_intervals_of(unfiltered), None
+    parts = spline_intervals_of(unfiltered)
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
@@ -322,12 +318,12 @@ def draw_replicates(
         noise = _record_noise(
             values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
         )
-        before = (
+        record_noise = (
             None
             if noise.is_zero
             else noise.draw(len(time), N_REPLICATES, random_stream(seed, name))
         )
-        drawn.append(_noisy_and_filtered(curve, before, act))
+        drawn.append(_noisy_and_filtered(curve, record_noise, act))
         noises[name] = noise
         smooth.append(curve)
     displacement, force = drawn
@@ -335,7 +331,7 @@ def draw_replicates(
         smooth[0] = smooth[0] - compliance * smooth[1]
         displacement = displacement - compliance * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
-    replicates = Replicates(measured, base, displacement, force, inputs, seed, noises, before)
+    replicates = Replicates(measured, base, displacement, force, inputs, seed, noises)
     noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
     return replace(replicates, noises=noises)
 
