@@ -66,6 +66,9 @@ def stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> lis
     rest, a round top, a plateau, creep under constant force, slack, and a coarse resolution are not
     reported.
     """
+    same = values[1:] == values[:-1]
+    if not (same[1:] & same[:-1]).any():
+        return []
     lengths, starts = _runs(values)
     channel = _Channel(time, values, other, lengths)
     if not len(starts) or not channel.high > channel.low:
@@ -175,10 +178,14 @@ class _Channel:
             return False
         return (is_clipped or stop == len(self.values)) and self._interrupts_motion(start, stop)
 
+    @cached_property
+    def first(self) -> float:
+        """First valid value."""
+        return float(self.values[np.argmin(np.isnan(self.values))])
+
     def _is_at_rest(self, at: int) -> bool:
         level, far = float(self.values[at]), _SMALL_SHARE * (self.high - self.low)
-        first = self.values[~np.isnan(self.values)][0]
-        return abs(level) <= far or abs(level - float(first)) <= far
+        return abs(level) <= far or abs(level - self.first) <= far
 
     def _jumps_after(self, start: int, stop: int) -> bool:
         """Return whether a jump follows while the other quantity moves on smoothly."""
@@ -342,21 +349,40 @@ def find_spikes(force: Floats) -> Ints:
     or end, which has neighbours on one side only.
     """
     mad_factor = 8.0
-    valid = np.flatnonzero(~np.isnan(force)).astype(np.int64)
-    f = force[valid]
-    if len(f) < 2 * _SPIKE_WINDOW or _has_small_steps(f):
+    max_medians = 20_000  # evenly chosen, for range and deviation
+    is_valid = ~np.isnan(force)
+    f = force if is_valid.all() else force[is_valid]
+    if len(f) < 2 * _SPIKE_WINDOW:
         return np.zeros(0, dtype=np.int64)
     from scipy.ndimage import median_filter
 
-    level = median_filter(f, _SPIKE_WINDOW, mode="nearest")
-    off = f - level
-    away = np.abs(off)
+    windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
+    windows = windows[:: max(1, len(windows) // max_medians)]
+    levels = np.median(windows, axis=1)
     # np.median, as `records.arrays.median` is slow for few distinct values.
-    far = max(mad_factor * 1.4826 * float(np.median(away)), _MIN_SPIKE * float(np.ptp(level)))
-    runs = [_peak_of_run(np.arange(*run), off) for run in stretches_of(away > far)]
-    spikes = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
-    numbers: Ints = valid[np.concatenate(spikes).astype(np.int64)] if spikes else valid[:0]
-    return numbers
+    mad = float(np.median(np.abs(windows[:, _SPIKE_WINDOW // 2] - levels)))
+    far = max(mad_factor * 1.4826 * mad, _MIN_SPIKE * float(np.ptp(levels)))
+    spikes = [np.zeros(0, dtype=np.int64)]
+    for part in _uneven_parts(f, far):
+        off = f[part] - median_filter(f[part], _SPIKE_WINDOW, mode="nearest")
+        for stretch in stretches_of(np.abs(off) > far):
+            run = _peak_of_run(np.arange(*stretch), off)
+            if _returns(f, run + part.start, float(np.abs(off[run]).min())):
+                spikes.append(run + part.start)
+    numbers = np.unique(np.concatenate(spikes))
+    return numbers if is_valid.all() else np.flatnonzero(is_valid)[numbers]
+
+
+def _uneven_parts(f: Floats, far: float) -> list[slice]:
+    """Return the parts of a signal in which a sample may deviate by more than `far`."""
+    block = 64
+    starts = np.arange(0, len(f), block)
+    high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
+    low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
+    highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
+    lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
+    parts = stretches_of(highest - lowest > far)
+    return [slice(max(0, block * (first - 1)), block * (stop + 1)) for first, stop in parts]
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
@@ -375,21 +401,6 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     bridged = force.copy()
     bridged[spikes] = np.interp(spikes, valid, force[valid])
     return bridged
-
-
-def _has_small_steps(f: Floats) -> bool:
-    """Return whether all steps are too small for a spike; true for most long records.
-
-    A sample is at most three steps away from any median of seven that contains it; the range of
-    some of these medians is at most that of all.
-    """
-    # Medians from which the range of the signal is estimated.
-    max_medians = 200
-    steps = np.diff(f)
-    largest = max(float(steps.max()), -float(steps.min()))
-    windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
-    medians = np.median(windows[:: max(1, len(windows) // max_medians)], axis=1)
-    return _MAX_SPIKE * largest <= _MIN_SPIKE * float(np.ptp(medians))
 
 
 def _peak_of_run(run: Ints, off: Floats) -> Ints:
