@@ -64,7 +64,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         return None
     measured = traced(test)
     both = test.signals.displacement, test.signals.force
-    starts = _starts(_corners(test), len(curve.time))
+    starts = _starts(_corners(test), curve)
     grid_time = _means(curve.time, starts)
     acts = [_filters_on_grid(test, name, grid_time) for name in both]
     signals = _displacements(test, curve), _forces(test, unfiltered, curve)
@@ -73,13 +73,24 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         _means(filtered if have_no_effect(act) else raw, starts)
         for (filtered, raw), act in zip(signals, acts, strict=True)
     ]
-    grid = replace(
-        _on_grid(measured, starts), time=grid_time, displacement=records[0], force=records[1]
+    blocks = replace(
+        _on_grid(measured, starts),
+        time=grid_time,
+        displacement=_means(curve.displacement, starts),
+        force=_means(curve.force, starts),
     )
+    grid = replace(blocks, displacement=records[0], force=records[1])
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
     inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
     return draw_replicates(
-        measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
+        measured,
+        grid,
+        cuts,
+        (first, second),
+        inputs,
+        seed=test.seed,
+        compliance=test.compliance,
+        blocks=blocks,
     )
 
 
@@ -128,14 +139,17 @@ def _corners(test: ReducedTest) -> list[int]:
     return sorted({cut for cut in cuts if 0 < cut < len(curve.time)})
 
 
-def _starts(corners: Sequence[int], count: int) -> Ints:
+def _starts(corners: Sequence[int], curve: Curve) -> Ints:
     """Return the first samples of the blocks of a grid, which do not cross corners.
 
     The last block of a piece includes the remainder.
     """
-    # Enough that a branch has about a thousand.
-    blocks = int(np.clip(500 * (len(corners) + 1), 6_000, 20_000))
-    block = -(-count // blocks)
+    # The record may have fewer blocks if the shortest branch still has enough.
+    min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
+    count = len(curve.time)
+    shortest = min(branch.stop - branch.start for branch in curve.branches)
+    block = min(count // min_blocks, shortest // min_branch_blocks)
+    block = max(block, -(-count // max_blocks))
     pieces = pairwise([0, *corners, count])
     starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
     return np.concatenate(starts)

@@ -61,7 +61,7 @@ class SampleNoise:
         """
         max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
         signal, chance = _signal_of(test, quantity), random_stream(test.seed, f"single {quantity}")
-        block_samples = len(signal.time) / len(trace.time)
+        block_samples = _step(trace.time) / _step(signal.time)
         if block_samples < min_block_samples:
             return None
         reach = max(1, int(max_samples / block_samples))
@@ -127,9 +127,9 @@ def have_no_effect(filters: list[FilterFunction]) -> bool:
 
 def _signal_of(test: ReducedTest, quantity: Quantity) -> Signal:
     """Return all samples that a quantity is read from."""
-    curve = test.known_curve
     if quantity == "force" and test.force.clock != test.clocks.curve:
         return test.force
+    curve = test.known_curve
     values = curve.force if quantity == "force" else curve.displacement
     return replace(test.displacement, time=curve.time, values=values, moved={})
 
@@ -150,23 +150,24 @@ def _interpolated(trace: Trace, values: Floats, time: Floats, part: slice) -> Fl
     time : shape (n,), s on its clock
     part : samples of the curve around those times
     """
-    interpolated = np.full(len(time), np.nan)
-    turns = {end for branch in trace.branches for end in (branch.start, branch.stop)}
+    interpolated = np.empty(len(time))
+    turns = {branch.start: branch.start_time for branch in trace.branches}
+    turns |= {branch.stop: branch.stop_time for branch in trace.branches}
     if trace.failed_at is not None:
-        turns.add(trace.failed_at + 1)
-    ends = sorted({part.start, part.stop, *(x for x in turns if part.start < x < part.stop)})
-    for start, stop in pairwise(ends):
-        low = 0 if start == part.start else np.searchsorted(time, _between(trace.time, start))
-        high = len(time) if stop == part.stop else np.searchsorted(time, _between(trace.time, stop))
+        turns[trace.failed_at + 1] = float(trace.time[trace.failed_at : trace.failed_at + 2].mean())
+    inner = sorted((x, turns[x]) for x in turns if part.start < x < part.stop)
+    for (start, begin), (stop, end) in pairwise(
+        [(part.start, -np.inf), *inner, (part.stop, np.inf)]
+    ):
+        low, high = np.searchsorted(time, [begin, end], side="right")
         interpolated[low:high] = _extrapolated(
             time[low:high], trace.time[start:stop], values[start:stop]
         )
     return interpolated
 
 
-def _between(time: Floats, sample: int) -> float:
-    """Return the time between a sample and the one before."""
-    return 0.5 * float(time[sample - 1] + time[sample])
+def _step(time: Floats) -> float:
+    return float(time[-1] - time[0]) / max(len(time) - 1, 1)
 
 
 def _extrapolated(at: Floats, time: Floats, values: Floats) -> Floats:

@@ -170,6 +170,9 @@ def _decide_on_smooth(
         return plain
     if len(replicates.smooth.time) == len(replicates.measured.time):
         return reading
+    coarse = decide(replicates.blocks)
+    if isinstance(coarse, Reading):
+        return coarse
     return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
 
 

@@ -78,6 +78,7 @@ class Replicates:
     Parameters
     ----------
     measured : the curve that numbers are read from
+    blocks : the same on the samples of `smooth`
     smooth : the curve without noise and filters, perhaps on fewer samples
     displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
     inputs : further uncertain inputs
@@ -86,6 +87,7 @@ class Replicates:
     """
 
     measured: Trace
+    blocks: Trace
     smooth: Trace
     displacement: Floats
     force: Floats
@@ -140,6 +142,7 @@ class Replicates:
         return replace(
             self,
             measured=replace(self.measured, displacement=self.measured.displacement + by),
+            blocks=replace(self.blocks, displacement=self.blocks.displacement + by),
             smooth=replace(self.smooth, displacement=self.smooth.displacement + by),
             displacement=self.displacement + by,
             inputs=(*self.inputs, *inputs),
@@ -291,6 +294,7 @@ def draw_replicates(
     *,
     seed: bytes,
     compliance: float = 0.0,
+    blocks: Trace | None = None,
 ) -> Replicates:
     """Draw replicates of a measured curve.
 
@@ -303,6 +307,7 @@ def draw_replicates(
     inputs : further uncertain inputs
     seed : of all draws
     compliance : m/N; times the force, it is subtracted from the displacement of `unfiltered`
+    blocks : `measured` on the samples of `unfiltered`; None if they are the same
 
     Returns
     -------
@@ -331,7 +336,9 @@ def draw_replicates(
         smooth[0] = smooth[0] - compliance * smooth[1]
         displacement = displacement - compliance * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
-    replicates = Replicates(measured, base, displacement, force, inputs, seed, noises)
+    replicates = Replicates(
+        measured, blocks or measured, base, displacement, force, inputs, seed, noises
+    )
     noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
     return replace(replicates, noises=noises)
 
