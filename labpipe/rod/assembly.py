@@ -369,7 +369,7 @@ class Assembly:
             self.line.section,
             self._frames(shape, demands),
             s.lengths,
-            s.natural,
+            s.rest_curvature,
             rests=memory.rests,
             torques=torques,
             drag=None if drag is None else (drag.size, drag.turns),

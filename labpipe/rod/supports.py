@@ -40,7 +40,7 @@ class Supports:
     nodes : shape (cells,), node of each cell
     sides : shape (cells, 2), weight of the node's two sides in it: (1, 0), (0, 1), or both
     lengths : shape (cells,), m
-    natural : shape (cells, 3), 1/m
+    rest_curvature : shape (cells, 3), 1/m
     ends : shape (clamped elements,), elements beside a clamp
     own : shape (clamped elements,), weight of their frame in the direction
     lent : shape (pairs, 2), row in `ends` and clamp of each contribution
@@ -55,7 +55,7 @@ class Supports:
     nodes: Ints
     sides: Floats
     lengths: Floats
-    natural: Floats
+    rest_curvature: Floats
     ends: Ints
     own: Floats
     lent: Ints
@@ -76,13 +76,13 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
     rows = [row for node in range(len(line.positions)) for row in _cells_at(line, node, clamp_at)]
     before, behind, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
     at = np.array(nodes, dtype=np.int64)
-    natural = line.natural_at_nodes
+    rest_curvature = line.rest_curvature_at_nodes
     lent, turns = [], []
     for node, number in clamp_at.items():
         for element, way in ((node - 1, -0.5), (node, 0.5)):
             if 0 <= element < len(line.lengths):
                 lent.append((element, number))
-                turns.append(way * line.lengths[element] * natural[node])
+                turns.append(way * line.lengths[element] * rest_curvature[node])
     pairs = np.array(lent, dtype=np.int64).reshape(-1, 2)
     ends, row = np.unique(pairs[:, 0], return_inverse=True)
     return Supports(
@@ -94,7 +94,7 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
         nodes=at,
         sides=np.array(sides, dtype=np.float64).reshape(-1, 2),
         lengths=np.array(lengths, dtype=np.float64),
-        natural=natural[at],
+        rest_curvature=rest_curvature[at],
         ends=ends,
         own=np.asarray(1.0 - END_SHARE * np.bincount(row, minlength=len(ends)), dtype=np.float64),
         lent=np.stack([row, pairs[:, 1]], axis=1),

@@ -1,4 +1,4 @@
-"""Rod and boundaries of a harness YAML: nodes, natural shape, and paths of all boundaries.
+"""Rod and boundaries of a harness YAML: nodes, rest shape, and paths of all boundaries.
 
 Paths have a row per step and one for the start, where all boundaries are at the places of the
 line at rest, bent by its weight alone. Every place that the file names is a node. Boundaries move
@@ -47,7 +47,7 @@ from labpipe.rod.rotations import (
 LENGTH_FACTOR = "length_factor"
 """Logarithm of the factor on the length of the line."""
 FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
-"""Additions to the natural curvature, 1/m: towards the side of the spool, and across it."""
+"""Additions to the rest curvature, 1/m: towards the side of the spool, and across it."""
 Inputs = Mapping[str, float]
 
 
@@ -94,9 +94,9 @@ def prepare_line(
     line = _line(harness, section, stations)
     free = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
     if np.any(free):
-        natural = line.natural.copy()
-        natural[:, :2] += free @ _bend_axes(line, harness.line.spool)
-        line = Line(line.lengths, section, line.positions, line.frames, natural)
+        rest_curvature = line.rest_curvature.copy()
+        rest_curvature[:, :2] += free @ _bend_axes(line, harness.line.spool)
+        line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
     return PreparedLine(line, tuple(_boundaries(harness, line, places)), places)
 
 

@@ -90,7 +90,7 @@ def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
 
 
 def curvature_of(state: RodState, line: Line) -> Floats:
-    """Return the curvature of the line, 1/m, shape (n + 1,), natural curvature included.
+    """Return the curvature of the line, 1/m, shape (n + 1,), rest curvature included.
 
     Parameters
     ----------

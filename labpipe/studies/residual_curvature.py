@@ -57,7 +57,7 @@ def residual_curvature(state: RodState, law: SliderLaw) -> Floats:
 
     Notes
     -----
-    Without natural curvature. See `curvature_after_release`; the larger one where both sides of a
+    Without rest curvature. See `curvature_after_release`; the larger one where both sides of a
     node differ at a clip.
     """
     return np.asarray(np.linalg.norm(curvature_after_release(law, state.rests), axis=2).max(axis=1))

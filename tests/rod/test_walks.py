@@ -120,7 +120,7 @@ def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
     curl, errors = 3.0 / LENGTH, []
     for n in (10, 20, 40):
         straight = straight_line(LENGTH, n, linear_section())
-        line = replace(straight, natural=np.tile([0.0, curl, 0.0], (n - 1, 1)))
+        line = replace(straight, rest_curvature=np.tile([0.0, curl, 0.0], (n - 1, 1)))
         state = walked(line, [Held(0, line.positions[0], line.frames[0])], 1).last
         angle = curl * line.stations
         circle = np.stack([np.sin(angle), 0.0 * angle, 1.0 - np.cos(angle)], axis=1) / curl
