@@ -53,7 +53,7 @@ def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     ten wire diameters d, and less to a longer one.
     """
     if section < 1:
-        message = f"section={section}: allowed are whole numbers >= 1"
+        message = f"section={section}: must be an integer >= 1"
         raise ValueError(message)
     law = thin(table.curvature, table.moment, most=MOST_POINTS + 1)
     lines = [f"! {line}" for line in _comments(table, law)]

@@ -85,7 +85,7 @@ def half_bar(radius: float, length: float, *, n_along: int) -> BarMesh:
         If there is not one brick.
     """
     if n_along < 1:
-        message = f"n_along={n_along}: allowed are whole numbers >= 1"
+        message = f"n_along={n_along}: must be an integer >= 1"
         raise ValueError(message)
     nodes, bricks = _unit_bar(n_along)
     return BarMesh(nodes * [length, radius, radius], bricks, length, radius)
@@ -192,7 +192,7 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80
     moved by 0.6 of the length, or as far as the wire's law goes.
     """
     if n_steps < 1:
-        message = f"n_steps={n_steps}: allowed are whole numbers >= 1"
+        message = f"n_steps={n_steps}: must be an integer >= 1"
         raise ValueError(message)
     diameter = 2.0 * table.layout.wire_radius
     material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)

@@ -139,10 +139,10 @@ def _require_cable(cable: _Cable) -> None:
     for name in ("stiffness", "length"):
         value = getattr(cable, name)
         if not (np.isfinite(value) and value > 0.0):
-            message = f"{name}={value!r}: allowed are finite numbers > 0"
+            message = f"{name}={value!r}: must be finite and > 0"
             raise ValueError(message)
     if cable.edges < MIN_EDGES:
-        message = f"edges={cable.edges}: allowed are numbers >= {MIN_EDGES}"
+        message = f"edges={cable.edges}: must be >= {MIN_EDGES}"
         raise ValueError(message)
 
 

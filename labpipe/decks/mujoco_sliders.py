@@ -216,7 +216,7 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
     if not 1 <= sliders <= MOST_SLIDERS:
-        message = f"sliders={sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
+        message = f"sliders={sliders}: must be from 1 to {MOST_SLIDERS}"
         raise ValueError(message)
     try:
         return sliders_of(table, sliders)
@@ -239,10 +239,10 @@ def comment(line: str) -> str:
 def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
     length = table.spec.length if length is None else length
     if not (np.isfinite(length) and length > 0.0):
-        message = f"length={length!r}: allowed are finite numbers > 0"
+        message = f"length={length!r}: must be finite and > 0"
         raise ValueError(message)
     if nodes < MIN_NODES:
-        message = f"nodes={nodes}: allowed are numbers >= {MIN_NODES}"
+        message = f"nodes={nodes}: must be >= {MIN_NODES}"
         raise ValueError(message)
     return Chain(
         law,

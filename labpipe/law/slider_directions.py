@@ -88,10 +88,10 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     n_slips = 48  # slip curvatures to choose from
     last_factor = 1.6  # vector sliders slide together, scalar ones only until there
     if directions < 2:
-        message = f"directions={directions}: allowed are numbers >= 2"
+        message = f"directions={directions}: must be >= 2"
         raise ValueError(message)
     if most < 1:
-        message = f"most={most}: allowed are numbers >= 1"
+        message = f"most={most}: must be >= 1"
         raise ValueError(message)
     size = _curvatures(law)
     target = slider_moment(law, size)

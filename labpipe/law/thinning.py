@@ -73,26 +73,24 @@ def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
 
 def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
     if most < 2:
-        message = f"most={most}: allowed are numbers of points >= 2"
+        message = f"most={most}: must be >= 2 points"
         raise ValueError(message)
     if len(curvature) < 2 or len(moment) != len(curvature):
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
             f"at least 2"
         )
         raise ValueError(message)
     finite = np.isfinite(curvature) & np.isfinite(moment)
     if not finite.all():
-        message = (
-            f"point {int(np.argmin(finite)) + 1} of the law is not finite: allowed are numbers"
-        )
+        message = f"point {int(np.argmin(finite)) + 1} of the law is not finite"
         raise ValueError(message)
     if curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
-        message = "the law does not start at zero: allowed are increasing curvatures from 0"
+        message = "the law does not start at zero: expected increasing curvatures from 0"
         raise ValueError(message)
     if np.any(np.diff(moment) <= 0.0):
         at = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
-        message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
+        message = f"the law softens before curvature={at:.6g} 1/m: the moment must increase"
         raise ValueError(message)
 
 

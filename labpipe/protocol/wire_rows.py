@@ -420,7 +420,7 @@ def default_words(name: str) -> str:
         return "largest curvature at a bending radius of five wire diameters"
     value = _default_of(field)
     if value is MISSING:
-        message = f"{name}: allowed are columns with a default"
+        message = f"{name}: must be a column with a default"
         raise ValueError(message)
     column = COLUMNS.get(name)
     value_text = f"{value}" if column is None else f"{value / column.factor:.6g} {column.unit}"

@@ -103,7 +103,7 @@ def bands_of(
         If there is no distribution.
     """
     if not distributions:
-        message = "distributions: allowed is at least one"
+        message = "distributions: expected at least one"
         raise ValueError(message)
     solves = [solve] * len(distributions) if callable(solve) else solve
     solvers = [_Solver(solve, at) for solve, _ in zip(solves, distributions, strict=True)]

@@ -88,8 +88,8 @@ class Line(ArrayRecord):
     section : of the line
     positions : shape (n + 1, 3), m, of the nodes to start from
     frames : shape (n, 4), unit quaternions (w, x, y, z) to start from; d3 is the direction
-    rest_curvature : shape (n - 1, 3), 1/m, the curvature at rest of the inner nodes: two bendings and the
-        twist, in the mean of the frames on both sides
+    rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bendings and the twist, in the
+        mean of the frames on both sides
 
     Raises
     ------
@@ -109,8 +109,8 @@ class Line(ArrayRecord):
         n = len(self.lengths)
         if n < 1 or len(self.positions) != n + 1 or len(self.rest_curvature) != n - 1:
             message = (
-                f"{n} elements, {len(self.positions)} nodes, {len(self.rest_curvature)} curvatures at "
-                "rest: expected n >= 1 elements, n + 1 nodes and n - 1 curvatures"
+                f"{n} elements, {len(self.positions)} nodes, {len(self.rest_curvature)} rest "
+                "curvatures: expected n >= 1 elements, n + 1 nodes and n - 1 curvatures"
             )
             raise ValueError(message)
         for name in ("lengths", "positions", "frames", "rest_curvature"):

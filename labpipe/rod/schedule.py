@@ -68,7 +68,7 @@ class Schedule:
         if not -self.n - 1 <= node <= self.n:
             message = (
                 f"{boundary_name(self.boundaries, boundary)}: node={node}: "
-                f"allowed are 0 to {self.n}, or -1 to {-self.n - 1} from the end"
+                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
             )
             raise ValueError(message)
         return int(node % (self.n + 1))
@@ -86,7 +86,7 @@ class Schedule:
         if not -self.n - 1 <= ring.near <= self.n:
             message = (
                 f"{boundary_name(self.boundaries, ring)}: near={ring.near}: "
-                f"allowed are 0 to {self.n}, or -1 to {-self.n - 1} from the end"
+                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
             )
             raise ValueError(message)
         return nearest_place(
@@ -98,9 +98,7 @@ class Schedule:
             nodes = [self.held_nodes[k] for k in self.grips(step)]
             held_twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
             if held_twice:
-                message = (
-                    f"step {step}: node {held_twice[0]} is held twice; allowed is once at a time"
-                )
+                message = f"step {step}: node {held_twice[0]} is held twice; once is allowed"
                 raise ValueError(message)
 
     def grips(self, step: int) -> tuple[int, ...]:
@@ -221,6 +219,6 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
                 continue
             message = (
                 f"{boundary_name(boundaries, boundary)}: {name} has {len(path)} rows; "
-                f"allowed are 1 or steps + 1 = {steps + 1}"
+                f"expected 1 or steps + 1 = {steps + 1}"
             )
             raise ValueError(message)

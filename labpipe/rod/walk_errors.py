@@ -93,7 +93,7 @@ def torn_or_folded(
     if shape.stretches[element] > most_stretch:
         sentence = (
             f"step {step}: the line is stretched by {100.0 * shape.stretches[element]:.3g} % "
-            f"behind node {element}, allowed is {100.0 * most_stretch:.3g} %"
+            f"behind node {element}; expected at most {100.0 * most_stretch:.3g} %"
         )
         return Reason("torn", sentence, step, element)
     turns = np.linalg.norm(balance.cells.turns, axis=1)

@@ -199,7 +199,7 @@ def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason 
     if off.get(most, 0.0) > max_cause_error:
         faults.append(
             f"{most} differs by {off[most]:.2g} times half the width of its band, "
-            f"root mean square (allowed is {max_cause_error:g})"
+            f"root mean square (expected at most {max_cause_error:g})"
         )
     message = (
         f"the causes of the bands do not add up: of {count} draws with all causes "

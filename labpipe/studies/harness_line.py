@@ -146,7 +146,7 @@ def _towards(spool: Spool, direction: Floats) -> Floats:
     towards = np.array(spool.towards)
     across = towards - (towards @ direction) * direction
     if np.linalg.norm(across) < 1e-6:
-        message = f"towards={spool.towards}: allowed is a side of the line, not its direction"
+        message = f"towards={spool.towards}: must be a side of the line, not its direction"
         raise ValueError(message)
     return np.asarray(unit(across))
 

@@ -160,9 +160,7 @@ def moment_curvature(
     """
     curvatures = np.asarray(curvature, dtype=np.float64)
     if np.isinf(curvatures).any():
-        message = (
-            f"curvature[{int(np.isinf(curvatures).argmax())}] is infinite: allowed are finite ones"
-        )
+        message = f"curvature[{int(np.isinf(curvatures).argmax())}] is infinite: must be finite"
         raise ValueError(message)
     stick, slip, friction = _axial_parts(section, contacts, curvatures, tension, orientation)
     elastic, strand_bending, slope = _own_moments(section, curvatures)

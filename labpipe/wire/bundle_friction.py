@@ -64,11 +64,11 @@ class Friction:
     def __post_init__(self) -> None:
         for name in ("composite_share", "held"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                message = f"{name}={getattr(self, name)!r}: allowed are numbers from 0 to 1"
+                message = f"{name}={getattr(self, name)!r}: must be from 0 to 1"
                 raise ValueError(message)
         for name in ("slip_curvature", "slide_curvature"):
             if not getattr(self, name) > 0.0:
-                message = f"{name}={getattr(self, name)!r}: allowed are numbers > 0"
+                message = f"{name}={getattr(self, name)!r}: must be > 0"
                 raise ValueError(message)
 
 

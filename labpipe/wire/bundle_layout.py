@@ -64,7 +64,7 @@ def arrange(
 def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
     centres = np.asarray(bundle.positions, dtype=np.float64)
     if len(centres) != len(diameter):
-        message = f"{len(centres)} positions for {len(diameter)} wires: allowed is one for each"
+        message = f"{len(centres)} positions for {len(diameter)} wires: expected one for each"
         raise ValueError(message)
     first, second = np.triu_indices(len(diameter), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
@@ -74,7 +74,7 @@ def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
         at = int(np.argmax(depth - allowed))
         message = (
             f"wires {first[at] + 1} and {second[at] + 1} overlap by {1e3 * depth[at]:.3g} mm, "
-            f"allowed is {1e3 * allowed[at]:.2g} mm"
+            f"expected at most {1e3 * allowed[at]:.2g} mm"
         )
         raise ValueError(message)
     return centres
@@ -311,7 +311,7 @@ def sites(number: int, *, seed: int = 0) -> Floats:
     """
     max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
     if number < 1:
-        message = f"number={number!r}: allowed are whole numbers >= 1"
+        message = f"number={number!r}: must be an integer >= 1"
         raise ValueError(message)
     core = _hexagon_centre(number) if number <= max_hexagon_wires else None
     places = _hexagonal_heap(number, core) if core is not None else _densest_heap(number, seed)

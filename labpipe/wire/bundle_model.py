@@ -116,7 +116,7 @@ def _diameter(wire: BundleWire, table: WireTable) -> float:
     if not nominal / max_factor <= wire.diameter <= max_factor * nominal:
         message = (
             f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, the "
-            f"wire sheet {1e3 * nominal:.4g} mm; allowed is a factor of up to "
+            f"wire sheet {1e3 * nominal:.4g} mm; the factor must be at most "
             f"{max_factor:g}: check the unit, or leave the diameter out"
         )
         raise ValueError(message)
@@ -353,7 +353,7 @@ def share_of_bounds(value: float, low: float, high: float) -> float:
     (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75).
     """
     if not 0.0 < low < high:
-        message = f"low={low:.6g}, high={high:.6g} N m^2: allowed are bounds with 0 < low < high"
+        message = f"low={low:.6g}, high={high:.6g} N m^2: expected 0 < low < high"
         raise ValueError(message)
     return (value - low) / (high - low)
 

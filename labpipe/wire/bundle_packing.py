@@ -70,7 +70,7 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     min_filled_share = 0.55  # heaps that fill less are shaken
     pair = 2
     if not (np.all(np.isfinite(starts)) and np.all(diameters > 0.0)):
-        message = "a heap of wires: allowed are finite centres and diameters > 0"
+        message = "a heap of wires: expected finite centres and diameters > 0"
         raise ValueError(message)
     if len(diameters) == 1:
         return np.zeros((1, 2))

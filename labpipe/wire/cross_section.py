@@ -49,11 +49,11 @@ class Layer:
     def __post_init__(self) -> None:
         require_positive("diameter", self.diameter)
         if self.count < 1:
-            message = f"count={self.count!r}: allowed are whole numbers >= 1"
+            message = f"count={self.count!r}: must be an integer >= 1"
             raise ValueError(message)
         if not abs(self.lay_angle) < np.pi / 2.0:
             degrees = np.degrees(self.lay_angle)
-            message = f"lay_angle={degrees:.6g} deg: allowed are angles between -90 and 90 deg"
+            message = f"lay_angle={degrees:.6g} deg: must be between -90 and 90 deg"
             raise ValueError(message)
         _require_poisson(self.poisson)
 
@@ -65,7 +65,7 @@ class Layer:
 
 def _require_poisson(poisson: float) -> None:
     if not -1.0 < poisson <= 0.5:
-        message = f"poisson={poisson!r}: allowed are numbers above -1, up to 0.5"
+        message = f"poisson={poisson!r}: must be above -1 and at most 0.5"
         raise ValueError(message)
 
 
@@ -149,7 +149,7 @@ class CrossSection:
         object.__setattr__(self, "y", frozen(self.y, shape=(strands,)))
         index = np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
         if not np.array_equal(self.layer, index):
-            message = f"layer={self.layer}: allowed are strands in the order of the layers"
+            message = f"layer={self.layer}: strands must be in the order of the layers"
             raise ValueError(message)
         index.flags.writeable = False
         object.__setattr__(self, "layer", index)
@@ -305,7 +305,7 @@ def compressed(
             for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
         ]
     if len(radii) != len(layers):
-        message = f"radii={list(radii)}: allowed is one for each of {len(layers)} layers"
+        message = f"radii={list(radii)}: expected one for each of {len(layers)} layers"
         raise ValueError(message)
     x, y = _rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, _layer_index(layers), 0.0, insulation)
@@ -353,7 +353,7 @@ def place(
         what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
         message = (
             f"the {kind} layout does not fit: strands overlap {what} by "
-            f"{max(strands, wall):.3g} m, allowed is {OVERLAP_TOLERANCE * bore:.3g} m"
+            f"{max(strands, wall):.3g} m; expected at most {OVERLAP_TOLERANCE * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T

@@ -54,14 +54,14 @@ class Contacts:
         values = [*self.inner, *self.outer, self.radial_force]
         if len(self.inner) != len(self.outer):
             message = (
-                f"{len(self.inner)} inner and {len(self.outer)} outer coefficients: allowed is one "
+                f"{len(self.inner)} inner and {len(self.outer)} outer coefficients: expected one "
                 f"of both for each ring"
             )
             raise ValueError(message)
         if not all(np.isfinite(value) and value >= 0.0 for value in values):
             message = (
                 f"inner={self.inner}, outer={self.outer}, radial_force={self.radial_force}: "
-                f"allowed are finite numbers >= 0"
+                f"must be finite and >= 0"
             )
             raise ValueError(message)
 
@@ -153,7 +153,7 @@ def axial_strain(section: CrossSection, tension: float) -> float:
         If the tension is negative: compressed strands separate.
     """
     if not (np.isfinite(tension) and tension >= 0.0):
-        message = f"tension={tension!r}: allowed are finite numbers >= 0"
+        message = f"tension={tension!r}: must be finite and >= 0"
         raise ValueError(message)
     strands = sum(
         layer.count * layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3

@@ -114,7 +114,7 @@ def layout_of(section: CrossSection) -> WireLayout:
     """Return the positions of the strands of an insulated section as a record."""
     tube = section.insulation
     if tube is None:
-        message = "the section has no insulation: allowed is one with a tube"
+        message = "the section has no insulation: expected a tube"
         raise ValueError(message)
     diameter = np.array([layer.diameter for layer in section.layers])[section.layer]
     outside = tube.bore_radius + tube.thickness
@@ -331,7 +331,7 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
     if not len(angles) == len(spec.layer_counts) == len(spec.strand_diameters):
         message = (
             f"{len(spec.layer_counts)} layers, {len(spec.strand_diameters)} strand diameters and "
-            f"{len(spec.lay_angles)} lay angles: allowed are one diameter per layer and one angle "
+            f"{len(spec.lay_angles)} lay angles: expected one diameter per layer and one angle "
             f"per ring"
         )
         raise ValueError(message)

@@ -209,9 +209,9 @@ def test_refusals(subject: str, approved: Approve) -> None:
 
 def test_the_number_of_sliders_that_is_enough() -> None:
     table = wire_table("A2")
-    message = r"^4 sliders have an error of 1\.\d+ % of .*, allowed is 0\.5 %: 9 are enough$"
+    message = r"^4 sliders have an error of 1\.\d+ % of .*, expected at most 0\.5 %: 9 are enough$"
     with pytest.raises(ValueError, match=message):
         fit_sliders(table.curvature, table.moment, 4, allowed=0.005)
     assert fit_sliders(table.curvature, table.moment, 9, allowed=0.005).error <= 0.005
-    with pytest.raises(ValueError, match=r"allowed is 0\.0001 %: 64 are not enough$"):
+    with pytest.raises(ValueError, match=r"expected at most 0\.0001 %: 64 are not enough$"):
         fit_sliders(table.curvature, table.moment, 4, allowed=1e-6)

@@ -225,9 +225,9 @@ def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above() -> None:
 
 def test_faults_of_boundaries_are_said() -> None:
     line = straight_line(LENGTH, 10, linear_section())
-    with pytest.raises(ValueError, match=r"boundary 1 \(Load\): node=11: allowed are 0 to 10"):
+    with pytest.raises(ValueError, match=r"boundary 1 \(Load\): node=11: expected 0 to 10"):
         follow(line, [clamp(line), Load(11, np.zeros(3))], steps=2)
-    with pytest.raises(ValueError, match=r"tip: force has 4 rows; allowed are 1 or steps \+ 1 = 3"):
+    with pytest.raises(ValueError, match=r"tip: force has 4 rows; expected 1 or steps \+ 1 = 3"):
         follow(line, [clamp(line), Load(-1, np.zeros((4, 3)), name="tip")], steps=2)
     with pytest.raises(ValueError, match="step 0: node 0 is held twice"):
         follow(line, [clamp(line), Held(0, line.positions[0])], steps=2)

@@ -130,7 +130,7 @@ def test_a_spool_leaves_an_arc_that_is_at_rest(tmp_path: Path) -> None:
     assert np.linalg.norm(more.rest_curvature[:, :2], axis=1) == pytest.approx(np.full(15, 6.0)), (
         "the first free curvature is to the side of the spool"
     )
-    with pytest.raises(ValueError, match="allowed is a side of the line, not its direction"):
+    with pytest.raises(ValueError, match="must be a side of the line, not its direction"):
         line_of(tmp_path, arch(line=curl.replace("[0, 1, -1]", "[2, 0, 0]")))
 
 

@@ -226,19 +226,19 @@ def log_error_of(factor: float) -> float:
 def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     unknown = sorted(set(choices) - set(PARAMETERS))
     if unknown:
-        message = f"{unknown[0]!r}: allowed are {', '.join(PARAMETERS)}"
+        message = f"{unknown[0]!r}: expected one of {', '.join(PARAMETERS)}"
         raise ValueError(message)
     if not (np.isfinite(gain) and 0.0 <= gain < 1.0):
-        message = f"gain={gain!r}: allowed are numbers from 0 to below 1"
+        message = f"gain={gain!r}: must be >= 0 and < 1"
         raise ValueError(message)
     for name, choice in choices.items():
         for what in ("value", "lower", "upper"):
             number = getattr(choice, what)
             if number is not None and not (np.isfinite(number) and number > 0.0):
-                message = f"{name}: {what}={number!r}: allowed are finite numbers > 0"
+                message = f"{name}: {what}={number!r}: must be finite and > 0"
                 raise ValueError(message)
         if choice.factor is not None and not (np.isfinite(choice.factor) and choice.factor > 1.0):
-            message = f"{name}: factor={choice.factor!r}: allowed are finite numbers > 1"
+            message = f"{name}: factor={choice.factor!r}: must be finite and > 1"
             raise ValueError(message)
 
 
