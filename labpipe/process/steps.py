@@ -93,8 +93,8 @@ def travel_from_speed(
 
     Notes
     -----
-    The turn is the corner of the force; loading began stroke / speed before it (the source, App.
-    A.6, uses the largest force as the turn, and 58.8 s). The variants of the signal turn one
+    The turn is the corner of the force; loading began stroke / speed before it (the dissertation,
+    App. A.6, uses the largest force as the turn, and 58.8 s). The variants of the signal turn one
     standard error later, or are faster by the uncertainty of the speed.
     """
     if rig.crosshead_speed is None or rig.stroke is None:

@@ -66,7 +66,7 @@ class Prediction(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CurveErrors:
-    """A model against measured forces: a row of the source's Table 3.3.
+    """A model against measured forces: a row of the dissertation's Table 3.3.
 
     Parameters
     ----------

@@ -192,7 +192,7 @@ def t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
     Notes
     -----
     12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, which is n = 2, 3, 5, 6.
-    Equation (2.1) of the source prints another quantile; this one has the stated coverage.
+    Equation (2.1) of the dissertation prints another quantile; this one has the stated coverage.
     """
     return float(special.stdtrit(degrees, 1.0 - 0.5 * outside))
 

@@ -304,4 +304,4 @@ TAPED_TYPES = {
     "TWB-B2-7-PET": replace(_PET, wires=(("B2", 7),)),
     "TWB-B2-19-PET": replace(_PET, wires=(("B2", 19),)),
 }
-"""The taped bundles of the source's Table 4.1; the glue of PET tape never slides."""
+"""The taped bundles of the dissertation's Table 4.1; the glue of PET tape never slides."""

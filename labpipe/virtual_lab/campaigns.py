@@ -132,8 +132,8 @@ GROUPS = (
     *(WireGroup(WIRES[name], 0.085) for name in ("A1", "A2", "A3")),
     *(WireGroup(WIRES[name], length) for name in ("B1", "B2") for length in (0.085, 0.1)),
 )
-"""Three wires of 85 mm, and two of both 85 and 100 mm. In the source the samples of A3 are 120 mm
-long to protect its load cell; here they are 85 mm, like those of A1 and A2."""
+"""Three wires of 85 mm, and two of both 85 and 100 mm. In the dissertation the samples of A3 are
+120 mm long to protect its load cell; here they are 85 mm, like those of A1 and A2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,7 @@ class WireCampaign:
 
 @dataclass(frozen=True, slots=True)
 class TapedCampaign:
-    """Taped bundles (Table 4.1 of the source) in the cantilever rig.
+    """Taped bundles (Table 4.1 of the dissertation) in the cantilever rig.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def _cantilever_sample(
 
 @dataclass(frozen=True, slots=True)
 class ConduitCampaign:
-    """Bundles in a conduit (Table 4.2 of the source) in three-point bending.
+    """Bundles in a conduit (Table 4.2 of the dissertation) in three-point bending.
 
     Every third sample has no export of the load frame: displacement follows from speed and time.
 

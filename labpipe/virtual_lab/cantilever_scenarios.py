@@ -263,9 +263,9 @@ class CantileverScenario:
 
 
 WIRE_TEST = MechanicalTest(slack=None, steps_per_branch=80, crowding=2.5, n_stations=32)
-"""The rig of the source for a stranded wire, straight and held by the string. Positions are closer
-where the strands begin to slip: the interpolated force is within 0.06 mN (with even positions
-5 mN), with half as many stations within 0.02 mN."""
+"""The rig of the dissertation for a stranded wire, straight and held by the string. Positions are
+closer where the strands begin to slip: the interpolated force is within 0.06 mN (with even
+positions 5 mN), with half as many stations within 0.02 mN."""
 
 TAPED_TEST = replace(WIRE_TEST, length=TAPED_LENGTH, steps_per_branch=60, crowding=2.0)
 """The same rig for a taped bundle. Positions are closer where its wires begin to slip: the
@@ -293,7 +293,7 @@ def wire_scenario(wire: StrandedWire, length: float, *, cycles: int = 3) -> Cant
 
 
 def taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
-    """Return a test of a taped bundle of the source's Table 4.1, without mishaps.
+    """Return a test of a taped bundle of the dissertation's Table 4.1, without mishaps.
 
     Parameters
     ----------

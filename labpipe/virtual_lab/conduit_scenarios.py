@@ -1,4 +1,4 @@
-"""Settings of the conduit bundles of the source's Table 4.2 in three-point bending.
+"""Settings of the conduit bundles of the dissertation's Table 4.2 in three-point bending.
 
 Everything is SI. The specimen frame: x along the bundle to the right as seen by the cameras, y up,
 z towards the cameras, origin at mid-span at rest. Displacement is that of the upper roller, down;

@@ -222,5 +222,5 @@ WIRES = {
         ),
     )
 }
-"""Wires of the source's Table 2.1. The copper of B1 and B2 does not fit into its wall of
+"""Wires of the dissertation's Table 2.1. The copper of B1 and B2 does not fit into its wall of
 0.3 mm; here it is 0.2 mm."""

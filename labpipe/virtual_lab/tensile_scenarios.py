@@ -1,11 +1,11 @@
-"""Settings of a virtual tensile test, and the samples of the source.
+"""Settings of a virtual tensile test, and the samples of the dissertation.
 
 Everything is SI. Displacement is that of the crosshead from its position before the test; force is
 the tension in the specimen. The specimen is slack at first; its *foot* is the displacement at which
 its first straight region, extrapolated, meets zero force.
 
 Sizes, speeds and the stiffness of the twist tubes are those of sections 2.2 and 2.3 and Table 2.3
-of the source; forces not given there are plausible values.
+of the dissertation; forces not given there are plausible values.
 """
 
 from __future__ import annotations

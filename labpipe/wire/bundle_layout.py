@@ -1,7 +1,7 @@
 """Layout of the wires of a bundle: their positions, and the kind of wire on each.
 
 One, seven, nineteen ... wires make a hexagon around one of them; three, twelve, twenty-seven ... a
-hexagon with long and short sides around a core of three (figure 4.2 of the source). Any other
+hexagon with long and short sides around a core of three (figure 4.2 of the dissertation). Any other
 number is drawn together from several starts, and the densest heap is kept.
 """
 

@@ -2,8 +2,8 @@
 
 The heap sought has the least sum of diameter^2 x squared distance from the middle without any
 overlap: a bore, as in `wire.packing`, leaves loose wires in the gaps, a pull to the middle does
-not. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of
-the bore; then contacts harden until the overlaps that the pull left are gone (method of
+not. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the dissertation with the pull in place
+of the bore; then contacts harden until the overlaps that the pull left are gone (method of
 multipliers: Hestenes and Powell, 1969), and Newton's method brings the heap to rest. Only
 pairs of near wires are evaluated, so that cost grows linearly. The heap is the same on every
 processor, to 1e-12 of a diameter.
@@ -381,7 +381,7 @@ def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
 
 
 WANTED_FRACTION = 0.7
-"""Packing fraction for which the source chooses conduits."""
+"""Packing fraction for which the dissertation chooses conduits."""
 
 
 def packing_fraction(diameters: Floats, bore: float) -> float:

@@ -3,8 +3,8 @@
 The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
 A layout places the strands and refuses what does not fit, with the overlap. Layers are
 defined by their counts, not by gaps in the radius. The first strand of the first ring lies at angle
-0, on the neutral axis of the source; `wire.bending_law` turns the section for other orientations.
-Lengths in m, angles in rad.
+0, on the neutral axis of the dissertation; `wire.bending_law` turns the section for other
+orientations. Lengths in m, angles in rad.
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@ Pressure on a strand of layer q, per radian of its lay (3.11), never negative:
 
     H = F_rad N_Q / N_q + sum over outer layers k of (F0 + F)_k |sin alpha_k| N_k / N_q
 
-with the force F_k that the outer layer has at the same angle theta. The source's shares N_k / N_q
-hold for layers of equal lay length. With `Contacts.lay_lengths` they are multiplied by the ratio
-of the lay lengths, r_q tan alpha_k / (r_k tan alpha_q), which equilibrium asks for.
+with the force F_k that the outer layer has at the same angle theta. The dissertation's shares N_k /
+N_q hold for layers of equal lay length. With `Contacts.lay_lengths` they are multiplied by the
+ratio of the lay lengths, r_q tan alpha_k / (r_k tan alpha_q), which equilibrium asks for.
 """
 
 from __future__ import annotations
@@ -355,7 +355,7 @@ def slip_onsets(
     -----
     Within a ring the strands near the neutral axis slip first
     when friction is even (theta_e / sin theta grows with theta), not those farthest from it, as
-    stated in 3.2.1 of the source.
+    stated in 3.2.1 of the dissertation.
     """
     min_sine = 1e-9
     rounds = 8  # each to a 128th: to rounding

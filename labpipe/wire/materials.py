@@ -224,4 +224,4 @@ class StressTable:
 
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
-"""Copper of the source's wires."""
+"""Copper of the dissertation's wires."""

@@ -1,10 +1,10 @@
 """Strands packed into a bore by least overlap energy, and the choice of a layout (PHYSICS 4).
 
-Eqs. (3.1)-(3.4) of the source: the energy is the sum of squared overlaps of strands with each other
-(each pair counted from both sides) and with the bore. From random starts this gives *a* packing,
-not *the* layout: seven strands nearly always end in the hexagon, 19 or 37 never do, and slack
-leaves a continuum of packings. Hence the best of several seeded starts is kept, some of them rings
-with jitter, and the hexagon is the usual choice.
+Eqs. (3.1)-(3.4) of the dissertation: the energy is the sum of squared overlaps of strands with each
+other (each pair counted from both sides) and with the bore. From random starts this gives *a*
+packing, not *the* layout: seven strands nearly always end in the hexagon, 19 or 37 never do, and
+slack leaves a continuum of packings. Hence the best of several seeded starts is kept, some of them
+rings with jitter, and the hexagon is the usual choice.
 """
 
 from __future__ import annotations
