@@ -41,9 +41,9 @@ from labpipe.campaign.decisions import (
     Decision,
     DecisionFile,
     add_decisions,
+    applicable_decision,
     by_test_and_run,
     carry_over,
-    in_force,
     read_decisions,
 )
 from labpipe.campaign.machine import Claim
@@ -171,7 +171,7 @@ class CatalogSync:
         self.campaign, self.catalog, self.notes = campaign, catalog, notes
         self._keys = ContentKeys()
         self._decisions = DecisionFile()
-        self._in_force: dict[tuple[str, str], Decision] = {}
+        self._decision_by_run: dict[tuple[str, str], Decision] = {}
 
     def refresh(self) -> Overview:
         """Update the catalog from all files.
@@ -251,7 +251,7 @@ class CatalogSync:
         """Read the decisions of the campaign, for later updates."""
         campaign = self.campaign
         self._decisions = read_decisions(campaign.processed, campaign.name)
-        self._in_force = by_test_and_run(self._decisions.decisions)
+        self._decision_by_run = by_test_and_run(self._decisions.decisions)
         self._on_test: dict[str, list[Decision]] = {}
         for decision in self._decisions.decisions:
             self._on_test.setdefault(decision.test, []).append(decision)
@@ -259,7 +259,10 @@ class CatalogSync:
     def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
         runs = {folder: row.attempt for folder, row in rows.items()}
         decisions = [
-            (decision, self._in_force.get((decision.test, runs.get(decision.test, ""))) is decision)
+            (
+                decision,
+                self._decision_by_run.get((decision.test, runs.get(decision.test, ""))) is decision,
+            )
             for decision in self._decisions.decisions
         ]
         self.catalog.put_decisions(decisions)
@@ -308,16 +311,16 @@ class CatalogSync:
         return row.state == REJECTED and facts == (row.why, row.decided_by, row.decided)
 
     def _rejection(self, folder: str, run: str) -> Decision | None:
-        decision = in_force(self._on_test.get(folder, ()), run=run)
+        decision = applicable_decision(self._on_test.get(folder, ()), run=run)
         return decision if decision is not None and decision.decision == REJECT else None
 
     def _decision_on(
         self, folder: str, outcome: StoredOutcome, row: TestRow | None
     ) -> Decision | None:
         """Return the rejection of a test; carry it over if only the processing version changed."""
-        if (folder, outcome.attempt) in self._in_force or row is None or outcome.has_failed:
+        if (folder, outcome.attempt) in self._decision_by_run or row is None or outcome.has_failed:
             return self._rejection(folder, outcome.attempt)
-        old = self._in_force.get((folder, row.run))
+        old = self._decision_by_run.get((folder, row.run))
         if old is None or not outcome.run or not self._has_same_inputs(row, outcome):
             return self._rejection(folder, outcome.attempt)
         before = self.catalog.results_of(folder)

@@ -323,6 +323,6 @@ def _save(body: bytes, site: Site) -> dict[str, Any]:
 
 def _save_message(taken: ImportedDecisions) -> str:
     sentences = [f"{count_of(len(taken.added) + taken.n_known, 'decision')} saved."]
-    sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.left]
+    sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.not_imported]
     sentences += ["They take effect when the report is made again."] * bool(taken.added)
     return " ".join(sentences)

@@ -747,7 +747,7 @@ class PeakForce(OfCycle):
         def in_noise(drawn: Trace) -> tuple[Floats]:
             noise = drawn.noise
             seen = None if noise is None else top()
-            raised = None if noise is None or seen is None else seen.raised(noise)
+            raised = None if noise is None or seen is None else seen.peak_increase(noise)
             if raised is None:
                 return (plain.numbers(drawn)[0],)
             return (plain.numbers(trace)[0] + sense * raised,)

@@ -1,9 +1,10 @@
-"""Noise of the largest force on the clock of the force, which has more samples than the curve.
+"""Compute the noise of a peak force at the sample rate of the force signal.
 
-A curve with a displacement from cameras has one sample per frame; the force has several, and its
-filter acts on those. The largest of more samples is higher, so the noise of a peak is that of the
-samples of the force. Its slow part is that of the replicates, one level per frame; deviations of
-single samples from the level of their frame are taken from a random part of the record itself.
+A curve whose displacement comes from cameras has one sample per frame. The force signal has
+several, and its filter acts on these. The maximum of more samples is higher, so the noise of a peak
+is computed from the samples of the force signal. Its slow part, one value per frame, comes from the
+replicates. Its fast part, the deviations of single samples from the mean of their frame, comes from
+a randomly chosen part of the record.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from labpipe.uncertainty.replicates import random_stream
 
 
 def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
-    """Return the samples of a signal at which a new piece begins.
+    """Return the indices of the samples of a signal at which a new piece begins.
 
     Parameters
     ----------
     clocks : of the test
-    ends : s on the clock of the curve, of branches, and of the failure
+    ends : s on the clock of the curve, ends of branches and time of failure
     signal : the signal
     """
     at = [clocks.from_curve(end, signal.clock) for end in ends]
@@ -44,8 +45,8 @@ class ForceSamples:
     ----------
     time : shape (n,), s on the clock of the curve, increasing
     smooth : shape (n,), N, without noise
-    left : shape (n,), N, deviations of single samples from the mean of their frame
-    frames : shape (n,), sample of the curve of each
+    deviations : shape (n,), N, deviations of single samples from the mean of their frame
+    frames : shape (n,), index of the curve sample (frame) nearest to each force sample
     filters : of the force
     cuts : at which a new piece begins
     reach : samples on either side that the filters need
@@ -54,7 +55,7 @@ class ForceSamples:
 
     time: Floats
     smooth: Floats
-    left: Floats
+    deviations: Floats
     frames: Ints
     filters: tuple[Filter, ...]
     cuts: tuple[int, ...]
@@ -72,7 +73,8 @@ class ForceSamples:
 
         Returns
         -------
-        None if the force has hardly more samples than the curve, or no filter.
+        None if the force has less than twice the samples of the curve, or if it has no filter, a
+        filter that decimates, or one that reaches too far.
         """
         signal, filters = test.unfiltered, test.signals.filters.get(test.signals.force, ())
         if signal is None or not filters or any(stride != 1 for _, stride in filters):
@@ -85,9 +87,9 @@ class ForceSamples:
         ends = [at for branch in trace.branches for at in (branch.start_time, branch.stop_time)]
         cuts = cuts_of(test.clocks, ends, signal)
         smooth = _between_frames(trace, time, cuts, reach)
-        left = _less_frame_means(signal.values - smooth, frames)
-        np.nan_to_num(left, copy=False)
-        return cls(time, smooth, left, frames, filters, tuple(cuts), reach, test.seed)
+        deviations = _less_frame_means(signal.values - smooth, frames)
+        np.nan_to_num(deviations, copy=False)
+        return cls(time, smooth, deviations, frames, filters, tuple(cuts), reach, test.seed)
 
     def of_cycle(self, trace: Trace, stretch: slice, sense: float) -> PeakSamples | None:
         """Select the samples of a cycle.
@@ -106,37 +108,38 @@ class ForceSamples:
             return None
         first, last = trace.time[stretch][[0, -1]]
         low, high = np.searchsorted(self.time, first), np.searchsorted(self.time, last, "right")
-        over = sense * self.smooth[low:high]
-        is_finite = ~np.isnan(over)
+        signed_force = sense * self.smooth[low:high]
+        is_finite = ~np.isnan(signed_force)
         if not is_finite.any():
             return None
-        spread = float(self.left[low:high][is_finite].std())
-        return PeakSamples(self, sense, int(low), over, float(over[is_finite].max()), spread)
+        spread = float(self.deviations[low:high][is_finite].std())
+        peak = float(signed_force[is_finite].max())
+        return PeakSamples(self, sense, int(low), signed_force, peak, spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeakSamples:
-    """Samples of a cycle, for their largest one.
+    """Force samples of one cycle, from which the noise of its peak is computed.
 
     Parameters
     ----------
     samples : of the whole test
     sense : sign of loading
     start : the first one of the cycle
-    over : shape (n,), N in that sense, without noise; NaN where unknown
-    top : N, the largest of them
+    signed_force : shape (n,), N in that sense, without noise; NaN where unknown
+    peak : N, the largest of them
     spread : N, standard deviation of single samples
     """
 
     samples: ForceSamples
     sense: float
     start: int
-    over: Floats
-    top: float
+    signed_force: Floats
+    peak: float
     spread: float
 
-    def raised(self, noise: Floats | Singles) -> Floats | None:
-        """Return the effect of noise on the largest sample of the cycle.
+    def peak_increase(self, noise: Floats | Singles) -> Floats | None:
+        """Return the increase of the filtered peak by noise, per replicate.
 
         Parameters
         ----------
@@ -147,32 +150,34 @@ class PeakSamples:
         N in the direction of loading, shape (replicates,). None if too many samples may be the
         largest.
         """
-        # Standard deviations of noise below the peak up to which a sample may be the largest.
+        # A sample may become the peak if it lies at most this many noise standard deviations
+        # below it.
         max_deviations = 8.0
         max_samples = 20_000  # the curve has enough samples of a longer plateau
         size = float(np.hypot(noise.std(), self.spread))
-        near = np.flatnonzero(self.over >= self.top - max_deviations * size) + self.start
-        if len(near) > max_samples:
+        lowest = self.peak - max_deviations * size
+        candidates = np.flatnonzero(self.signed_force >= lowest) + self.start
+        if len(candidates) > max_samples:
             return None
         # The parts of the record are reproducible draws.
-        chance = random_stream(self.samples.seed, "samples of the force")
-        largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
-        for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
-            filtered = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)
+        random = random_stream(self.samples.seed, "samples of the force")
+        largest, min_gap = np.full(len(noise), -np.inf), 2 * self.samples.reach
+        for run in np.split(candidates, np.flatnonzero(np.diff(candidates) > min_gap) + 1):
+            filtered = self._filtered(noise, int(run[0]), int(run[-1]) + 1, random)
             filtered *= self.sense
             largest = np.maximum(largest, filtered.max(axis=1))
-        return largest - self.top
+        return largest - self.peak
 
     def _filtered(
-        self, noise: Floats | Singles, first: int, stop: int, chance: np.random.Generator
+        self, noise: Floats | Singles, first: int, stop: int, random: np.random.Generator
     ) -> Floats:
         """Return a range of the force with noise, filtered, shape (replicates, samples)."""
         samples = self.samples
         part = slice(max(first - samples.reach, 0), min(stop + samples.reach, len(samples.smooth)))
         count = part.stop - part.start
-        stretches = np.lib.stride_tricks.sliding_window_view(samples.left, count)
+        deviation_windows = np.lib.stride_tricks.sliding_window_view(samples.deviations, count)
         force = samples.smooth[part] + noise.take(samples.frames[part], axis=1)
-        force += stretches[chance.integers(0, len(stretches), len(noise))]
+        force += deviation_windows[random.integers(0, len(deviation_windows), len(noise))]
         filtered = in_pieces(force, [cut - part.start for cut in samples.cuts], samples.filters)
         return filtered[:, first - part.start : stop - part.start]
 
@@ -207,17 +212,17 @@ def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int)
     return between_frames
 
 
-def _join_at_cut(values: Floats, cut: int, over: int) -> None:
-    """Remove a jump between two pieces beyond a step of either.
+def _join_at_cut(values: Floats, cut: int, join_samples: int) -> None:
+    """Reduce the jump between two pieces to the larger of the steps next to the cut.
 
     A force does not jump at a turn of the motion, but a spline may be inaccurate at its end.
     """
-    if not 1 < cut < len(values) - 1 or over < 2:
+    if not 1 < cut < len(values) - 1 or join_samples < 2:
         return
     step = max(abs(values[cut - 1] - values[cut - 2]), abs(values[cut + 1] - values[cut]))
     gap = values[cut - 1] - values[cut]
-    ramp = 1.0 - np.arange(over) / over
-    values[cut : cut + over] += (gap - np.clip(gap, -step, step)) * ramp
+    ramp = 1.0 - np.arange(join_samples) / join_samples
+    values[cut : cut + join_samples] += (gap - np.clip(gap, -step, step)) * ramp
 
 
 def _extrapolated(at: Floats, time: Floats, values: Floats) -> Floats:

@@ -329,7 +329,7 @@ def settle(
     guess: Unknowns | None = None,
     tolerance: float = TOLERANCE,
 ) -> WireState | None:
-"""Find the equilibrium under a condition; None if Newton's method fails.
+    """Find the equilibrium under a condition; None if Newton's method fails.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     reported = report_tests([results])
     (group,) = reported.campaign.groups
     assert [sample.test for sample in group.samples] == ["H-1", "H-2"]
-    again = "(open again: exports, sheet, protocol or labpipe changed since)"
+    again = "(needs a new decision: exports, sheet, protocol or labpipe changed since)"
     assert reported.campaign.rejected == {
         str(files[2]): f"slipped <b>twice</b> {again} (A. Tester, 2026-03-10)",
         str(files[3]): "slipped <b>twice</b> (A. Tester, 2026-03-10)",

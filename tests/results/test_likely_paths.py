@@ -588,7 +588,7 @@ def test_the_largest_of_all_samples_in_noise() -> None:
     samples = ForceSamples.of(evidence(noisy), trace)
     assert samples is not None
     of_frames = 0.5 * NOISE * RNG(1).normal(size=(2000, 501))
-    raised = top_of(samples, trace).raised(of_frames)
+    raised = top_of(samples, trace).peak_increase(of_frames)
     assert raised is not None
 
     near = slice(900, 1100)
@@ -604,7 +604,7 @@ def test_without_noise_nothing_is_raised() -> None:
     """But for what the filter takes off a corner: nothing, as it ends there."""
     samples = ForceSamples.of(evidence(force_at(SINGLE * np.arange(float(2000)))), curve())
     assert samples is not None
-    raised = top_of(samples, curve()).raised(np.zeros((3, 501)))
+    raised = top_of(samples, curve()).peak_increase(np.zeros((3, 501)))
     assert raised == pytest.approx(np.zeros(3), abs=0.02)
     assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
 
@@ -623,7 +623,7 @@ def test_what_is_left_to_the_curve() -> None:
     noisy = 100.0 + NOISE * RNG(0).normal(size=40_000)
     trace = replace(curve(), force=np.full(501, 100.0))
     samples = ForceSamples.of(evidence(noisy, rate=5e-4), trace)
-    assert top_of(samples, trace).raised(np.zeros((2, 501))) is None
+    assert top_of(samples, trace).peak_increase(np.zeros((2, 501))) is None
 
 
 def test_pieces_begin_behind_the_time_of_a_turn() -> None:
