@@ -12,8 +12,8 @@ from labpipe.errors import ProcessingError, in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import with_rising_force
 from labpipe.process.zeros import (
-    MIN_LEVEL_SAMPLES,
-    MIN_ZERO_SAMPLES,
+    MIN_SAMPLES_NOISE_KNOWN,
+    MIN_SAMPLES_NOISE_UNKNOWN,
     line_zero,
     mean_level,
     required_samples,
@@ -357,19 +357,19 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
             f"the mean over the {rest_time:.3g} s before the motion" if rest_samples else method
         )
     summary = f"zero at {round(level, 12):.6g} {signal.unit}, {method} at the {step.at}"
-    if len(finite) < MIN_LEVEL_SAMPLES:
+    if len(finite) < MIN_SAMPLES_NOISE_UNKNOWN:
         summary += f", {len(finite)} samples: their noise is taken from the rest of the record"
     return signals.without_level(name, level, error), [info_note("zeroed", name, summary)]
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
-    """Return start and stop of the samples of a zero: at least `MIN_ZERO_SAMPLES`."""
+    """Return start and stop of the samples of a zero: at least `MIN_SAMPLES_NOISE_KNOWN`."""
     time = signal.time
     if step.at == "start":
         last = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        return 0, min(max(last, MIN_ZERO_SAMPLES), len(time))
+        return 0, min(max(last, MIN_SAMPLES_NOISE_KNOWN), len(time))
     first = int(np.searchsorted(time, time[-1] - step.over))
-    return max(min(first, len(time) - MIN_ZERO_SAMPLES), 0), len(time)
+    return max(min(first, len(time) - MIN_SAMPLES_NOISE_KNOWN), 0), len(time)
 
 
 def _need_time(signal: Signal, name: str, what: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from labpipe.records.causes import FIT, contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.estimates import Estimate, Failure, add_errors
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
@@ -169,7 +169,7 @@ def to_result(test: ReducedTest, number: Number) -> Result:
     budget: tuple[Contribution, ...] = ()
     if isinstance(outcome, Estimate):
         budget = _budget(outcome, number.errors)
-        outcome = widened(outcome, *number.errors.values())
+        outcome = add_errors(outcome, *number.errors.values())
     if isinstance(outcome, Measured):
         rests = ("", *output.rests_on)
         number_doubts = tuple(reason for quantity, reason in outcome.doubts if quantity in rests)

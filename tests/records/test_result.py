@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.records.causes import contribution
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, widened
+from labpipe.records.estimates import Estimate, add_errors
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.quality import (
     Doubt,
@@ -73,10 +73,10 @@ def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool
     ids=["lopsided", "without its value: about its middle"],
 )
 def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) -> None:
-    assert widened(Estimate(1.0, 3.0, 9), 4.0) == Estimate(1.0, 5.0, 9)
+    assert add_errors(Estimate(1.0, 3.0, 9), 4.0) == Estimate(1.0, 5.0, 9)
     estimate = Estimate(1.0, 0.1, 9, given)
-    assert widened(estimate) == estimate
-    wide = widened(estimate, 0.1).interval
+    assert add_errors(estimate) == estimate
+    wide = add_errors(estimate, 0.1).interval
     assert wide is not None
     assert (wide.lower, wide.upper) == pytest.approx((lower, upper), rel=1e-6)
 
