@@ -37,8 +37,6 @@ Versions: TypeAlias = tuple[str, int]
 """Version of labpipe, and processing version."""
 _METADATA = "labpipe"
 """Key of the scheduler metadata that counts unfinished starts of tests."""
-_MAX_LOST_WORKERS = 2
-"""Workers that a test may lose before it is refused."""
 _CONNECT_TIMEOUT = 10.0
 """s to wait for the scheduler, and for a first worker."""
 _UPDATE_INTERVAL = 5.0
@@ -101,6 +99,7 @@ def process_on_worker(
     address : of the worker
     ended : outcome of the test; the versions of this labpipe if they differ
     """
+    max_lost_workers = 2  # workers that a test may lose before it is refused
     from distributed import get_client, get_worker
 
     address = str(get_worker().address)
@@ -110,7 +109,7 @@ def process_on_worker(
         return address, FilesNotVisible()
     client, counter = get_client(), [_METADATA, test.run, str(test.task.sheet)]
     times = int(client.get_metadata(counter, 0))
-    if times >= _MAX_LOST_WORKERS:
+    if times >= max_lost_workers:
         return address, LostWorkers(times)
     client.set_metadata(counter, times + 1)
     with _worker_process() as process:

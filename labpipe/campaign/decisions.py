@@ -28,7 +28,6 @@ NEEDS_NEW_DECISION: Final = (
 OTHER_KEY: Final = "exports, sheet, protocol or labpipe changed since the decision"
 _TEXT_KEYS = ("test", "run", "decision", "because", "by", "when")
 _REQUIRED_KEYS = ("test", "run", "decision", "because", "by")
-_MAX_FILE_BYTES = 50_000_000
 _REPAIR = "Repair the file, or move it away and decide again; the file was not changed."
 
 
@@ -142,8 +141,9 @@ def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") ->
 
 def _document(path: Path) -> dict[str, Any] | str:
     """Read the content of the file, or return a message."""
+    max_file_bytes = 50_000_000
     try:
-        if path.stat().st_size > _MAX_FILE_BYTES:
+        if path.stat().st_size > max_file_bytes:
             return _file_error(path, "", f"{path.stat().st_size} bytes")
         document = json.loads(path.read_text(encoding="utf-8-sig"))
     except json.JSONDecodeError as error:

@@ -56,8 +56,6 @@ from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import locked
 
 _WITHOUT_SHEET = "without test.yaml"
-PATIENCE = 30.0
-"""s to wait for another process that makes the catalog."""
 
 
 @dataclass(slots=True)
@@ -123,6 +121,7 @@ def open_campaign(campaign: CampaignFolders, *, start_empty: bool = False) -> It
 def _open_or_make_catalog(
     campaign: CampaignFolders, notes: list[str], *, start_empty: bool
 ) -> Catalog:
+    lock_timeout = 30.0  # s to wait for another process that makes the catalog
     folder = campaign.processed
     if not start_empty:
         with suppress(NoCatalog):
@@ -133,7 +132,7 @@ def _open_or_make_catalog(
     if not can_write(path):
         notes.append(f"{path}: the folder is read-only: the catalog was made in memory")
         return new_catalog(folder)
-    with locked(folder, patience=PATIENCE):
+    with locked(folder, patience=lock_timeout):
         try:
             catalog = open_catalog(folder)
         except NoCatalog as why:

@@ -30,7 +30,6 @@ from labpipe.records.wire import WireTable
 
 _RECTANGLE = 0.55  # half-width of the rectangle, as a share of the radius
 _CELL_NODES = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
-_REVERSED_CELL = [0, 3, 2, 1, 7, 6, 5, 4]  # the nodes of a cell in the other sense
 _PLANE_TOLERANCE = 1e-6  # distance of nodes in a plane, over the radius
 
 
@@ -145,12 +144,13 @@ def _ring() -> Floats:
 
 def _quadrangles(lattice: Floats) -> Floats:
     """Return the nodes of every second cell of a lattice, (cells, 8, 2), turning from y to z."""
+    reversed_cell = [0, 3, 2, 1, 7, 6, 5, 4]  # the nodes of a cell in the other sense
     cells = [
         np.array([lattice[i + u, j + v] for u, v in _CELL_NODES])
         for i in range(0, lattice.shape[0] - 1, 2)
         for j in range(0, lattice.shape[1] - 1, 2)
     ]
-    return np.array([cell if _area(cell) > 0.0 else cell[_REVERSED_CELL] for cell in cells])
+    return np.array([cell if _area(cell) > 0.0 else cell[reversed_cell] for cell in cells])
 
 
 def _area(cell: Floats) -> float:

@@ -36,8 +36,6 @@ from labpipe.records.wire import WireTable
 CABLE = "wire"
 """Name of the flex; its vertices are bodies ``wire_2`` to ``wire_<edges>``."""
 
-MIN_EDGES = 3
-
 
 @dataclass(frozen=True, slots=True)
 class _Cable:
@@ -136,13 +134,14 @@ def mujoco_deck(
 
 
 def _require_cable(cable: _Cable) -> None:
+    min_edges = 3
     for name in ("stiffness", "length"):
         value = getattr(cable, name)
         if not (np.isfinite(value) and value > 0.0):
             message = f"{name}={value!r}: must be finite and > 0"
             raise ValueError(message)
-    if cable.edges < MIN_EDGES:
-        message = f"edges={cable.edges}: must be >= {MIN_EDGES}"
+    if cable.edges < min_edges:
+        message = f"edges={cable.edges}: must be >= {min_edges}"
         raise ValueError(message)
 
 

@@ -34,7 +34,6 @@ from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
 
 NODES = 30
-MIN_NODES = 3
 RAMP = 400
 """Steps of the ramp of a load."""
 REST = 600
@@ -237,12 +236,13 @@ def comment(line: str) -> str:
 
 
 def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
+    min_nodes = 3
     length = table.spec.length if length is None else length
     if not (np.isfinite(length) and length > 0.0):
         message = f"length={length!r}: must be finite and > 0"
         raise ValueError(message)
-    if nodes < MIN_NODES:
-        message = f"nodes={nodes}: must be >= {MIN_NODES}"
+    if nodes < min_nodes:
+        message = f"nodes={nodes}: must be >= {min_nodes}"
         raise ValueError(message)
     return Chain(
         law,

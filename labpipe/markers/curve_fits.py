@@ -11,8 +11,6 @@ from labpipe.markers.specimen_frame import Selection
 from labpipe.markers.tracklets import in_sight
 from labpipe.records.arrays import Flags, Floats, Ints
 
-REST_TERMS = 4
-"""Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic."""
 SETTLED = 1e-10
 """Largest change of arc lengths in m between rounds at convergence."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -175,7 +173,9 @@ def curve_at_rest(
 def _rest_coefficients(
     markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
 ) -> Floats:
-    terms = min(REST_TERMS, len(markers) - 1 + free_tip)
+    # Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic.
+    rest_terms = 4
+    terms = min(rest_terms, len(markers) - 1 + free_tip)
     basis = curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
     design = coupled_design(basis, arc_length, centre_offset)
     in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)

@@ -30,8 +30,6 @@ from labpipe.signal.turning_points import (
     turn_near,
 )
 
-SINGLE_WAIT_FACTOR = 2.4
-"""A wait at one turn is at least this multiple of the apparent wait that noise causes."""
 CORNER_WIDTHS = (0.05, 0.25)
 """s on each side of a turn in which the motion is compared with straight lines."""
 MAX_CORNER_CUT = 5e-6
@@ -128,6 +126,8 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
     turn, and one of 50 ms sometimes if there are five turns. A wait of fewer than three samples is
     treated as a corner.
     """
+    # A wait at one turn is at least this multiple of the apparent wait that noise causes.
+    single_wait_factor = 2.4
     min_wait_samples = 3
     candidates = []
     for number, (before, after) in enumerate(pairwise(strokes)):
@@ -142,7 +142,7 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
     for turn, wait in candidates:
         waits = wait is not None and (
             all_wait
-            or wait.dwell > max(SINGLE_WAIT_FACTOR * _apparent_wait(motion, wait), shortest)
+            or wait.dwell > max(single_wait_factor * _apparent_wait(motion, wait), shortest)
         )
         chosen = wait if waits or turn is None else turn
         if chosen is not None:

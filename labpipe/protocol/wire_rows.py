@@ -24,10 +24,6 @@ Curve = tuple[Numbers, Numbers]
 """Strains and stresses, Pa."""
 _B = TypeVar("_B", bound=Block)
 
-MAX_AREA_DEVIATION = 0.02
-"""Share by which a conductor area may differ from that of the strands' diameters."""
-MAX_MASS_RATIO = 4.0 / 3.0
-"""Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap."""
 _UNITS = {
     "mm": ("_mm", 1e-3),
     "mm^2": ("_mm2", 1e-6),
@@ -265,6 +261,8 @@ def _layer_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _size_faults(row: WireRow) -> Iterator[Fault]:
+    # Share by which a conductor area may differ from that of the strands' diameters.
+    max_area_deviation = 0.02
     one, per_layer, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
     if one and per_layer:
         actual = "strand_diameter_mm and strand_diameters_mm"
@@ -276,8 +274,8 @@ def _size_faults(row: WireRow) -> Iterator[Fault]:
         expected = "a conductor area or a strand diameter"
         remedy = "Fill in conductor_area_mm2 or strand_diameter_mm."
         yield Fault(("strand_diameter_mm",), expected, "blank cells", remedy)
-    elif area and abs(area / row.copper - 1.0) > MAX_AREA_DEVIATION:
-        expected = f"the {row.copper:.4g} mm^2 of the strands within {MAX_AREA_DEVIATION:.0%}"
+    elif area and abs(area / row.copper - 1.0) > max_area_deviation:
+        expected = f"the {row.copper:.4g} mm^2 of the strands within {max_area_deviation:.0%}"
         remedy = "Correct the area or the strand diameter, or empty one of them."
         yield Fault(("conductor_area_mm2",), expected, f"{area:.4g} mm^2", remedy)
 
@@ -325,6 +323,8 @@ def _room_faults(row: WireRow) -> Iterator[Fault]:
 
 def _mass_faults(row: WireRow) -> Iterator[Fault]:
     """Find a mass that cannot be that of the strands and the wall."""
+    # Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap.
+    max_mass_ratio = 4.0 / 3.0
     stated = row.mass_per_length_g_per_m
     if stated is None:
         return
@@ -335,7 +335,7 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
     insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
     whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if 1.0 / MAX_MASS_RATIO <= stated / whole <= MAX_MASS_RATIO:
+    if 1.0 / max_mass_ratio <= stated / whole <= max_mass_ratio:
         return
     expected = f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} "
     expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"

@@ -61,10 +61,8 @@ from labpipe.readers.workbooks import is_workbook
 from labpipe.records.arrays import Floats
 from labpipe.units import si_factor, whole_number
 
-__all__ = ["MIN_CURVE_POINTS", "CurveColumn", "read_curve"]
+__all__ = ["CurveColumn", "read_curve"]
 
-MIN_CURVE_POINTS = 3
-"""Points of a curve."""
 _SEPARATORS = ("\t", ";", ",", " ")
 _ENCODINGS = ("utf-8", "latin-1")
 _NOT_FINITE = frozenset({"nan", "inf", "infinity"})
@@ -189,14 +187,15 @@ def _is_not_finite(text: str) -> bool:
 
 def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
     """Return the two cells of each row with values, with one decimal sign."""
+    min_curve_points = 3  # points of a curve
     points = []
     for row in table.rows:
         blank = Cell("", row[0].place.partition(",")[0])
         point = [row[at] if at < len(row) else blank for at in columns]
         if any(cell.text for cell in point):
             points.append(point)
-    if len(points) < MIN_CURVE_POINTS:
-        expected, remedy = f"at least {MIN_CURVE_POINTS} points", "Give more points of the curve."
+    if len(points) < min_curve_points:
+        expected, remedy = f"at least {min_curve_points} points", "Give more points of the curve."
         raise unreadable(table.path, "", expected, f"{len(points)}", remedy)
     texts = [cell for point in points for cell in point]
     if any("." in cell.text for cell in texts):

@@ -16,10 +16,6 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import whole_number
 
-_MAX_TIME_DEVIATION = 0.6e-3
-"""Deviation in s of the time column from frame / rate: 1.23 rounds to whole milliseconds."""
-
-
 Columns = Mapping[int, Floats]
 """Values by column number in the file, shape (frames,); NaN where blank."""
 Cells = Sequence[str]
@@ -164,6 +160,8 @@ def _time(
     header: Header, columns: Columns, frames: Floats
 ) -> tuple[Floats, float, list[QualityNote]]:
     """Return frame / export rate if the time column agrees with it, else the time column."""
+    # Deviation in s of the time column from frame / rate: 1.23 rounds to whole milliseconds.
+    max_time_deviation = 0.6e-3
     # Deviation in s of a time column that is not rounded to milliseconds.
     rounding = 2e-6
     written = None if header.time_column is None else columns[header.time_column]
@@ -175,7 +173,7 @@ def _time(
     if written is None or not len(time):
         return time, header.rate, []
     apart = np.abs(written - time)
-    if not np.isfinite(apart).all() or apart.max() > _MAX_TIME_DEVIATION:
+    if not np.isfinite(apart).all() or apart.max() > max_time_deviation:
         worst = float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan
         message = f"the column of times is up to {1e3 * worst:.4g} ms off frame / rate: kept"
         return written, header.rate, [_note("time_column_differs", message)]

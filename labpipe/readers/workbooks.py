@@ -39,8 +39,6 @@ from labpipe.readers.workbooks import cells_of
 pickle.dump(cells_of(pathlib.Path(sys.argv[1])), sys.stdout.buffer, protocol=5)
 """
 _REFUSED = "labpipe.errors.ReadError: "
-_CHILD_BYTES = 4 << 30
-"""Memory limit of a child process; the largest sheet of an old workbook needs 1 GB."""
 _CHILD_SECONDS = 120.0
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 MAX_CELLS: Final = 10_000_000
@@ -171,12 +169,14 @@ def _read_in_child(path: Path) -> Sheets:
 
     A wrong place or length in it can exhaust the memory, which kills the process.
     """
+    # Memory limit of a child process; the largest sheet of an old workbook needs 1 GB.
+    memory_limit = 4 << 30
     import os
     import pickle
     import subprocess
     import sys
 
-    command = [sys.executable, "-c", _CHILD, str(path), str(_CHILD_BYTES)]
+    command = [sys.executable, "-c", _CHILD, str(path), str(memory_limit)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     try:
         child = subprocess.run(

@@ -75,8 +75,6 @@ _ROW_MM = 6.0
 _FRAME_MM = 26.0
 """Height of axis and heading."""
 MOST_BARS = 20
-_MIN_LABELLED_SHARE = 0.10
-"""Smallest share of a bar that has room for its number."""
 SMALLER = "causes under 2 % in every bar"
 _HATCH = "////"
 COLOURS_OF_CAUSES: Mapping[str, str] = {
@@ -189,6 +187,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes : to draw on; causes that all tests of a rig share are hatched
     of : the quantity that is divided into shares
     """
+    min_labelled_share = 0.10  # smallest share of a bar that has room for its number
     bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
@@ -199,7 +198,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
         for cause, share in bar_parts(bar.shares, named).items():
             corner = 100 * start, height - bar_height / 2
             axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_bar_style(cause)))
-            if share >= _MIN_LABELLED_SHARE:
+            if share >= min_labelled_share:
                 _write_share(axes, 100 * (start + share / 2), height, share, cause)
             start += share
         axes.text(1.01, height, bar.text, transform=beside, va="center")

@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
 
 MAX_SLIP_PANELS = 8
-_HEIGHT = 62.0
-_MAX_TITLE_LENGTH = 40
 _MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
 _CUT: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": ":"}
 
@@ -65,6 +63,8 @@ def draw_slips(group: Group) -> Figure:
     ----------
     group : one with slips; samples beyond the last panel are named in the footnote
     """
+    max_title_length = 40
+    height = 62.0
     panel_columns = 2
     samples = samples_with_slips(group)
     drawn, rest = samples[:MAX_SLIP_PANELS], samples[MAX_SLIP_PANELS:]
@@ -72,11 +72,11 @@ def draw_slips(group: Group) -> Figure:
     note = (
         f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
     )
-    page = group_page(group, _slip_keys(drawn), height_mm=_HEIGHT * rows, note=note)
+    page = group_page(group, _slip_keys(drawn), height_mm=height * rows, note=note)
     panels = panel_grid(page, len(drawn), columns=panel_columns, sharey=True)
     for sample, axes in zip(drawn, panels, strict=True):
         plot_slips(group, sample, axes)
-        axes.set_title(shortened(sample.test, _MAX_TITLE_LENGTH), loc="left")
+        axes.set_title(shortened(sample.test, max_title_length), loc="left")
         axes.label_outer(remove_inner_ticks=True)
     return page
 

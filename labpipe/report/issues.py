@@ -225,12 +225,6 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
         )
 
 
-_ALL_VALUES_EFFECT = 5.0
-"""Effect, in half intervals, of a cause that affects all values of a number."""
-_NO_INTERVAL_EFFECT = 10.0
-"""Effect, in half intervals, of a cause that leaves one value, without an interval."""
-
-
 @dataclass(frozen=True, slots=True)
 class Effect:
     """Effect of a cause on the number that it changes most.
@@ -388,6 +382,8 @@ def _group_effects(group: Group, concerns: Sequence[Issue]) -> Iterator[Effect]:
 
 def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Return the effect of tests that do not enter the mean of a number."""
+    # Effect, in half intervals, of a cause that leaves one value, without an interval.
+    no_interval_effect = 10.0
     lost = len(tests & number.left_out.keys())
     if not lost:
         return None
@@ -396,7 +392,7 @@ def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effe
         return Effect(inf, f"no value of {name}")
     n = number.mean.chosen.n
     if n == 1:
-        return Effect(_NO_INTERVAL_EFFECT, f"one value of {name}, without an interval")
+        return Effect(no_interval_effect, f"one value of {name}, without an interval")
     wider = _relative_width(n) / _relative_width(n + lost)
     text = f"mean of {n} of {n + lost} values of {name}, interval about {wider:.1f} times as wide"
     return Effect(wider - 1.0, text)
@@ -408,6 +404,8 @@ def _relative_width(n: int) -> float:
 
 def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Return the shift of a mean without the tests."""
+    # Effect, in half intervals, of a cause that affects all values of a number.
+    all_values_effect = 5.0
     touched = tests & number.values.keys()
     mean = number.mean
     if not touched or mean is None:
@@ -420,7 +418,7 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
             spool = "" if mean.is_pooled else spools.get(test, "")
             remaining.setdefault(spool, []).append(result.value)
     if not remaining:
-        return Effect(_ALL_VALUES_EFFECT, f"all values of {name}")
+        return Effect(all_values_effect, f"all values of {name}")
     before, half = mean.chosen.mean, mean.chosen.half
     moved = float(np.mean([np.mean(values) for values in remaining.values()])) - before
     without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"

@@ -200,8 +200,6 @@ SUMMARY = (
 """Columns of the row of a wire, after its name."""
 
 
-MAX_LAW_ROWS = 12_000
-"""Rows of all laws together: with more, writing takes longer than the model."""
 _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
     ("curvature", "curvature", CURVATURE),
     ("moment", "moment", MOMENT),
@@ -259,7 +257,7 @@ def save_wire_workbook(
 
     Notes
     -----
-    With many wires, the sheet of laws shows some rows of each, `MAX_LAW_ROWS` together but at least
+    With many wires, the sheet of laws shows some rows of each, 12 000 together but at least
     40 of each; the summary gives their number and the error of straight lines between them.
     """
     sheets = list(_sheets(tables, refused or {}, stated or {}))
@@ -269,8 +267,10 @@ def save_wire_workbook(
 def _sheets(
     tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
 ) -> Iterator[Sheet]:
+    # Rows of all laws together: with more, writing takes longer than the model.
+    max_law_rows = 12_000
     min_law_rows = 40  # straight lines between them are within 1 %
-    most = max(MAX_LAW_ROWS // max(len(tables), 1), min_law_rows)
+    most = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [shown_rows(table, most) for table in tables]
     laws, places = _laws_sheet(tables, law_rows)
     links = {name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()}

@@ -138,8 +138,6 @@ _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
 """Name of a stiffness at a curvature in the shipped protocols."""
 _SLIP_RESULTS = ("slip_position", "slip_drop")
 _DEFAULT_DIGITS = 4
-_PLAIN_RANGE = (1e-3, 1e6)
-"""Sizes of numbers that are written without a power of ten."""
 SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
@@ -377,9 +375,10 @@ def _last_place(size: float, digits: int) -> int:
 
 def _round_together(numbers: Iterable[float], place: int) -> list[str]:
     """Round numbers to one place, with a common power of ten if they are far from one."""
+    plain_range = (1e-3, 1e6)  # sizes of numbers that are written without a power of ten
     several = list(numbers)
     largest = max(map(abs, several))
-    if _PLAIN_RANGE[0] <= largest < _PLAIN_RANGE[1] or largest == 0.0 or not math.isfinite(largest):
+    if plain_range[0] <= largest < plain_range[1] or largest == 0.0 or not math.isfinite(largest):
         return [rounded(number, place) for number in several]
     power = math.floor(math.log10(largest))
     tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"

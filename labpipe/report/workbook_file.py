@@ -432,8 +432,6 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
     return series
 
 
-_COLUMN_DIGITS = 5
-"""Digits of the largest number of a column."""
 _MIN_DIGITS = 3
 """Digits of a small number that would have fewer in its column."""
 
@@ -540,10 +538,11 @@ def truncate_text(text: str, most: int) -> str:
 
 def column_place(column: Sequence[Value]) -> int | None:
     """Return the place of the last digit of the plain numbers of a column; None for integers."""
+    column_digits = 5  # digits of the largest number of a column
     plain = [abs(v) for v in column if isinstance(v, float) and math.isfinite(v)]
     if not any(plain):
         return None
-    return place_of(max(plain), None, digits=_COLUMN_DIGITS)
+    return place_of(max(plain), None, digits=column_digits)
 
 
 def format_in_column(value: float, place: int | None) -> str:

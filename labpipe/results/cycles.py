@@ -38,8 +38,6 @@ from labpipe.results.reduced_test import (
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 
-MIN_LOOP_SAMPLES = 3
-
 
 def energy_of(displacement: Floats, force: Floats) -> Floats:
     """Integrate force over displacement by trapezoids, J, shape (...).
@@ -581,11 +579,12 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
     -------
     One number, or a failure: ``gap`` if samples are missing, ``too_few_samples``.
     """
+    min_loop_samples = 3
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(force) < MIN_LOOP_SAMPLES:
-        message = f"{len(force)} samples in the cycle, {MIN_LOOP_SAMPLES} are needed"
+    if len(force) < min_loop_samples:
+        message = f"{len(force)} samples in the cycle, {min_loop_samples} are needed"
         return Failure("too_few_samples", message)
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))

@@ -37,8 +37,6 @@ from labpipe.results.reduced_test import ReducedTest
 from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY
 
-EARLY_DEFLECTIONS = (0.5e-3, 3e-3)
-"""Deflections, m, for the distance by which the clamp is ahead of the tip."""
 MIN_SLACK_TRAVEL = 0.2e-3
 """m, by which the clamp is ahead of the tip, from which the string was slack."""
 HANGING_SHARE, LEANING_SHARE = 0.5, 0.1
@@ -197,6 +195,8 @@ def at_rest(
     weight : N, of the counterweight
     own_weight : N, part of the wire's weight on a prop at its tip: `held_at_rest`
     """
+    # Deflections, m, for the distance by which the clamp is ahead of the tip.
+    early_deflections = (0.5e-3, 3e-3)
     n_blocks = 100
     weight += own_weight
     part = slice(first.start, first.stop)
@@ -208,8 +208,8 @@ def at_rest(
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
         behind = curve.displacement[part]
-        is_early = (behind > EARLY_DEFLECTIONS[0]) & (
-            behind < EARLY_DEFLECTIONS[1]
+        is_early = (behind > early_deflections[0]) & (
+            behind < early_deflections[1]
         )  # the string has begun to pull
         ahead = _median((travel.values[part] - behind)[is_early])
         slackened = _while_slack(travel.values, curve, first)

@@ -20,8 +20,6 @@ from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure
 from labpipe.uncertainty.replicates import Input, Replicates
 
-_MIN_REGION_SAMPLES = 8
-
 
 def toe_line(
     displacement: Floats, force: Floats, *, start_share: float, stop_share: float
@@ -55,10 +53,11 @@ def toe_line(
     >>> round(1e3 * float(zero_of_line(d[region], force[region])), 9)
     2.0
     """
+    min_region_samples = 8
     finite = finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    if len(d) < _MIN_REGION_SAMPLES:
-        return Failure("too_few_samples", f"{len(d)} samples, {_MIN_REGION_SAMPLES} are needed")
+    if len(d) < min_region_samples:
+        return Failure("too_few_samples", f"{len(d)} samples, {min_region_samples} are needed")
     top = int(np.argmax(f))
     first, last = (
         _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
@@ -66,9 +65,9 @@ def toe_line(
     if first == 0:
         message = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
         return Failure("not_reached", message)
-    if last - first < _MIN_REGION_SAMPLES:
+    if last - first < min_region_samples:
         message = (
-            f"{max(last - first, 0)} samples in the linear region, {_MIN_REGION_SAMPLES} are needed"
+            f"{max(last - first, 0)} samples in the linear region, {min_region_samples} are needed"
         )
         return Failure("too_few_samples", message)
     region = slice(first, last)

@@ -49,10 +49,6 @@ from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine, on_part
 from labpipe.uncertainty.intervals import Measured
 
-_NOISE_DEVIATIONS = 4.0
-"""Standard deviations of noise above which a force is not zero."""
-
-
 _FOOT_LIMITS = 5.0
 """The foot of the force, below this multiple of the limit, is taken as straight."""
 
@@ -159,6 +155,7 @@ def take_up(
     >>> round(1e3 * float(found.of(d, force)), 6)
     2.0
     """
+    noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
     max_extrapolation = 0.02  # share of the branch
     finite = finite_samples(displacement, force)
     if len(finite) < 2 * _MIN_FOOT_SAMPLES:
@@ -166,7 +163,7 @@ def take_up(
             "too_few_samples", f"{len(finite)} samples, {2 * _MIN_FOOT_SAMPLES} are needed"
         )
     d, f = displacement[finite], force[finite]
-    limit = _NOISE_DEVIATIONS * float(fast_noise(f)) if limit is None else limit
+    limit = noise_deviations * float(fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
         message = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"

@@ -11,8 +11,6 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, median, stretches_of
 from labpipe.signal.turning_points import noise_level, noise_of_differences
 
-_MIN_RUN = 3
-"""Equal samples: any corner may have two."""
 _UNUSUAL_RUN_FACTOR = 4.0
 """Times the usual run length of the channel."""
 _JUMP_FACTOR = 5.0
@@ -66,12 +64,13 @@ def stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> lis
     rest, a round top, a plateau, creep under constant force, slack, and a coarse resolution are not
     reported.
     """
+    min_run = 3  # equal samples: any corner may have two
     lengths, starts = _runs(values)
     channel = _Channel(time, values, other, lengths)
     if not len(starts) or not channel.high > channel.low:
         return []
-    long = np.flatnonzero(lengths >= max(_MIN_RUN, _UNUSUAL_RUN_FACTOR * channel.usual))
-    several = np.flatnonzero(lengths >= _MIN_RUN)
+    long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
+    several = np.flatnonzero(lengths >= min_run)
     ends = several[channel.is_extreme(starts[several])]
     stuck_runs = []
     for run in np.union1d(long, ends).tolist():

@@ -17,8 +17,6 @@ from labpipe.statistics.means import DEFAULT_LIMITS, LEVEL, PoolingLimits, neste
 _CURVE_POINTS = 500
 """Points of a curve before averaging, each the mean of its samples: faster noise has no information
 on the sample and widens the band of the whole curve."""
-MIN_BAND_CURVES = 6
-"""Curves needed for a band: over fewer, c of the band of the whole curve is 4 to 60."""
 N_DISPLACEMENTS = 201
 """Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
@@ -79,12 +77,14 @@ def without_band(band: Band) -> Band:
 
     Returns
     -------
-    Unchanged over `MIN_BAND_CURVES` curves or more. Over three to five (``few_curves``) the
+    Unchanged over six curves or more. Over three to five (``few_curves``) the
     pointwise interval is kept at a quarter, at half and at the end of the displacements, and is NaN
     elsewhere: an area of intervals looks like a simultaneous band, which would hide the curves.
     Over two (``two_curves``) there is none, as t is 12.7.
     """
-    if not 2 <= band.n < MIN_BAND_CURVES or not len(band.displacement):
+    # Curves needed for a band: over fewer, c of the band of the whole curve is 4 to 60.
+    min_band_curves = 6
+    if not 2 <= band.n < min_band_curves or not len(band.displacement):
         return band
     nothing = np.full(len(band.displacement), np.nan)
     lower, upper = nothing.copy(), nothing.copy()
@@ -94,7 +94,7 @@ def without_band(band: Band) -> Band:
         lower[at], upper[at] = band.lower[at], band.upper[at]
         code = "few_curves"
         why = (
-            f"{band.n} {band.over} are too few for a band, which needs {MIN_BAND_CURVES}; the mean "
+            f"{band.n} {band.over} are too few for a band, which needs {min_band_curves}; the mean "
             "has its interval at three displacements"
         )
     return replace(

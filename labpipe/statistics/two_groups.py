@@ -273,10 +273,6 @@ def _needed(contrast: Contrast, outside: float) -> str:
     return f"; with this scatter n = {n} in each group would tell" if n else ""
 
 
-MAX_ADVISED_SAMPLES = 50
-"""Samples per group beyond which more tests are not advised."""
-
-
 def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
     """Find how many values per group are enough to distinguish different from equivalent.
 
@@ -288,12 +284,13 @@ def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | No
     Returns
     -------
     Smallest number at which the interval is no wider than the margin: it then excludes zero, or is
-    within the margin. None beyond `MAX_ADVISED_SAMPLES`, without a margin, or without scatter.
+    within the margin. None beyond 50 samples per group, without a margin, or without scatter.
     """
+    max_advised_samples = 50  # samples per group beyond which more tests are not advised
     if contrast.margin is None or not contrast.error:
         return None
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
-    for n in range(max(contrast.counts) + 1, MAX_ADVISED_SAMPLES + 1):
+    for n in range(max(contrast.counts) + 1, max_advised_samples + 1):
         more = replace(contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n))
         if half_of(more, outside) <= 0.5 * contrast.margin:
             return n

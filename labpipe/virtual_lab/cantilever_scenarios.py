@@ -21,7 +21,6 @@ from labpipe.virtual_lab.bundles import TAPED_TYPES, BundleModel
 from labpipe.virtual_lab.specimens import StrandedWire, WireModel
 
 TAPED_LENGTH = 0.1143
-MARKER_SPACING = 0.0127
 
 VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
 """A wire defined by its law or by its strands, or a bundle of wires."""
@@ -310,8 +309,9 @@ def taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
     KeyError
         If the type is unknown.
     """
+    marker_spacing = 0.0127
     bundle = TAPED_TYPES[name]
-    half = 0.5 * MARKER_SPACING
+    half = 0.5 * marker_spacing
     return CantileverScenario(
         specimen_type=name,
         spool=f"{name}-s1",

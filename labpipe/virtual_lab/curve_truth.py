@@ -15,9 +15,7 @@ from labpipe.virtual_lab.cantilever_path import MechanicalPath
 
 KINK_WINDOW = (0.2e-3, 5e-3)
 STIFFNESS_RANGE = 5e-3
-PLATEAU_SHARE = 0.10
 _POINTS = 800
-_STEPS = 20_001
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +48,7 @@ class LoadingTruth:
     end_tangent : N/m, slope of the least-squares line over the last 5 mm
     end_slope : the same as a share of `windowed_stiffness`
     plateau_displacement, plateau_force : m, N, from which the tangent over a millimetre stays below
-        `PLATEAU_SHARE` of `windowed_stiffness`; None if `end_slope` is not below it
+        a tenth of `windowed_stiffness`; None if `end_slope` is not below it
     """
 
     tangent_at_zero: float
@@ -125,7 +123,8 @@ def evaluate_taped(path: MechanicalPath) -> TapedTruth:
 
 def _loading(path: MechanicalPath, cycle: int) -> tuple[Floats, Floats]:
     """Return deflection and force of one loading, m and N."""
-    progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, _STEPS))
+    n_steps = 20_001
+    progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, n_steps))
     return path.deflection(progress), path.tension(progress) - path.rest.tension
 
 
@@ -151,13 +150,14 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
     -------
     The numbers.
     """
+    plateau_share = 0.1  # slope of the plateau over that of the window
     zero_distance = 0.02e-3
     windowed = line_slope(displacement, force, *KINK_WINDOW)
     last = float(displacement[-1])
     end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
-    is_level = end < PLATEAU_SHARE * windowed
+    is_level = end < plateau_share * windowed
     tangents = _tangents(displacement, force)
-    onset = _last_above(*tangents, PLATEAU_SHARE * windowed) if is_level else None
+    onset = _last_above(*tangents, plateau_share * windowed) if is_level else None
     return LoadingTruth(
         tangent_at_zero=float(np.interp(zero_distance, displacement, force)) / zero_distance,
         stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),

@@ -22,7 +22,6 @@ from labpipe.virtual_lab.recorders import Schedule
 from labpipe.virtual_lab.tensile_path import TensilePath
 from labpipe.virtual_lab.three_point_path import ThreePointPath
 
-MIDDLE_WINDOW = (1e-3, 10e-3)
 _CURVE_POINTS = 20_001
 
 
@@ -164,7 +163,7 @@ class MiddleTruth:
     curvature : 1/m
     moment : N m, in the bundle
     moment_of_force : N m, P L / 4, of a straight bundle on point supports
-    bending_stiffness : N m^2, slope of moment over curvature for displacements in `MIDDLE_WINDOW`,
+    bending_stiffness : N m^2, slope of moment over curvature for displacements of 1 to 10 mm,
         least squares over even steps of curvature
     bending_stiffness_of_force : N m^2, the same with P L / 4
     twist : rad, right-handed about x
@@ -275,7 +274,7 @@ def _type_loading(path: ThreePointPath) -> LoadingTruth:
 
 def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
     stroke, span = scenario.test.stroke, scenario.test.span
-    first, last = MIDDLE_WINDOW
+    first, last = 1e-3, 10e-3  # m, range of the slope
     _, moment, curvature = path.middle(np.linspace(first, last, _CURVE_POINTS))
     of_force = 0.25 * span * path.force(np.linspace(first, last, _CURVE_POINTS))
     slopes = [

@@ -17,12 +17,8 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 from labpipe.wire.bundle_packing import densest_heap, holding_circle
 
-N_SHUFFLES = 8
-"""Shuffles of the kinds of a packed bundle, of which the densest is kept."""
 _MAX_SEARCHED_WIRES = 100
 """Most wires for which many starts are tried; larger heaps are densest as lattices."""
-MAX_STATED_OVERLAP = 0.01
-"""Tolerated overlap of stated positions, of the smaller wire's diameter, as in the test sheet."""
 
 
 def arrange(
@@ -62,6 +58,8 @@ def arrange(
 
 
 def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
+    # Tolerated overlap of stated positions, of the smaller wire's diameter, as in the test sheet.
+    max_stated_overlap = 0.01
     centres = np.asarray(bundle.positions, dtype=np.float64)
     if len(centres) != len(diameter):
         message = f"{len(centres)} positions for {len(diameter)} wires: expected one for each"
@@ -69,7 +67,7 @@ def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
     first, second = np.triu_indices(len(diameter), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     depth = 0.5 * (diameter[first] + diameter[second]) - distance
-    allowed = MAX_STATED_OVERLAP * np.minimum(diameter[first], diameter[second])
+    allowed = max_stated_overlap * np.minimum(diameter[first], diameter[second])
     if np.any(depth > allowed):
         at = int(np.argmax(depth - allowed))
         message = (
@@ -102,6 +100,7 @@ def _kinds_on_sites(
     arrangement: str, places: Floats, counts: Sequence[int], stiffness: Sequence[float], seed: int
 ) -> list[Ints]:
     """Return the kinds on the sites: one assignment for an arrangement, several random ones."""
+    n_shuffles = 8  # shuffles of the kinds of a packed bundle, of which the densest is kept
     match arrangement:
         case "asymmetric":
             return [on_one_side(places, counts, stiffness)]
@@ -109,7 +108,7 @@ def _kinds_on_sites(
             return [evenly(places, counts, seed=seed)]
         case _:
             rng = np.random.default_rng(seed)
-            shuffles = N_SHUFFLES if len(places) <= _MAX_SEARCHED_WIRES else N_SHUFFLES // 2
+            shuffles = n_shuffles if len(places) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
             return [by_chance(counts, rng) for _ in range(shuffles)]
 
 
@@ -132,9 +131,6 @@ def _layout(name: str, centres: Floats, kind: Ints, diameter: Floats) -> BundleL
     radius = float(np.max(np.hypot(*about.T) + diameter / 2.0))
     return BundleLayout(name, about[:, 0], about[:, 1], kind, diameter, radius)
 
-
-N_SPREAD_STARTS = 12
-"""Seeded starts of the search for an even spread."""
 
 _MERIT_DIGITS = 9
 
@@ -216,9 +212,10 @@ def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
     direction, as one of wires of the mean axial stiffness, whatever the stiffnesses of the kinds:
     if the sites have no preferred direction, the bundle has none either.
     """
+    n_spread_starts = 12  # seeded starts of the search for an even spread
     traits, near = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
-    starts = (by_chance(counts, rng) for _ in range(N_SPREAD_STARTS))
+    starts = (by_chance(counts, rng) for _ in range(n_spread_starts))
     spreads = [_exchange_wires(start, traits, near) for start in starts]
     return min(spreads, key=lambda kind: _unevenness(kind, traits, near))
 
@@ -281,9 +278,6 @@ def _find_exchange(kind: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
     first = candidates[np.argmin(alike[candidates[:, 0], candidates[:, 1]])]
     return int(first[0]), int(first[1])
 
-
-N_HEAP_STARTS = 8
-"""Random starts of a heap, besides those from a triangular lattice."""
 
 _HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
 """Centre of a heap: a wire, three wires around a gap, two wires side by side."""
@@ -355,12 +349,13 @@ def _lattice_heap(number: int, core: Floats) -> Floats:
 
 def _densest_heap(number: int, seed: int) -> Floats:
     """Return the heap in the smallest circle, from lattices and from random starts."""
+    n_heap_starts = 8  # random starts of a heap, besides those from a triangular lattice
     rng = np.random.default_rng(seed)
     diameters = np.ones(number)
     heaps = [_lattice_heap(number, middle) for middle in _lattice_centres()]
     if number <= _MAX_SEARCHED_WIRES:
-        radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(N_HEAP_STARTS, number)))
-        angle = rng.uniform(0.0, 2.0 * np.pi, size=(N_HEAP_STARTS, number))
+        radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(n_heap_starts, number)))
+        angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_heap_starts, number))
         starts = [_lattice_heap(number, core) for core in _HEAP_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         heaps = [*heaps, densest_heap(starts, diameters)]

@@ -25,8 +25,6 @@ from labpipe.records.arrays import Floats, Ints
 
 _CONTACT_STIFFNESSES = (10.0, 100.0)
 """Successive stiffnesses of a contact for a pull of 1; low enough for a gradient method."""
-MIN_FILLED_SHARE = 0.5
-"""Of the smallest circle around a heap; two equal wires, the emptiest heap, fill as much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +65,7 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """
     # mean diameters; unequal wires can come to rest in a row or around a corner
     shakes = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
-    min_filled_share = 0.55  # heaps that fill less are shaken
+    max_shaken_share = 0.55  # heaps that fill less are shaken
     pair = 2
     if not (np.all(np.isfinite(starts)) and np.all(diameters > 0.0)):
         message = "a heap of wires: expected finite centres and diameters > 0"
@@ -78,7 +76,7 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     reach = diameters / scale
     heap = _narrowest_heap([(start - start.mean(axis=0)) / scale for start in starts], reach)
     for number, shake in enumerate(shakes):
-        if _filled_share(heap, reach) > min_filled_share or len(reach) == pair:
+        if _filled_share(heap, reach) > max_shaken_share or len(reach) == pair:
             break
         moves = shake * np.random.default_rng(number).normal(size=heap.shape)
         heap = _narrowest_heap([heap, heap + moves], reach)
@@ -115,14 +113,16 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
     Raises
     ------
     ValueError
-        If the wires fill less than `MIN_FILLED_SHARE` of the smallest circle around them; the
+        If the wires fill less than half of the smallest circle around them; the
         message states the filled share.
     """
+    # Of the smallest circle around a heap; two equal wires, the emptiest heap, fill as much.
+    min_filled_share = 0.5
     filled = _filled_share(centres, diameters)
-    if not filled > MIN_FILLED_SHARE * (1.0 - 1e-6):
+    if not filled > min_filled_share * (1.0 - 1e-6):
         message = (
             f"the {len(diameters)} wires did not come together: they fill {filled:.2g} of the "
-            f"smallest circle around them, expected at least {MIN_FILLED_SHARE:g}"
+            f"smallest circle around them, expected at least {min_filled_share:g}"
         )
         raise ValueError(message)
 

@@ -25,8 +25,6 @@ N_STATIONS = 24
 """Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
 POINTS = 32
 """Of a loading curve."""
-CROWDING = 2.75
-"""Power by which they are denser towards rest, where strands begin to slip."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +144,8 @@ def load_heavy(
     ValueError
         If no equilibrium is found.
     """
-    wanted = deflection * (np.arange(1, POINTS + 1) / POINTS) ** CROWDING
+    crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
+    wanted = deflection * (np.arange(1, POINTS + 1) / POINTS) ** crowding
     at = heavy_states(table, length, rig, self_weight, wanted)
     stop = at.count_loading()
     rest_slope = float((at.tension[0] - at.rest_tension) / at.deflection[0])  # before slip

@@ -32,7 +32,6 @@ from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, helix_overlap, lay_out
 from labpipe.wire.stretch_torsion import stretch_torsion
 
-GRID_POINTS = 200
 _MIN_POINT_SPACING = 1e-4  # of a curvature: nearer points are one
 
 
@@ -139,8 +138,9 @@ def curvature_grid(largest: float, onsets: Floats) -> Floats:
     onsets : shape (n,), 1/m, positive, distinct, below the largest; they replace even points next
         to them
     """
+    grid_points = 200
     decades = 4.0  # of curvature below the largest
-    even = np.geomspace(10.0**-decades, 1.0, GRID_POINTS) * largest
+    even = np.geomspace(10.0**-decades, 1.0, grid_points) * largest
     even[-1] = largest
     near = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
     return np.concatenate([[0.0], np.union1d(even[~near.any(axis=1)], onsets)])

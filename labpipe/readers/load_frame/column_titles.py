@@ -21,9 +21,6 @@ from labpipe.readers.text_cells import (
     without_brackets,
 )
 
-MAX_HEADER_LINES = 400
-"""Lines searched for the header; the longest real one has 56."""
-
 _REMEDY = "Export the test again with names and units, or name another dialect."
 _CARD_REMEDY = (
     "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
@@ -52,7 +49,8 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
     ReadError
         If there is no row of names, no required row of units, or no numbers.
     """
-    head = lines[:MAX_HEADER_LINES]
+    max_header_lines = 400  # lines searched for the header; the longest real one has 56
+    head = lines[:max_header_lines]
     if card.names == "listed":
         return _listed_titles(head, card, path)
     for separator in card.separators:

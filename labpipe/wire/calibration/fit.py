@@ -280,8 +280,6 @@ _LABELS: Mapping[str, str] = {
 
 WELL = 2.0
 """Span of an interval, upper over lower, below which a parameter is well identified."""
-HOPELESS = 100.0
-"""Span of an interval, upper over lower, above which a parameter is not identified."""
 
 
 def verdict_of(
@@ -309,6 +307,8 @@ def verdict_of(
     span_with_others : span that includes solutions just outside of the 95 % set, and the line on
         which insulation and copper trade off
     """
+    # Span of an interval, upper over lower, above which a parameter is not identified.
+    max_span = 100.0
     prior_share = 0.9  # error over that of the prior
     if at_bound:
         return Identifiability.AT_BOUND
@@ -316,7 +316,7 @@ def verdict_of(
         return Identifiability.AGAINST_PRIOR
     if log_error > prior_share * prior_error:
         return Identifiability.BY_PRIOR
-    if is_open or span > HOPELESS:
+    if is_open or span > max_span:
         return Identifiability.NOT
     if max(span, span_with_others) < WELL:
         return Identifiability.WELL
