@@ -70,42 +70,42 @@ class Test:
 
     @property
     def name(self) -> str:
-        """Name of the test."""
+        """Return the name of the test."""
         return self._outcome.test
 
     @property
     def protocol(self) -> str:
-        """Name of its protocol."""
+        """Return the name of its protocol."""
         return self._outcome.protocol
 
     @property
     def specimen(self) -> Specimen:
-        """The specimen; dimensions in m."""
+        """Return the specimen; dimensions in m."""
         return self._outcome.specimen
 
     @property
     def date(self) -> datetime.date | None:
-        """Day of the test; None if neither sheet nor exports state it."""
+        """Return the day of the test; None if neither sheet nor exports state it."""
         return self._outcome.date
 
     @property
     def operator(self) -> str:
-        """Person who ran the test; empty if the sheet does not state it."""
+        """Return the person who ran the test; empty if the sheet does not state it."""
         return self._outcome.operator
 
     @property
     def instruments(self) -> tuple[Instrument, ...]:
-        """Instruments whose certificates the protocol states."""
+        """Return the instruments whose certificates the protocol states."""
         return self._outcome.instruments
 
     @property
     def summary(self) -> dict[str, object]:
-        """The content of ``summary.json``, in SI units."""
+        """Return the content of ``summary.json``, in SI units."""
         return summary(self._outcome)
 
     @property
     def display(self) -> Test:
-        """The same test with numbers in the display units of its protocol."""
+        """Return the same test with numbers in the display units of its protocol."""
         return Test(
             self._outcome,
             whole=lambda: self._whole,
@@ -115,7 +115,7 @@ class Test:
 
     @property
     def results(self) -> pd.DataFrame:
-        """The results, in the order of the protocol.
+        """Return the results, in the order of the protocol.
 
         By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (ends of the 95 % interval; NaN
         where not available), ``unit``, ``status``, ``code``, ``reason``.
@@ -149,7 +149,7 @@ class Test:
 
     @property
     def curve(self) -> pd.DataFrame:
-        """Force against displacement, after all steps and corrections.
+        """Return the force against displacement, after all steps and corrections.
 
         ``time``, ``displacement``, ``force``, ``branch`` (from 0 in order of travel, -1 outside)
         and ``cycle`` (from 1, 0 outside); units in ``attrs["units"]``.
@@ -165,7 +165,7 @@ class Test:
 
     @property
     def shape(self) -> pd.DataFrame:
-        """Positions along the specimen by ``time``, in columns (point, axis).
+        """Return the positions along the specimen by ``time``, in columns (point, axis).
 
         x is along the undeformed specimen from the clamped end, y in the plane of bending.
 
@@ -181,17 +181,17 @@ class Test:
 
     @property
     def raw(self) -> Recordings:
-        """The recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
+        """Return the recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
         return Recordings(self._whole.recordings)
 
     @property
     def quality(self) -> pd.DataFrame:
-        """The quality notes: ``code``, ``severity``, ``where``, ``message``."""
+        """Return the quality notes: ``code``, ``severity``, ``where``, ``message``."""
         return quality_frame(self._outcome.quality)
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """Names of the figures of the protocol."""
+        """Return the names of the figures of the protocol."""
         return self._outcome.figures
 
     def figure(self, name: str) -> Figure:

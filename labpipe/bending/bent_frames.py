@@ -119,7 +119,7 @@ class MarkerLayout:
 
     @property
     def length(self) -> float:
-        """Arc length of the tip, m."""
+        """Return the arc length of the tip, m."""
         return self.ends.length
 
     def fit(self, markers: Floats, *, more: int = 0) -> FrameFits:
@@ -414,12 +414,12 @@ class BendingTest:
 
     @cached_property
     def layout(self) -> MarkerLayout:
-        """Layout of the markers."""
+        """Return the layout of the markers."""
         return marker_layout(self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip)
 
     @cached_property
     def specimen_at_rest(self) -> SpecimenAtRest:
-        """The specimen at rest.
+        """Return the specimen at rest.
 
         Raises
         ------

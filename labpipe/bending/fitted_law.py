@@ -287,7 +287,7 @@ class Loaded:
 
     @property
     def moved(self) -> Floats:
-        """Movement of the markers from rest, shape (n, 2 markers), m: x of all, then y."""
+        """Return the displacements from rest, shape (n, 2 markers), m: x of all markers, then y."""
         moved = self.markers - self.markers_at_rest
         return np.concatenate([moved[..., 0], moved[..., 1]], axis=1)
 

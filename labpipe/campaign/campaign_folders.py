@@ -145,12 +145,12 @@ class OutcomeFiles:
 
     @property
     def has_results(self) -> bool:
-        """Whether there are complete results."""
+        """Return whether there are complete results."""
         return f"{SUMMARY_FILE}:" in self.marks and f"{RESULT_FILE}:" in self.marks
 
     @property
     def has_failure(self) -> bool:
-        """Whether the last attempt failed."""
+        """Return whether the last attempt failed."""
         return f"{FAILURE_FILE}:" in self.marks
 
 
@@ -237,7 +237,7 @@ def _walk(
 
 
 def _is_text(name: str) -> bool:
-    """Whether a name is valid text: on Linux it may be any bytes."""
+    """Return whether a name is valid text: on Linux it may be any bytes."""
     return name.isascii() or not any("\ud800" <= sign <= "\udfff" for sign in name)
 
 

@@ -408,7 +408,7 @@ class _ClusterRun:
 
 
 def _is_seen(outcome: Outcome, until: float) -> bool:
-    """Whether the results of a worker are visible here; waits for a slow drive."""
+    """Return whether the results of a worker are visible here; waits for a slow drive."""
     if outcome.folder is None or outcome.state == "failed":
         return True
     wanted = json.dumps(outcome.run)
@@ -433,12 +433,12 @@ class _ClusterWorkers:
 
     @property
     def fit(self) -> frozenset[str]:
-        """Addresses of the usable workers."""
+        """Return the addresses of the usable workers."""
         return frozenset(self._threads.keys() - self.unfit.keys())
 
     @property
     def threads(self) -> int:
-        """Number of tests that they run at the same time."""
+        """Return the number of tests that they run at the same time."""
         return sum(self._threads[worker] for worker in self.fit)
 
     def wait_for_workers(self) -> None:

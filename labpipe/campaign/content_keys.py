@@ -53,12 +53,12 @@ class Stamp:
 
     @property
     def looks(self) -> tuple[int, int, int, int]:
-        """State that is compared."""
+        """Return the state that is compared."""
         return self.size, self.modified, self.changed, self.number
 
     @property
     def is_sure(self) -> bool:
-        """Whether any later change of the file changes its state.
+        """Return whether any later change of the file changes its state.
 
         False for a hash taken too soon after the last change, or before it (clock set back).
         """

@@ -44,12 +44,12 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Name of the folder."""
+        """Return the name of the folder."""
         return self.folder.name
 
     @property
     def sheet(self) -> Path:
-        """Path of its test sheet, which may be missing."""
+        """Return the path of its test sheet, which may be missing."""
         return self.folder / SHEET_NAME
 
 
@@ -301,7 +301,7 @@ def _with_sheet(candidate: Candidate) -> PairingOutcome:
 
 
 def _differs(path: Path, copy: Path) -> bool:
-    """Whether an export has changed since it was copied, by size and time."""
+    """Return whether an export has changed since it was copied, by size and time."""
     if not copy.exists():
         return False
     one, other = path.stat(), copy.stat()

@@ -92,7 +92,7 @@ class Overview:
 
     @property
     def counts(self) -> Counter[str]:
-        """Number of tests by state."""
+        """Return the number of tests by state."""
         return Counter(map(self.state_of, self.rows))
 
 
@@ -297,7 +297,7 @@ class CatalogSync:
         return Entry(new_row, renewed, outcome.inputs, outcome.results)
 
     def _is_current(self, row: TestRow, content: Content | None) -> bool:
-        """Whether a row is still valid for the present content and decisions."""
+        """Return whether a row is still valid for the present content and decisions."""
         if row.state == PENDING:
             return True
         is_stale = content is not None and content.key != row.attempt
@@ -331,7 +331,7 @@ class CatalogSync:
         return self._rejection(folder, outcome.run)
 
     def _has_same_inputs(self, row: TestRow, outcome: StoredOutcome) -> bool:
-        """Whether exports, sheet and protocol of a test are those of its row."""
+        """Return whether exports, sheet and protocol of a test are those of its row."""
         texts = (outcome.sheet, outcome.protocol_text)
         same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
         return same and self.catalog.inputs_of(row.folder) == outcome.inputs

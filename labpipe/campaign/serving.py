@@ -128,7 +128,7 @@ class ReportServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Address of the report."""
+        """Return the address of the report."""
         return f"http://{LOOPBACK}:{self.server_port}/{self.site.token}/"
 
 

@@ -40,7 +40,7 @@ class ProcessDied:
 
     @property
     def how(self) -> str:
-        """Text on the signal or exit code."""
+        """Return the text on the signal or exit code."""
         if self.exit_code >= 0:
             return f"with exit code {self.exit_code}"
         with suppress(ValueError):

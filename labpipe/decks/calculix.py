@@ -51,22 +51,22 @@ class BarMesh:
 
     @property
     def clamp(self) -> Flags:
-        """Nodes of the clamped face, x = 0."""
+        """Return the nodes of the clamped face, x = 0."""
         return self.nodes[:, 0] < _PLANE_TOLERANCE * self.radius
 
     @property
     def middle(self) -> Flags:
-        """Nodes at y = 0, in the neutral plane of bending."""
+        """Return the nodes at y = 0, in the neutral plane of bending."""
         return np.abs(self.nodes[:, 1]) < _PLANE_TOLERANCE * self.radius
 
     @property
     def tip(self) -> Flags:
-        """Nodes of the free face, x = length."""
+        """Return the nodes of the free face, x = length."""
         return self.nodes[:, 0] > self.length - _PLANE_TOLERANCE * self.radius
 
     @property
     def cut(self) -> Flags:
-        """Nodes of the plane of symmetry, z = 0."""
+        """Return the nodes of the plane of symmetry, z = 0."""
         return self.nodes[:, 2] < _PLANE_TOLERANCE * self.radius
 
 

@@ -98,7 +98,7 @@ def line_deck(
 
 
 def _is_base(held: rod.Held) -> bool:
-    """Whether it clamps the start of the line for good, so that the chain can begin at it."""
+    """Return whether it clamps the start of the line for good, where the chain can begin."""
     return held.node == 0 and held.frame is not None and held.release is None
 
 

@@ -65,19 +65,19 @@ class Chain:
 
     @property
     def spacing(self) -> float:
-        """Length of wire that a node stands for, m."""
+        """Return the length of wire that a node stands for, m."""
         return self.length / self.nodes
 
     @property
     def unit_time(self) -> float:
-        """Time step, s: one over the first angular frequency while nothing slides."""
+        """Return the time step, s: one over the first angular frequency while nothing slides."""
         first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
         stretch = np.sqrt(self.law.first_stiffness / self.mass_per_length)
         return float(self.length**2 / (first_root**2 * stretch))
 
     @property
     def damping(self) -> float:
-        """Of a hinge, N m s."""
+        """Return the damping of a hinge, N m s."""
         return 0.5 * self.law.first_stiffness / self.spacing * self.unit_time
 
 

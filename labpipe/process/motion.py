@@ -93,17 +93,17 @@ class Turn:
 
     @property
     def middle(self) -> float:
-        """Mean of arrival and departure times, s."""
+        """Return the mean of arrival and departure times, s."""
         return 0.5 * (self.arrival.time + self.departure.time)
 
     @property
     def dwell(self) -> float:
-        """Time between arrival and departure, s."""
+        """Return the time between arrival and departure, s."""
         return self.departure.time - self.arrival.time
 
     @property
     def corners(self) -> tuple[Corner, ...]:
-        """The one or two corners."""
+        """Return the one or two corners."""
         return (self.arrival,) if self.arrival is self.departure else (self.arrival, self.departure)
 
 

@@ -62,7 +62,7 @@ class Fit:
 
     @property
     def weight(self) -> int:
-        """Sum of the weights of all signs."""
+        """Return the sum of the weights of all signs."""
         return sum(sign.weight for sign in self.signs)
 
 

@@ -63,7 +63,7 @@ class Processed:
 
     @property
     def n_failed(self) -> int:
-        """Number of results that are not available."""
+        """Return the number of results that are not available."""
         return sum(result.status is Status.FAILED for result in self.result.results)
 
 

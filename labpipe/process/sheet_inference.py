@@ -209,12 +209,12 @@ class _TestInference:
 
     @cached_property
     def stated_files(self) -> dict[str, tuple[str, ...]]:
-        """Exports by role that the user named."""
+        """Return the exports by role that the user named."""
         return {role: file_names(self.stated[role]) for role in ROLES if role in self.stated}
 
     @property
     def _belonging(self) -> list[InspectedExport]:
-        """Exports that belong to this test; all of them without a matching protocol."""
+        """Return the exports that belong to this test; all of them without a matching protocol."""
         unclear = {
             name
             for fit in self.fits
@@ -225,7 +225,7 @@ class _TestInference:
 
     @property
     def kind(self) -> str:
-        """Type of the specimen; empty if it is not known."""
+        """Return the type of the specimen; empty if it is not known."""
         return self.stated.get("type") or _type_of(self.contents.folder)
 
     @cached_property
@@ -244,7 +244,7 @@ class _TestInference:
 
     @property
     def fit(self) -> Fit | None:
-        """The protocol that fits better than all others; None if there are several."""
+        """Return the protocol that fits better than all others; None if there are several."""
         return self.fits[0] if len(self.fits) == 1 else None
 
     def infer(self) -> InferredTest:
@@ -271,7 +271,7 @@ class _TestInference:
 
     @property
     def _files(self) -> dict[str, tuple[str, ...]]:
-        """Exports by role: those on which all candidate protocols agree, or by format."""
+        """Return the exports by role, on which all candidate protocols agree, or by format."""
         if self.fits:
             return {
                 role: names

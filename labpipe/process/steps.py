@@ -406,7 +406,7 @@ def _filter(
 
 
 def _step_of(signal: Signal) -> float:
-    """Median step of the clock of a signal, s.
+    """Return the median step of the clock of a signal, s.
 
     With few distinct steps `labpipe.records.arrays.median` takes thirty times as long as numpy's.
     """

@@ -47,7 +47,7 @@ _ACCELERATION = QuantityText(Quantity("m/s^2", "m/s^2", "-9.81 m/s^2"))
 
 
 def _vector(text: QuantityText) -> Callable[[object], Vector3]:
-    """What reads three quantities of one kind, along x, y and z."""
+    """Return what reads three quantities of one kind, along x, y and z."""
     example = f"[{text.of.example}, {text.of.example}, {text.of.example}]"
 
     def parse(value: object) -> Vector3:
@@ -182,7 +182,7 @@ class SectionBlock(Block):
 
     @property
     def kind(self) -> str:
-        """What the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
+        """Return what the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
         return next(name for name in _KINDS if getattr(self, name) is not None)
 
     @classmethod
@@ -209,7 +209,7 @@ class SectionBlock(Block):
 
 
 def _why(key: str) -> str:
-    """Why a section needs a key."""
+    """Return why a section needs a key."""
     reasons = {
         "diameter": "Add it: the allowed bend radius goes by it.",
         "largest_curvature": "A law needs a range: add the largest curvature that was tested.",

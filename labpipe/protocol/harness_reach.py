@@ -75,7 +75,7 @@ def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
 
 
 def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
-    """Where the line begins at the start, m, and in which direction it lies.
+    """Return where the line begins at the start, m, and in which direction it lies.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
 
 
 def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
-    """Path of what holds the line: where it is at the start, and the ends of its straight legs.
+    """Return the path of a holder of the line: its start and the ends of its straight legs.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
 
 
 def first_anchor(string: String, place: Vector3) -> Vector3:
-    """Where the anchor of a string is at the start, m: no farther than the string is long.
+    """Return where the anchor of a string is at the start, m: no farther than the string is long.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def _falling(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
-    """Where each turn is written, the steps from and to which it goes, and by how much, rad."""
+    """Return the place in the file, first and last step, and angle, rad, of each turn."""
     if isinstance(boundary, Clip):
         yield ("turn",), 0, boundary.by or steps, boundary.turn
     elif isinstance(boundary, Grip):
@@ -293,7 +293,7 @@ class _HeldPlace:
     last: int
 
     def position(self, step: int) -> Vector3:
-        """Where it is, m; before the first leg and after the last it stays."""
+        """Return the position, m; constant before the first leg and after the last."""
         before = [leg for leg in self.legs if leg.step <= step][-1]
         after = next((leg for leg in self.legs if leg.step > step), before)
         share = (step - before.step) / max(after.step - before.step, 1)

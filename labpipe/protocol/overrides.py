@@ -69,7 +69,7 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
 
 
 def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
-    """Where a sheet's own specimen says what the protocol's does, by dotted key of the protocol."""
+    """Return the keys that a sheet's own specimen replaces, by dotted key of the protocol."""
     sizes: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key)
         for key in SHEET_DIMENSIONS
@@ -215,7 +215,7 @@ _OR_FOLLOW = (
 
 
 def are_followed(protocol: Document) -> bool:
-    """Say whether a protocol, as written, lets exports be links out of the folder of the test.
+    """Return whether a protocol allows exports that are links out of the folder of the test.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def _speed_faults(protocol: Protocol, role: str, name: str) -> Iterator[Fault]:
 
 
 def _needed(protocol: Protocol) -> set[str]:
-    """Channels without which there is no curve."""
+    """Return the channels without which there is no curve."""
     names = set()
     if protocol.curve is not None:
         names |= {protocol.curve.force, protocol.curve.displacement}
@@ -346,7 +346,7 @@ def _needed(protocol: Protocol) -> set[str]:
 
 
 def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
-    """Steps that still have a channel; one that is made from speed exists behind its step."""
+    """Return the steps whose channel exists; one made from speed exists after its step."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.on_markers:
             continue
@@ -359,7 +359,7 @@ def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
 
 
 def _is_made_from_speed(protocol: Protocol) -> bool:
-    """Whether the displacement of the curve is made on the clock of the force."""
+    """Return whether the displacement of the curve is made on the clock of the force."""
     if protocol.curve is None or protocol.curve.displacement in protocol.channels:
         return False
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}

@@ -171,7 +171,7 @@ def _meaning(kind: type[Kind]) -> str:
 
 
 def _needs(kind: Any) -> Iterable[str]:
-    """Say in words what of a test a kind of result is read from."""
+    """Describe the data of a test that a kind of result needs."""
     needs: Needs = kind.needs
     descriptions = {
         "the curve": needs.branches,

@@ -56,7 +56,7 @@ def curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault]
 def _step_fault(
     last: tuple[float, float], here: tuple[float, float], first_slope: float
 ) -> Fault | None:
-    """What is wrong with a point behind another one, both of strain and stress in MPa."""
+    """Return what is wrong with a point behind another one, both of strain and stress in MPa."""
     # Share of the first slope.
     rounding = 1e-6
     remedy = "Put the rows in order and correct them."
@@ -73,7 +73,7 @@ def _step_fault(
 
 
 def curve_of(points: Sequence[StressPoint]) -> Curve:
-    """Strains and stresses (Pa) beyond zero."""
+    """Return the strains and stresses (Pa) beyond zero."""
     stress = StressPoint.model_fields["stress_mpa"].metadata[0].in_si
     beyond = [point for point in points if point.strain > 0.0]
     return tuple(point.strain for point in beyond), tuple(

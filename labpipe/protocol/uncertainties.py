@@ -34,7 +34,7 @@ class SizeUncertainties(Block):
 
     @property
     def stated(self) -> dict[str, float]:
-        """Those that are given, by key, m (of the area m^2)."""
+        """Return those that are given, by key, m (of the area m^2)."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
@@ -63,7 +63,7 @@ class Certificate(Block):
 
 
 def standard_uncertainty(certificate: Certificate | None) -> float | None:
-    """Of the scale that was calibrated, as a ratio; None where no certificate says one."""
+    """Return the standard uncertainty of the calibrated scale, a ratio; None if not stated."""
     if certificate is None or certificate.uncertainty is None:
         return None
     return certificate.uncertainty / certificate.k
@@ -145,7 +145,7 @@ def length_faults(
 
 
 def _day(value: object) -> date | None:
-    """The day; None for what is none, which is a fault of its own."""
+    """Return the day; None for what is none, which is a fault of its own."""
     try:
         return parse_day(value)
     except PydanticCustomError:
@@ -157,7 +157,7 @@ def _ratio(text: object) -> float | None:
 
 
 def _quantity(text: object, unit: str) -> float | None:
-    """Value in a unit; None for what is none, which is a fault of its own."""
+    """Return the value in a unit; None for what is none, which is a fault of its own."""
     try:
         return parse_quantity(text, unit)
     except ValueError:

@@ -60,7 +60,7 @@ _PURE = re.compile(rf"\s*{_NUMBER}\s*(1|%|percent|ppm)?\s*")
 
 
 def number_remedy(number: str, unit: str = "") -> str:
-    """Say how to write a number that has thousands separators or a decimal comma.
+    """Describe how to write a number that has thousands separators or a decimal comma.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def unit_remedy(unit: str, si_unit: str) -> str:
 
 
 def quantity_remedy(text: object, si_unit: str, example: str) -> str:
-    """Say how to write a quantity that `parse_quantity` refuses.
+    """Describe how to write a quantity that `parse_quantity` refuses.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ class QuantityText:
 
     @property
     def schema(self) -> JsonSchemaValue:
-        """JSON Schema of the text."""
+        """Return the JSON Schema of the text."""
         texts: JsonSchemaValue = {
             "type": "string",
             "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
@@ -422,7 +422,7 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
 
 
 def one_or_several(item: dict[str, Any]) -> WithJsonSchema:
-    """Describe, for editors, one value or a list of at least one.
+    """Describe one value or a list of at least one, for editors.
 
     Parameters
     ----------

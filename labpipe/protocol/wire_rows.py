@@ -66,12 +66,12 @@ class Column:
 
     @property
     def factor(self) -> float:
-        """From the unit to SI."""
+        """Return the factor from the unit to SI."""
         return _UNITS[self.unit][1]
 
     @property
     def allowed(self) -> str:
-        """What a cell may hold, such as ``a number from 0.05 to 200 mm``."""
+        """Return what a cell may hold, such as ``a number from 0.05 to 200 mm``."""
         kind = f"{'whole ' * self.whole}number"
         kind, parted = (f"{kind}s", ", separated by ';'") if self.several else (f"a {kind}", "")
         return f"{kind} from {self.least:.10g} to {self.most:.10g} {self.unit}".rstrip() + parted
@@ -109,7 +109,7 @@ class Column:
 
 
 def _list_remedy(part: str) -> str:
-    """What to do about commas in a cell that may hold several numbers; empty for none."""
+    """Return what to do about commas in a cell that may hold several numbers; empty for none."""
     listed = ";".join(number.strip() for number in part.split(","))
     if _DECIMAL_COMMA.fullmatch(part):
         return f"Separate numbers by ';': write {listed} for two, {part.replace(',', '.')} for one."
@@ -196,18 +196,18 @@ class WireRow(Block):
 
     @property
     def has_mass(self) -> bool:
-        """Whether the sheet says what the wire weighs."""
+        """Return whether the sheet says what the wire weighs."""
         return self.mass_per_length_g_per_m is not None
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Strands of each layer, the core included."""
+        """Return the strands of each layer, the core included."""
         rings = range(1, len(self.lay_angles_deg) + 1)
         return self.layer_counts or (1, *(6 * ring for ring in rings))
 
     @property
     def diameters(self) -> Numbers:
-        """Strand diameter of each layer, mm."""
+        """Return the strand diameter of each layer, mm."""
         if self.strand_diameters_mm:
             return self.strand_diameters_mm
         area = self.conductor_area_mm2 or 0.0
@@ -216,7 +216,7 @@ class WireRow(Block):
 
     @property
     def copper(self) -> float:
-        """Area of all strands, mm^2."""
+        """Return the area of all strands, mm^2."""
         pairs = zip(self.counts, self.diameters, strict=True)
         return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in pairs))
 
@@ -404,12 +404,12 @@ _WITH_DEFAULT = (
 
 
 def field_of(name: str) -> str:
-    """Field of `WireSpec` that a column fills: its name without the unit."""
+    """Return the field of `WireSpec` that a column fills: its name without the unit."""
     return name.removesuffix(_UNITS[COLUMNS[name].unit][0]) if name in COLUMNS else name
 
 
 def default_words(name: str) -> str:
-    """Say the value that is taken where a column is blank, such as ``tension 0 N``.
+    """Return the value used if a column is blank, such as ``tension 0 N``.
 
     Parameters
     ----------
@@ -442,7 +442,7 @@ def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
 
 
 def column_name(heading: str) -> str:
-    """Name of the column that a heading means: in small letters, blanks as underscores."""
+    """Return the column name of a heading: in small letters, blanks as underscores."""
     return re.sub(r"[\s-]+", "_", heading.casefold())
 
 
@@ -476,7 +476,7 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
 
 
 def _unknown(name: str, heading: str) -> tuple[str, Fault]:
-    """The column that an unknown one may mean, empty if none is like it, and words for it."""
+    """Return the most similar column to an unknown one, empty if none, and a remedy."""
     columns = list(WireRow.model_fields)
     same = [column for column in COLUMNS if _is_in_another_unit(name, column)]
     like = same or difflib.get_close_matches(name, columns, n=1)

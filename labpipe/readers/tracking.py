@@ -23,7 +23,7 @@ class Run:
 
     @property
     def length(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return self.last - self.first + 1
 
 

@@ -49,7 +49,7 @@ class ArrayRecord:
             object.__setattr__(self, name, array)
 
     def _length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
-        """Length of an axis; None where any will do."""
+        """Return the length of an axis; None where any will do."""
         if isinstance(axis, int):
             return axis
         entries = getattr(self, axis, None)
@@ -58,7 +58,7 @@ class ArrayRecord:
 
 @cache
 def _arrays_of(kind: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
-    """Name, number type and axes of every array of a record."""
+    """Return the name, number type and axes of every array of a record."""
     hints = get_type_hints(kind, include_extras=True).items()
     parts = ((name, get_args(hint)) for name, hint in hints if get_origin(hint) is Annotated)
     return tuple(
@@ -133,7 +133,7 @@ def part_of(samples: Samples, stretch: slice) -> Samples:
 
 
 def ratio(over: Floats, under: Floats) -> Floats:
-    """Divide; NaN where the divisor is zero.
+    """Return the ratio; NaN where the divisor is zero.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class Interval:
 
     @property
     def standard_error(self) -> float:
-        """Standard error of a normal 95 % interval, in the unit of its ends."""
+        """Return the standard error of a normal 95 % interval, in the unit of its ends."""
         return (self.upper - self.lower) / (2.0 * _NORMAL_95)
 
 
@@ -101,15 +101,15 @@ class ClockFit(ArrayRecord):
     method: str
 
     def to_force_seconds(self, marker_time: float) -> float:
-        """Force-clock time of one marker-clock time, s."""
+        """Return the force-clock time of one marker-clock time, s."""
         return self.offset + (1.0 + self.drift) * marker_time
 
     def to_force_time(self, marker_time: Floats) -> Floats:
-        """Force-clock time of marker-clock times, s."""
+        """Return the force-clock time of marker-clock times, s."""
         return self.offset + (1.0 + self.drift) * marker_time
 
     def to_marker_time(self, force_time: Floats) -> Floats:
-        """Marker-clock time of force-clock times, s."""
+        """Return the marker-clock time of force-clock times, s."""
         return (force_time - self.offset) / (1.0 + self.drift)
 
 
@@ -306,7 +306,7 @@ class BendingCloud(ArrayRecord):
 
     @property
     def noise(self) -> Floats:
-        """Standard error of each curvature, noise and shape together, shape (n, stations), 1/m.
+        """Return the standard errors of noise and shape together, shape (n, stations), 1/m.
 
         The shape counts as a rectangle of the half width that one coefficient more makes.
         """

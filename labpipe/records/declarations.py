@@ -199,7 +199,7 @@ class Output:
     is_set_by_stroke: bool = False
 
     def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
-        """Name in the summary, of several the first.
+        """Return the name in the summary, of several the first.
 
         Parameters
         ----------
@@ -243,7 +243,7 @@ def kinds_of(union: Any) -> dict[str, Any]:
 
 @cache
 def defaults_of(kind: Any) -> dict[str, Any]:
-    """Settings that a block may leave out, by name.
+    """Return the settings that a block may leave out, by name.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def defaults_of(kind: Any) -> dict[str, Any]:
 
 @cache
 def existing_in(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
-    """Names of the settings that must name something that exists.
+    """Return the names of the settings that must name something that exists.
 
     Parameters
     ----------
@@ -279,11 +279,11 @@ class _Step:
 
     @property
     def key(self) -> str:
-        """Dotted key of the step, as an override begins: ``steps.2``."""
+        """Return the dotted key of the step, as an override begins: ``steps.2``."""
         return f"steps.{self.number}"
 
     def numbered(self, number: int) -> Self:
-        """Give back the same step, knowing its number in the list as written, from 0."""
+        """Return the step with its number in the list as written, from 0."""
         return replace(self, number=number)
 
 

@@ -120,12 +120,12 @@ class MeanInterval:
 
     @property
     def middle(self) -> float:
-        """What the interval lies about: the estimate, or else the mean."""
+        """Return what the interval lies about: the estimate, or else the mean."""
         return self.mean if self.estimate is None else self.estimate
 
     @property
     def half(self) -> float:
-        """Half the width that the interval has, or had before it was put on a log scale; NaN."""
+        """Return the half-width of the interval, before a log scale if it has one, or NaN."""
         if self.interval is None:
             return float("nan")
         lower, upper = self.interval.lower, self.interval.upper
@@ -133,7 +133,7 @@ class MeanInterval:
 
     @property
     def apart(self) -> float | None:
-        """The estimate where a reader must see it beside the mean, as `apart_from` says."""
+        """Return the estimate where a reader must see it beside the mean, as `apart_from` says."""
         return apart_from(self.mean, self.estimate, self.interval)
 
 
@@ -230,13 +230,13 @@ class Band(ArrayRecord):
 
     @property
     def has_area(self) -> bool:
-        """Tell whether there is a band to draw, and not intervals at some displacements alone."""
+        """Return whether there is a band to draw, not just intervals at some displacements."""
         max_marks = 3
         return bool(np.isfinite(self.lower).sum() > max_marks)
 
     @property
     def marks(self) -> Ints:
-        """Places of the intervals that are drawn one by one; empty where there is a band."""
+        """Return the places of the intervals that are drawn singly; empty if there is a band."""
         places = np.flatnonzero(np.isfinite(self.lower))
         return places if not self.has_area else places[:0]
 
@@ -296,12 +296,12 @@ class Contrast:
 
     @property
     def error(self) -> float:
-        """Standard error of the difference, by scatter."""
+        """Return the standard error of the difference, by scatter."""
         return hypot(*self.errors)
 
     @property
     def degrees(self) -> float:
-        """Degrees of freedom after Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
+        """Return the degrees of freedom after Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         free = [count - 1 for count in self.counts]
         spread = sum(square**2 / degrees for square, degrees in zip(squares, free, strict=True))
@@ -353,19 +353,19 @@ class Difference:
 
     @property
     def share(self) -> float | None:
-        """Second over first less 1, of numbers that cannot be negative."""
+        """Return the second over first less 1, of numbers that cannot be negative."""
         is_log = self.contrast is not None and self.contrast.is_log
         return expm1(self.contrast.between) if self.contrast is not None and is_log else None
 
     @property
     def words(self) -> str:
-        """The verdict with its reason and caveats."""
+        """Return the verdict with its reason and caveats."""
         verdict = f"{self.verdict}: {self.why}" if self.why else str(self.verdict)
         return "; ".join((verdict, *self.caveats))
 
     @property
     def question(self) -> str:
-        """The one field that the groups differ in; empty for several or none."""
+        """Return the one field that the groups differ in; empty for several or none."""
         (only,) = self.fields if len(self.fields) == 1 else ("",)
         return only
 

@@ -105,7 +105,7 @@ class Finding:
 
     @property
     def code(self) -> str:
-        """Code of the note."""
+        """Return the code of the note."""
         return self.note.code
 
 
@@ -188,17 +188,17 @@ class Findings:
 
     @property
     def notes(self) -> tuple[QualityNote, ...]:
-        """The notes, each once."""
+        """Return the notes, each once."""
         return tuple(dict.fromkeys(finding.note for finding in self.entries))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """The doubts, each once."""
+        """Return the doubts, each once."""
         return tuple(dict.fromkeys(doubt for finding in self.entries for doubt in finding.doubts))
 
     @property
     def blocked(self) -> Reason | None:
-        """Why later stages are not available: the first such finding; None where they are."""
+        """Return the first finding by which later stages are not available, or None."""
         return next(
             (
                 Reason(finding.code, finding.note.message)

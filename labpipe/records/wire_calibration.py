@@ -295,7 +295,7 @@ class CalibratedParameter:
 
     @property
     def interval(self) -> Interval | None:
-        """From the lowest to the highest end; None for a fixed parameter."""
+        """Return the interval from the lowest to the highest end; None for a fixed parameter."""
         if not self.intervals:
             return None
         return Interval(self.intervals[0].lower, self.intervals[-1].upper)
@@ -366,12 +366,12 @@ class Solution(ArrayRecord):
 
     @property
     def is_allowed(self) -> bool:
-        """Whether it is in the 95 % set: intervals and bands take it in."""
+        """Return whether it is in the 95 % set: intervals and bands take it in."""
         return self.rise < self.limit
 
     @property
     def likelihood(self) -> float:
-        """Over that of the best solution."""
+        """Return the likelihood over that of the best solution."""
         return float(np.exp(-0.5 * self.rise))
 
 
@@ -438,7 +438,7 @@ class Calibration(ArrayRecord):
     notes: tuple[QualityNote, ...] = field(default=())
 
     def parameter(self, name: str) -> CalibratedParameter:
-        """The parameter of a name."""
+        """Return the parameter of a name."""
         return self.parameters[PARAMETERS.index(name)]
 
 

@@ -170,7 +170,7 @@ class ValidationGroup:
 
     @property
     def is_sure(self) -> Flags:
-        """Whether each point of the prediction is below the doubtful deflection."""
+        """Return whether each point of the prediction is below the doubtful deflection."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)
 
@@ -216,7 +216,7 @@ class CalibrationReport:
 
     @property
     def predictions(self) -> dict[float, Prediction]:
-        """Predictions for the tests that were used for the calibration, by length."""
+        """Return the predictions for the tests that were used for the calibration, by length."""
         return {
             group.length: group.prediction
             for group in self.groups

@@ -41,7 +41,7 @@ class Pair:
 
     @property
     def field(self) -> str:
-        """The one field in which they differ; empty for several or none."""
+        """Return the one field in which they differ; empty for several or none."""
         return self.differences[0].question
 
 
@@ -60,7 +60,7 @@ class Family:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Value of the field of each group."""
+        """Return the value of the field of each group."""
         return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 

@@ -68,7 +68,7 @@ class _GroupView:
 
     @property
     def points(self) -> _Points:
-        """Numbers of points of its lines."""
+        """Return the numbers of points of its lines."""
         return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
     def colour(self, sample: Sample) -> str:

@@ -366,7 +366,7 @@ def draw_lines(group: Group) -> Figure:
 
 
 def has_lines(group: Group) -> bool:
-    """Tell whether any sample has a fitted line to draw."""
+    """Return whether any sample has a fitted line to draw."""
     return any(sample.lines for sample in group.samples)
 
 

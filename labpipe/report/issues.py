@@ -276,7 +276,7 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """The first reason, and the number of further ones."""
+        """Return the first reason, and the number of further ones."""
         if self.kind is Kind.UNLIKE:
             places = dict.fromkeys(
                 place for concern in self.concerns for place in concern.what.split("; ")

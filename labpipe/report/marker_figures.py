@@ -452,7 +452,7 @@ class Rig(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """Distance from the axis of the specimen to the axis of a roller, m."""
+        """Return the distance from the axis of the specimen to the axis of a roller, m."""
         return self.roller_radius + self.section_radius
 
 

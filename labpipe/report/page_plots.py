@@ -42,7 +42,7 @@ class Axis:
 
     @property
     def label(self) -> str:
-        """Name and unit, such as ``Force (N)``."""
+        """Return name and unit, such as ``Force (N)``."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
 

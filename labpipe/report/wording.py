@@ -272,13 +272,13 @@ class Written:
 
     @property
     def interval(self) -> str:
-        """Interval as text, such as ``46.3 to 58.3``; may be empty."""
+        """Return the interval as text, such as ``46.3 to 58.3``; may be empty."""
         about = f"estimate {self.estimate}, " if self.estimate else ""
         return f"{about}{self.lower} to {self.upper}" if self.lower else ""
 
     @property
     def text(self) -> str:
-        """Number and interval in one line."""
+        """Return number and interval in one line."""
         return f"{self.value} ({self.interval})" if self.lower else self.value
 
 

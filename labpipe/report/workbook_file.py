@@ -100,12 +100,12 @@ class Sheet(NamedTuple):
 
     @property
     def is_long(self) -> bool:
-        """Whether charts are beside the table and printed instead of it."""
+        """Return whether charts are beside the table and printed instead of it."""
         return len(self.rows) > 80
 
     @property
     def printed_columns(self) -> int:
-        """Number of printed columns."""
+        """Return the number of printed columns."""
         return list(self.heads).index(self.printed) + 1 if self.printed else len(self.heads)
 
 

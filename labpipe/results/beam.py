@@ -221,7 +221,7 @@ class BendingStiffness(OfStiffness):
 
     @property
     def length(self) -> str:
-        """Key of the length in the formula."""
+        """Return the key of the length in the formula."""
         return _FORMULAS[self.support][0]
 
     @staticmethod
@@ -267,7 +267,7 @@ class BendingStiffness(OfStiffness):
         return Computed((number,))
 
     def _measured(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Outcome, str]:
-        """Measure, with the effect of each correction in words."""
+        """Compute the numbers, and describe the effect of each correction."""
         ratio, remark = self._ratio(test.setup.sizes, stiffness.window)
         if isinstance(ratio, Failure):
             return ratio, ""

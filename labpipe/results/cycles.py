@@ -90,7 +90,7 @@ class ThroughZero:
 
     @property
     def n(self) -> int:
-        """Number of samples used for the displacement."""
+        """Return the number of samples used for the displacement."""
         return len(self.time)
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
@@ -151,7 +151,7 @@ class FollowedToZero:
 
     @property
     def n(self) -> int:
-        """Number of samples used for the displacement."""
+        """Return the number of samples used for the displacement."""
         return len(self.near_time)
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
@@ -355,7 +355,7 @@ class OfCycle(Kind):
     @property
     @abstractmethod
     def method(self) -> str:
-        """How the number is computed, in words."""
+        """Return how the number is computed, in words."""
 
     @abstractmethod
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
@@ -555,7 +555,7 @@ class Energy(OfCycle):
 
     @property
     def method(self) -> str:
-        """The same for all cycles."""
+        """Describe the method, which is the same for all cycles."""
         return "integral of force, trapezoids"
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
@@ -613,7 +613,7 @@ class ResidualDisplacement(OfCycle):
 
     @property
     def method(self) -> str:
-        """With the limit of the force."""
+        """Describe the method with the limit of the force."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
     def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
@@ -716,7 +716,7 @@ class PeakForce(OfCycle):
 
     @property
     def method(self) -> str:
-        """Of all cycles."""
+        """Describe the method of all cycles."""
         return "largest force of the cycle after the filter, in the sense of loading"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
@@ -801,7 +801,7 @@ class PeakDisplacement(OfCycle):
 
     @property
     def method(self) -> str:
-        """Of all cycles."""
+        """Describe the method of all cycles."""
         return "largest displacement of the cycle, in the sense of loading"
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:

@@ -123,7 +123,7 @@ def _reach(time: Floats, sample: int, within: float) -> int:
 
 
 def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
-    """Go back while the force falls by the share within the time, or at that rate."""
+    """Return the first sample of the loss before `last`, by its share in the time or its rate."""
     lost = rule.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - rule.within))

@@ -77,7 +77,7 @@ class AtRest:
 
     @property
     def load(self) -> str:
-        """The load at the tip in words, with its numbers."""
+        """Return the load at the tip in words, with its numbers."""
         if self.own_weight == 0.0:
             return f"the counterweight of {1e3 * self.weight:.3g} mN"
         counterweight = 1e3 * (self.weight - self.own_weight)
@@ -88,33 +88,33 @@ class AtRest:
 
     @property
     def load_alone(self) -> str:
-        """Short name of the load."""
+        """Return the short name of the load."""
         return "the counterweight" if self.own_weight == 0.0 else "that load"
 
     @property
     def is_known(self) -> bool:
-        """Whether there is any evidence."""
+        """Return whether there is any evidence."""
         return bool(np.isfinite(self.ahead) or np.isfinite(self.sag))
 
     @property
     def share(self) -> float:
-        """Sag as a share of the deflection under the load at the tip, or NaN."""
+        """Return the sag as a share of the deflection under the load at the tip, or NaN."""
         min_reach = 0.5e-3  # m, to differ from the direction of the clamp
         return self.sag / self.reach if self.reach >= min_reach else float("nan")
 
     @property
     def carries(self) -> float:
-        """Tension at rest, N, from the force of the slack string, or NaN."""
+        """Return the tension at rest, N, from the force of the slack string, or NaN."""
         return -self.slackened
 
     @property
     def was_pulled(self) -> bool:
-        """Whether the force falls below that at rest, so that the string carried a load then."""
+        """Return whether the force falls below that at rest, where the string was loaded."""
         return self.lowest < -max(0.05 * self.weight, 5.0 * self.error)
 
     @property
     def state(self) -> State:
-        """State by the evidence, the most direct first."""
+        """Return the state by the evidence, the most direct first."""
         all_share, none_share, straight_share = 0.75, 0.25, 0.25  # wires are curled
         carried_nothing = self.ahead > MIN_SLACK_TRAVEL and not self.was_pulled
         if np.isfinite(self.slackened):
@@ -135,7 +135,7 @@ class AtRest:
 
     @property
     def facts(self) -> str:
-        """The evidence in words."""
+        """Return the evidence in words."""
         facts = []
         if np.isfinite(self.sag):
             facts.append(
@@ -157,7 +157,7 @@ class AtRest:
 
     @property
     def why_not_straight(self) -> str:
-        """Why the test is not a first loading from straight, with the numbers, or empty."""
+        """Return why the test is not a first loading from straight, with the numbers, or empty."""
         state = self.state
         if state in ("taut", "off the wire"):
             return ""

@@ -99,7 +99,7 @@ class Tangents:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Smallest and largest displacement over the last stretch, m."""
+        """Return the smallest and largest displacement over the last stretch, m."""
         d = self.path.displacement[self.last]
         return float(d.min()), float(d.max())
 
@@ -289,7 +289,7 @@ class _Stretches:
 
     @property
     def failure(self) -> Failure | None:
-        """Why the first of them have no parabola, or None."""
+        """Return why the first of them have no parabola, or None."""
         if self.is_enough[0]:
             return None
         count = int(self.products[0, 0, 0])

@@ -146,7 +146,7 @@ def counted_from_taut(
 
 
 def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
-    """An input with what it does to the slack."""
+    """Return an input with its effect on the slack."""
     base = slack(smooth)
     if isinstance(base, Failure):
         return quantity

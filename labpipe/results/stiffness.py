@@ -240,13 +240,13 @@ class WindowSlope:
 
     @property
     def window(self) -> Samples:
-        """Samples of the branch within the window."""
+        """Return the samples of the branch within the window."""
         stretch, inside = self.inside()
         return samples_of(self._numbers(stretch)[inside])
 
     @property
     def n(self) -> int:
-        """Samples of the window."""
+        """Return the samples of the window."""
         return int(self.inside()[1].sum())
 
     def of(
@@ -381,7 +381,7 @@ class LoadingSlope:
 
     @property
     def share_at_rest(self) -> float:
-        """Share of the samples of the window in its first fiftieth.
+        """Return the share of the samples of the window in its first fiftieth.
 
         It is large if the motion rests there, with a force above its noise.
         """
@@ -571,7 +571,7 @@ class UnloadingStiffness(OfCycle):
 
     @property
     def method(self) -> str:
-        """With its range."""
+        """Describe the method with its range."""
         return (
             f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
         )
@@ -600,7 +600,7 @@ class LoadingStiffness(OfCycle):
 
     @property
     def method(self) -> str:
-        """With its range."""
+        """Describe the method with its range."""
         return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
 
     def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
@@ -716,7 +716,7 @@ class Window(Kind):
 
     @property
     def in_words(self) -> str:
-        """The range in millimetres."""
+        """Return the range in millimetres."""
         return f"from {1e3 * self.start:g} mm to {1e3 * self.stop:g} mm"
 
     def inside(self, displacement: Floats) -> slice | Failure:

@@ -101,7 +101,7 @@ class _Scan:
 
     @property
     def spread(self) -> tuple[float, float]:
-        """Mean of x, and sum of squares about it."""
+        """Return the mean of x, and sum of squares about it."""
         count, sx, sxx = self.sums[:3, -1]
         return float(sx / count), float(sxx - sx * sx / count)
 
@@ -190,7 +190,7 @@ class Hinges:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """First and last sample of the stretch, m."""
+        """Return the first and last sample of the stretch, m."""
         return float(self.scan.d[0]), float(self.scan.d[-1])
 
     def fitted(self, force: Floats, displacement: Floats | None = None) -> Segments:
@@ -234,7 +234,7 @@ class Hinges:
 
     @property
     def straight_line(self) -> str:
-        """Residual of one straight line for the reference curve, in words."""
+        """Return the residual of one straight line for the reference curve, in words."""
         left = float(np.sqrt(self.scan.r @ self.scan.r / (len(self.scan.r) - 2)))
         start, stop = self.ends
         return (
@@ -371,7 +371,7 @@ class _TwoLineFit:
 
     @property
     def doubts_of_break(self) -> tuple[Reason, ...]:
-        """Doubts about the break."""
+        """Return the doubts about the break."""
         wide = why_break_is_doubtful(self.numbers[0].interval, self.hinges)
         return () if wide is None else (wide,)
 
@@ -391,7 +391,7 @@ class _TwoLines(Window):
 
     @property
     def method(self) -> str:
-        """With the range."""
+        """Describe the method with its range."""
         return f"two segments that meet, {self.in_words}, all breaks tried"
 
     def fit(

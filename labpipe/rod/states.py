@@ -20,15 +20,15 @@ class BalancedShape(Protocol):
 
     @property
     def shape(self) -> Shape:
-        """Shape of the line."""
+        """Return the shape of the line."""
 
     @property
     def balance(self) -> Balance:
-        """Its balance."""
+        """Return its balance."""
 
     @property
     def demands(self) -> Demands:
-        """Its demands."""
+        """Return its demands."""
 
 
 def merge_rests(supports: Supports, rests: Floats) -> Floats:

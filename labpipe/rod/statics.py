@@ -258,7 +258,7 @@ class _Walk:
 
     @property
     def _is_doubtful(self) -> bool:
-        """Whether an unstable equilibrium was accepted: smaller parts do not help."""
+        """Return whether an unstable equilibrium was accepted: smaller parts do not help."""
         return self._has_reason("unstable") or self._has_reason("whirls")
 
     def _find_equilibrium(self, time: float) -> Equilibrium | None:

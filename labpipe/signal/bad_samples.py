@@ -108,29 +108,29 @@ class _Channel:
 
     @cached_property
     def usual(self) -> float:
-        """95 % quantile of the run lengths, in samples."""
+        """Return the 95 % quantile of the run lengths, in samples."""
         return float(np.quantile(self.lengths, 0.95))
 
     @cached_property
     def low(self) -> float:
-        """Minimum."""
+        """Return the minimum."""
         return float(np.nanmin(self.values))
 
     @cached_property
     def high(self) -> float:
-        """Maximum."""
+        """Return the maximum."""
         return float(np.nanmax(self.values))
 
     @cached_property
     def rounding(self) -> float:
-        """Largest step that is rounding only."""
+        """Return the largest step that is rounding only."""
         # Share of the range below which values differ by rounding only.
         rounding_share = 1e-7
         return min(rounding_share, 0.1 / len(self.values)) * (self.high - self.low)
 
     @cached_property
     def steps(self) -> tuple[Floats, Floats]:
-        """Sizes of the steps of the channel, and their durations in s."""
+        """Return the sizes of the steps of the channel, and their durations in s."""
         steps = np.abs(np.diff(self.values))
         moving = steps > self.rounding  # False for NaN
         sizes = steps[moving]
@@ -140,23 +140,23 @@ class _Channel:
 
     @cached_property
     def resolution(self) -> float:
-        """Quantisation step."""
+        """Return the quantisation step."""
         return _resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
     def speed(self) -> float:
-        """95 % quantile of the speeds of the steps."""
+        """Return the 95 % quantile of the speeds of the steps."""
         sizes, durations = self.steps
         return float(np.quantile(sizes / durations, 0.95))
 
     @cached_property
     def other_noise(self) -> float:
-        """Noise of the other quantity."""
+        """Return the noise of the other quantity."""
         return 0.0 if self.other is None else noise_level(self.other)
 
     @cached_property
     def longest_by_chance(self) -> float:
-        """Longest run that noise produces, in samples; inf in a quiet channel."""
+        """Return the longest run that noise produces, in samples; inf in a quiet channel."""
         return _longest_by_chance(self.values, self.lengths, self.usual, self.resolution)
 
     def is_extreme(self, at: Ints) -> Flags:

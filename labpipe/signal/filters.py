@@ -49,7 +49,7 @@ def window_length(span: float, count: int) -> int:
 
 
 def moving_average(values: Floats, *, window: int) -> Floats:
-    """Centred moving average whose window shrinks symmetrically near the ends.
+    """Average over a centred window that shrinks symmetrically near the ends.
 
     Parameters
     ----------

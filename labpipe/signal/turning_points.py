@@ -202,7 +202,7 @@ class _Dwell:
 
     @property
     def dwell(self) -> float:
-        """Time at the extreme itself, s."""
+        """Return the time at the extreme itself, s."""
         return max(0.0, (4.0 * self.near - self.wide) / 3.0)
 
 

@@ -53,7 +53,7 @@ class Suspects:
 
     @property
     def p(self) -> float:
-        """Smallest p-value, or NaN without a test."""
+        """Return the smallest p-value, or NaN without a test."""
         return min((step.p for step in self.steps), default=float("nan"))
 
     def below(self, level: float) -> tuple[Outlier, ...]:

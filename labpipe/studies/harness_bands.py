@@ -112,7 +112,7 @@ class _Solver:
         self.solutions: dict[tuple[tuple[str, float], ...], Followed] = {}
 
     def solve(self, inputs: Inputs) -> Followed:
-        """Path and line."""
+        """Return the path and line."""
         key = tuple(sorted(inputs.items()))
         if key not in self.solutions:
             self.solutions[key] = self.follow_line(self.number, inputs)
@@ -120,15 +120,15 @@ class _Solver:
 
     @property
     def first(self) -> Followed:
-        """Path and line at the best inputs, which are solved first."""
+        """Return the path and line at the best inputs, which are solved first."""
         return next(iter(self.solutions.values()))
 
     def path(self, inputs: Inputs) -> RodPath:
-        """Path alone."""
+        """Return the path alone."""
         return self.solve(inputs)[0]
 
     def fields(self, inputs: Inputs) -> Fields | None:
-        """Fields of all numbers; None of a line that cannot be solved."""
+        """Return the fields of all numbers; None of a line that cannot be solved."""
         path, prepared = self.solve(inputs)
         return None if path.status == "failed" else fields_of(path, prepared)
 
@@ -147,7 +147,7 @@ class _DrawnNumbers:
         self.drawn = self.numbers(response.drawn)
 
     def numbers(self, field: Callable[[str], Floats]) -> dict[str, Floats]:
-        """All numbers of fields, and the shape."""
+        """Return all numbers of fields, and the shape."""
         path, prepared = self.solve.first
         steps = len(path.states) - 1
         numbers = {name: evaluate_number(name, field, prepared, steps) for name in self.names}

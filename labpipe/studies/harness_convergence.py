@@ -48,12 +48,12 @@ class ConvergenceWalk:
 
     @property
     def steps_text(self) -> str:
-        """Number of steps, as text."""
+        """Return the number of steps, as text."""
         return "twice as many" if np.any(self.times % 1.0 > 0.0) else "half as many"
 
 
 def depends_on_history(prepared: PreparedLine) -> bool:
-    """Whether a line depends on its history: by sliders, or friction of a plane.
+    """Return whether a line depends on its history: by sliders, or friction of a plane.
 
     Parameters
     ----------

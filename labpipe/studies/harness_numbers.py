@@ -319,7 +319,7 @@ class Number:
 
     @property
     def is_signed(self) -> bool:
-        """Whether it may be negative: a coordinate, not a size."""
+        """Return whether it may be negative: a coordinate, not a size."""
         return self.name == LOWEST_POINT
 
 

@@ -72,7 +72,7 @@ class StatedCurve:
 
     @property
     def description(self) -> str:
-        """The origin of the curve, in one line."""
+        """Return the origin of the curve, in one line."""
         strains, _ = self.curve
         numbers, conditions = self.numbers, self.conditions
         form = f"{len(strains)} point{'s' * (len(strains) > 1)}"

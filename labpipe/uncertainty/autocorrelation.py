@@ -112,7 +112,7 @@ class Grid:
 
     @property
     def times(self) -> Floats:
-        """In samples, shape (times,)."""
+        """Return the correlation times, samples, shape (times,)."""
         longest_share = 0.2
         n_spectra = 24
         longest = longest_share * self.count
@@ -121,7 +121,7 @@ class Grid:
 
     @property
     def prior(self) -> Floats:
-        """Prior of each spectrum, shape (g,)."""
+        """Return the prior of each spectrum, shape (g,)."""
         # With this power, intervals cover 95 % from white noise to correlation over a tenth of the
         # window (see the studies).
         prior_power = -0.4
@@ -166,7 +166,7 @@ class StretchLikelihood:
 
     @classmethod
     def of(cls, basis: Floats, values: Floats, grid: Grid, most: int) -> StretchLikelihood:
-        """Restricted likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) in cosines.
+        """Compute the restricted likelihood in cosines (Harville, JASA 72 (1977) 320).
 
         Parameters
         ----------
@@ -189,7 +189,7 @@ class StretchLikelihood:
         return cls(spectra.spectra, waves, likelihood, squares, terms - spent, shifts, unit)
 
     def plain_covariance(self) -> Floats:
-        """Covariance of ordinary least squares under each spectrum.
+        """Return the covariance of ordinary least squares under each spectrum.
 
         Beyond the last cosine, the noise has at most the power of that cosine.
         """

@@ -101,7 +101,7 @@ class Reading:
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """Function that returns the numbers of curves with noise."""
+        """Return the function that returns the numbers of curves with noise."""
         return self.in_noise or self.numbers
 
 

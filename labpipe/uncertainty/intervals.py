@@ -55,22 +55,22 @@ class Measured:
 
     @property
     def estimate(self) -> float:
-        """The value less the mean effect of noise."""
+        """Return the value less the mean effect of noise."""
         return self.value - float(np.nanmean(self.off))
 
     @property
     def error(self) -> float:
-        """Standard uncertainty of the estimate."""
+        """Return the standard uncertainty of the estimate."""
         return float(np.nanstd(self.off))
 
     @property
     def as_estimate(self) -> Estimate:
-        """The value with its standard uncertainty and its interval."""
+        """Return the value with its standard uncertainty and its interval."""
         return Estimate(self.value, self.error, self.n, self.interval)
 
     @property
     def interval(self) -> Interval:
-        """95 % interval, widened to contain the value.
+        """Return the 95 % interval, widened to contain the value.
 
         The largest of many noisy samples and the last one before a break are outside otherwise.
         """

@@ -43,7 +43,7 @@ class LinearFit:
     n: int
 
     def estimate(self, number: int) -> Estimate:
-        """One coefficient with its standard error and 95 % interval."""
+        """Return one coefficient with its standard error and 95 % interval."""
         value, half = float(self.coefficients[number]), float(self.half_widths[number])
         error = float(np.sqrt(self.covariance[number, number]))
         return Estimate(value, error, self.n, Interval(value - half, value + half))
@@ -52,7 +52,7 @@ class LinearFit:
 def fit_linear(
     design: Floats, values: Floats, *, weighted: bool = False, beside: Sequence[Floats] = ()
 ) -> LinearFit:
-    """Least squares with intervals that hold for serially correlated residuals.
+    """Fit by least squares, with intervals that hold for serially correlated residuals.
 
     Parameters
     ----------

@@ -139,7 +139,7 @@ class Noise:
 
     @property
     def correlation_time(self) -> float:
-        """Mean correlation time, samples.
+        """Return the mean correlation time, samples.
 
         Half the power at frequency zero over the variance: less for more white noise below, and one
         half for white noise alone.
@@ -153,7 +153,7 @@ class Noise:
 
     @property
     def is_zero(self) -> bool:
-        """Whether the signal has no noise."""
+        """Return whether the signal has no noise."""
         return not self.squares.any()
 
     def draw(self, count: int, replicates: int, rng: np.random.Generator) -> Singles:

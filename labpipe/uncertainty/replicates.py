@@ -67,7 +67,7 @@ class Input:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of its draws, in the unit of `moved`."""
+        """Return the standard deviation of its draws, in the unit of `moved`."""
         return float(1.0 / np.sqrt(12.0)) if self.law == "step" else 1.0
 
 

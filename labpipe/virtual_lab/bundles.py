@@ -80,12 +80,12 @@ class BundleModel:
 
     @property
     def number(self) -> int:
-        """Number of wires."""
+        """Return the number of wires."""
         return sum(number for _, number in self.wires)
 
     @property
     def radius(self) -> float:
-        """Radius of the smallest circle around the centre that contains all wires, m."""
+        """Return the radius of the smallest circle around the centre that contains all wires, m."""
         layout = lay_wires(self)
         return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
 
@@ -116,7 +116,7 @@ class BundleModel:
 
     @property
     def mass_per_length(self) -> float:
-        """Mass per length of the wires, kg/m; tape and conduit are left out."""
+        """Return the mass per length of the wires, kg/m; tape and conduit are left out."""
         return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
 
     def scaled(self, factor: float) -> BundleModel:
@@ -125,7 +125,7 @@ class BundleModel:
 
     @property
     def stiffnesses(self) -> Mapping[str, float]:
-        """Contributions to the bending stiffness at first loading, N m^2, of this sample.
+        """Return the contributions to the bending stiffness at first loading, N m^2.
 
         ``wires`` each about its own axis; ``friction`` and ``glue`` between them; ``conduit``;
         ``initial`` their sum; ``rigid`` for a plane section.

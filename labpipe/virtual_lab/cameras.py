@@ -84,7 +84,7 @@ class Take:
 
     @property
     def body(self) -> RigidBody:
-        """The clamp."""
+        """Return the clamp."""
         return self.bodies[0]
 
     def recording(self) -> Recording:

@@ -56,7 +56,7 @@ class Segment:
 
     @property
     def is_still(self) -> bool:
-        """Whether the string is slack and the wire moves with the clamp."""
+        """Return whether the string is slack and the wire moves with the clamp."""
         return len(self.progress) == 2
 
 

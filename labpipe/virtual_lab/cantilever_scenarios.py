@@ -64,12 +64,12 @@ class MechanicalTest:
 
     @property
     def mass_per_length(self) -> float:
-        """Acting mass per length of the wire, kg/m."""
+        """Return the acting mass per length of the wire, kg/m."""
         return self.wire.mass_per_length if self.weighs else 0.0
 
     @property
     def self_weight(self) -> float:
-        """Acting weight per length of the wire, N/m."""
+        """Return the acting weight per length of the wire, N/m."""
         return self.gravity * self.mass_per_length
 
 

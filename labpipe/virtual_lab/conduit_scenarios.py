@@ -135,7 +135,7 @@ class ThreePointTest:
 
     @property
     def reach(self) -> float:
-        """Distance from the centre of a roller to the axis of the bundle, m."""
+        """Return the distance from the centre of a roller to the axis of the bundle, m."""
         return self.roller_radius + self.outer_radius
 
 
@@ -238,7 +238,7 @@ class ConduitScenario:
 
     @property
     def bundle(self) -> BundleModel:
-        """The sample, with its factor.
+        """Return the sample, with its factor.
 
         Raises
         ------

@@ -143,7 +143,7 @@ class ForceRecord:
 
     @property
     def volts(self) -> Floats:
-        """Output of the load cell, V, shape (samples,)."""
+        """Return the output of the load cell, V, shape (samples,)."""
         return self.signals[FORCE_PATH]
 
     def recording(self) -> Recording:

@@ -58,7 +58,7 @@ class BilinearLaw:
 
     @property
     def foot(self) -> float:
-        """Distance at which the first straight line meets zero force, m."""
+        """Return the distance at which the first straight line meets zero force, m."""
         return self.slack + 0.5 * self.toe
 
     def scaled(self, factor: float) -> BilinearLaw:
@@ -226,7 +226,7 @@ class TensileScenario:
 
     @property
     def last_displacement(self) -> float:
-        """Displacement at which the specimen fails, or at which the crosshead stops, m."""
+        """Return the displacement at which the specimen fails or the crosshead stops, m."""
         return self.frame.stroke if self.failure is None else self.failure.displacement
 
 

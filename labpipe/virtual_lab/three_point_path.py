@@ -56,7 +56,7 @@ class ThreePointPath:
 
     @property
     def residual(self) -> float:
-        """Displacement at which the force returns to zero on unloading, m; 0 if it does not."""
+        """Return the displacement at which unloading reaches zero force, m, or 0."""
         return self.unloading[-1].displacement
 
     def displacement(self, progress: Floats) -> Floats:
@@ -227,7 +227,7 @@ class HalfBundle:
 
     @property
     def step(self) -> float:
-        """Distance of the stations, m."""
+        """Return the distance of the stations, m."""
         return float(self.arc_length[1])
 
     def friction(self, way: float, turns: bool) -> float:

@@ -86,7 +86,7 @@ class EndLoads:
 
     @property
     def load(self) -> Floats:
-        """End load, N."""
+        """Return the end load, N."""
         return _at_clamp(self.polygon, self.clamp_moment)[1] / np.tanh(self.level)
 
     def tail(self, rows: slice = slice(None)) -> Floats:

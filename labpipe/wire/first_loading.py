@@ -233,7 +233,7 @@ class Rule:
     rise: Floats
 
     def total(self, values: Floats) -> Floats:
-        """Sum over the nodes of each point, to shape (..., points)."""
+        """Return the sum over the nodes of each point, to shape (..., points)."""
         return np.asarray(np.add.reduceat(values, self.starts, axis=-1))
 
     def spread(self, values: Floats) -> Floats:

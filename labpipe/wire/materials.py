@@ -21,21 +21,21 @@ class Material(Protocol):
 
     @property
     def modulus(self) -> float:
-        """Slope at zero strain, Pa."""
+        """Return the slope at zero strain, Pa."""
 
     @property
     def largest_strain(self) -> float:
-        """Strain up to which the curve is known."""
+        """Return the strain up to which the curve is known."""
 
     @property
     def source(self) -> str:
-        """Where the numbers come from."""
+        """Return where the numbers come from."""
 
     def stress(self, strain: Floats) -> Floats:
-        """Stress of the first loading at strains of any shape, Pa."""
+        """Return the stress of the first loading at strains of any shape, Pa."""
 
     def __hash__(self) -> int:
-        """Equal curves have equal hashes."""
+        """Return the hash, which is the same for equal curves."""
 
 
 @dataclass(frozen=True, slots=True)
