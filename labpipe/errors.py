@@ -191,18 +191,18 @@ def refusal(error: Exception) -> str:
     )
 
 
-def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
+def nearest(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
     """Sort known words so that those most like `word` come first.
 
     Parameters
     ----------
     word : what was written
-    known : what would have been valid
-    most : maximum number of words
+    choices : what would have been valid
+    limit : maximum number of words
 
     Returns
     -------
-    At most `most` of the known words, nearest first.
+    At most `limit` of the known words, nearest first.
 
     Examples
     --------
@@ -214,7 +214,7 @@ def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
     def likeness(candidate: str) -> float:
         return difflib.SequenceMatcher(None, word.casefold(), candidate.casefold()).ratio()
 
-    return sorted(known, key=likeness, reverse=True)[:most]
+    return sorted(choices, key=likeness, reverse=True)[:limit]
 
 
 def in_test_sheet(key: str, value: str, **more: str) -> str:

@@ -55,18 +55,18 @@ class Test:
         self,
         outcome: TestResult,
         *,
-        whole: Callable[[], TestResult] | None = None,
+        read_full: Callable[[], TestResult] | None = None,
         folder: Path | None = None,
         units: Units | None = None,
     ) -> None:
         self._outcome = outcome
-        self._read_whole = whole
+        self._read_full = read_full
         self._units = units or Units()
         self.folder = folder
 
     @cached_property
-    def _whole(self) -> TestResult:
-        return self._outcome if self._read_whole is None else self._read_whole()
+    def _full(self) -> TestResult:
+        return self._outcome if self._read_full is None else self._read_full()
 
     @property
     def name(self) -> str:
@@ -108,7 +108,7 @@ class Test:
         """Return the same test with numbers in the display units of its protocol."""
         return Test(
             self._outcome,
-            whole=lambda: self._whole,
+            read_full=lambda: self._full,
             folder=self.folder,
             units=Units(dict(self._outcome.display)),
         )
@@ -174,7 +174,7 @@ class Test:
         ProcessingError
             If the test has no shapes.
         """
-        shape = self._whole.shape
+        shape = self._full.shape
         if shape is None:
             raise self._missing(_SHAPE)
         return shape_frame(shape, self._units)
@@ -182,7 +182,7 @@ class Test:
     @property
     def raw(self) -> Recordings:
         """Return the recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
-        return Recordings(self._whole.recordings)
+        return Recordings(self._full.recordings)
 
     @property
     def quality(self) -> pd.DataFrame:
@@ -215,7 +215,7 @@ class Test:
 
         if name not in FIGURES:
             raise self._unknown(_FIGURE, name, list(FIGURES))
-        return draw_figure(self._whole, name)
+        return draw_figure(self._full, name)
 
     def dataset(self, part: str) -> Dataset:
         """Return a part of the test as an xarray Dataset with axes and units, in SI.
@@ -233,10 +233,10 @@ class Test:
         """
         from labpipe.api.data_sets import PARTS, dataset_of
 
-        parts = [*PARTS, *self._whole.recordings]
+        parts = [*PARTS, *self._full.recordings]
         if part not in parts:
             raise self._unknown(_PART, part, parts)
-        dataset = dataset_of(self._whole, part)
+        dataset = dataset_of(self._full, part)
         if dataset is None:
             raise self._missing(part)
         return dataset
@@ -256,7 +256,7 @@ class Test:
         return page_of(self._outcome)
 
     def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
-        examples = ", ".join(nearest(name, names, most=7))
+        examples = ", ".join(nearest(name, names, limit=7))
         text = error_text(
             self.name,
             "",

@@ -25,15 +25,14 @@ from labpipe.bending.fitted_law import (
     refine_law,
 )
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import Reason
 
 N_MEANS = 80
 """Means over consecutive frames for the fit of the first loading."""
-_NORMAL_95 = 1.959963984540054
 N_CLOUD_ROWS = 50
 """Rows of the cloud in the first loading."""
-N_STATIONS = 17
+N_CLOUD_STATIONS = 17
 """Places along the specimen."""
 
 
@@ -332,9 +331,9 @@ def tabulate(
     largest = float(fit.basis.values(fit.basis.knots[-1:])[0] @ fit.compliance)
     curvature = largest * (np.arange(n_rows) / (n_rows - 1)) ** 2
     at = law_points(fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error)
-    floor = _NORMAL_95 * curvature_noise
+    floor = NORMAL_95 * curvature_noise
     is_known = np.asarray(
-        (curvature > floor) & (_NORMAL_95 * at.moment_error < at.moment), dtype=np.bool_
+        (curvature > floor) & (NORMAL_95 * at.moment_error < at.moment), dtype=np.bool_
     )
     return MeasuredLaw(
         curvature=curvature,
@@ -356,7 +355,7 @@ def tabulate(
 
 def _with_ends(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict[str, Floats]:
     """Return a column with the ends of its interval; a moment is kept without its ends."""
-    half = _NORMAL_95 * np.where(is_shown, error, np.nan)
+    half = NORMAL_95 * np.where(is_shown, error, np.nan)
     middle = value if name == "moment" else np.where(is_shown, value, np.nan)
     return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
 
@@ -398,7 +397,7 @@ def bending_cloud(test: BendingTest) -> BendingCloud:
     count = int((test.branch == test.first).sum())
     frames = test.frames(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
     length, rest, means = test.layout.length, test.specimen_at_rest, frames.means
-    places = np.linspace(0.0, length, N_STATIONS)
+    places = np.linspace(0.0, length, N_CLOUD_STATIONS)
     now = curves_at(frames.coefficients, length, places)
     curvature = now.curvature - curves_at(rest.coefficients, length, places).curvature
     moment = test.moments(frames.coefficients, means.force, places)

@@ -212,9 +212,9 @@ def _walk(
     top: Path, refused: list[str], *, skipped: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
     """Yield folders below a folder, without hidden ones and links: files and hidden names."""
-    left = [("", str(top))]
-    while left:
-        label, place = left.pop()
+    pending = [("", str(top))]
+    while pending:
+        label, place = pending.pop()
         try:
             with os.scandir(place) as entries:
                 every = list(entries)
@@ -229,7 +229,7 @@ def _walk(
             continue
         files = [entry.name for entry in seen if entry.name not in folders]
         yield label, place, files, {entry.name for entry in every if entry.name.startswith(".")}
-        left += [
+        pending += [
             (f"{label}/{name}" if label else name, f"{place}/{name}")
             for name in sorted(folders, reverse=True)
             if name != skipped

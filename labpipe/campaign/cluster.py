@@ -178,12 +178,12 @@ def process_on_cluster(
     ProcessingError
         If the scheduler or all workers are lost during the run; started tests continue.
     """
-    left = iter(tasks)
-    first = list(islice(left, 1))
+    remaining = iter(tasks)
+    first = list(islice(remaining, 1))
     if not first:
         return
     with _without_logging(), _connect(address) as client:
-        scheduler = _ClusterRun(client, chain(first, left), address, limit)
+        scheduler = _ClusterRun(client, chain(first, remaining), address, limit)
         try:
             yield from scheduler.outcomes()
         finally:

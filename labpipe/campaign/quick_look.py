@@ -226,8 +226,8 @@ def actions_for(codes: Iterable[str], *, outside: bool = False) -> str:
     chosen += ["compare the set-up with that of the other tests before dismounting"] * outside
     if not chosen:
         return "nothing to check: the specimen can be dismounted"
-    left = len(chosen) - max_actions
-    more = f"; and {left} more in summary.json" if left > 0 else ""
+    n_hidden = len(chosen) - max_actions
+    more = f"; and {n_hidden} more in summary.json" if n_hidden > 0 else ""
     return f"while it is mounted: {'; '.join(chosen[:max_actions])}{more}"
 
 

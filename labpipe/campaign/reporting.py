@@ -383,10 +383,10 @@ def _group(
     )
     numbers = {number.name: number for number in group.numbers}
     first = [numbers.pop(name) for name in settings.main if name in numbers]
-    whole = {sample.source: sample for sample in samples}
+    by_source = {sample.source: sample for sample in samples}
     return replace(
         group,
-        samples=tuple(whole[sample.source] for sample in group.samples),
+        samples=tuple(by_source[sample.source] for sample in group.samples),
         numbers=(*first, *numbers.values()),
         notes=(*grouping_notes(not_said, renamed), *group.notes),
     )

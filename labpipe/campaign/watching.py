@@ -432,15 +432,15 @@ class Watcher:
         """Leave out tests that were processed before the watch."""
         sheets = {candidate.sheet for candidate in ready if candidate.sheet.exists()}
         unprocessed = set(self._campaign.unprocessed(sheets))
-        left = []
+        kept = []
         for candidate in ready:
             if candidate.sheet in sheets and candidate.sheet not in unprocessed:
                 self._tests[candidate.folder] = _Test(
                     self._marks(candidate), settled=-self.plan.patience
                 )
             else:
-                left.append(candidate)
-        return left
+                kept.append(candidate)
+        return kept
 
     def _is_ready(self, candidate: Candidate) -> bool:
         """Return whether all files of a test are still, and were not handled in this state."""

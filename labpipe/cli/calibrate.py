@@ -35,12 +35,12 @@ _DOUBTED = {
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
-    left, rejected = without_rejected(find_results(options.paths))
+    files, rejected = without_rejected(find_results(options.paths))
     for file, why in rejected.items():
         print(escaped(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr)
     with reading(len(options.paths)) as say:
         done = calibrate_tests(
-            left if rejected else options.paths,
+            files if rejected else options.paths,
             wires=options.wire,
             plan=options.plan,
             out=options.out,

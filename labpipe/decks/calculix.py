@@ -111,10 +111,10 @@ def _unit_bar(n_along: int) -> tuple[Floats, Ints]:
 
 def _bricks(numbers: Ints, quads: Ints) -> Ints:
     """Return one layer of bricks on the quadrangles, from the nodes of its three stations."""
-    below, between, above = (number[quads] for number in numbers)
+    below, middle, above = (number[quads] for number in numbers)
     corners, sides = slice(0, 4), slice(4, 8)
     parts = (below[:, corners], above[:, corners], below[:, sides], above[:, sides])
-    return np.concatenate([*parts, between[:, corners]], axis=1)
+    return np.concatenate([*parts, middle[:, corners]], axis=1)
 
 
 def _half_disc() -> tuple[Floats, Ints]:
@@ -132,9 +132,9 @@ def _half_disc() -> tuple[Floats, Ints]:
 def _ring() -> Floats:
     """Return the lattice from the circle inwards to the rectangle, shape (9, 3, 2)."""
     side = np.linspace(0.0, _RECTANGLE, 3)
-    left = np.column_stack([np.full(3, -_RECTANGLE), side])
+    left_side = np.column_stack([np.full(3, -_RECTANGLE), side])
     top = np.column_stack([np.linspace(-_RECTANGLE, _RECTANGLE, 5), np.full(5, _RECTANGLE)])
-    inner = np.concatenate([left, top[1:-1], left[::-1] * [-1.0, 1.0]])
+    inner = np.concatenate([left_side, top[1:-1], left_side[::-1] * [-1.0, 1.0]])
     angle = np.linspace(np.pi, 0.0, len(inner))
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     share = np.array([0.0, 0.5, 1.0])[:, np.newaxis]

@@ -24,16 +24,17 @@ import numpy as np
 
 from labpipe.decks.deck_law import facts, mass_of, on_one_line
 from labpipe.decks.deck_losses import loss_text, percent
-from labpipe.decks.slider_table import DIRECTIONS, no_sliders_text
+from labpipe.decks.slider_table import no_sliders_text
+from labpipe.law.loss_card import DIRECTIONS
 from labpipe.law.plays import is_within
 from labpipe.law.slider_directions import TURNS, in_directions, turned
-from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
+from labpipe.law.sliders import MAX_SLIDERS, SliderLaw, as_plays
 from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
 
-NODES = 30
+DEFAULT_NODES = 30
 RAMP = 400
 """Steps of the ramp of a load."""
 REST = 600
@@ -100,7 +101,11 @@ class Hinges:
 
 
 def mujoco_plane_deck(
-    table: WireTable, *, sliders: int = SLIDERS, length: float | None = None, nodes: int = NODES
+    table: WireTable,
+    *,
+    sliders: int = SLIDERS,
+    length: float | None = None,
+    nodes: int = DEFAULT_NODES,
 ) -> str:
     """Write a clamped wire along x that bends in the x-y plane, with hysteresis.
 
@@ -148,7 +153,7 @@ def mujoco_space_deck(
     sliders: int = SLIDERS,
     directions: int = DIRECTIONS,
     length: float | None = None,
-    nodes: int = NODES,
+    nodes: int = DEFAULT_NODES,
 ) -> str:
     """Write a clamped wire along x that bends in every plane and twists, with hysteresis.
 
@@ -189,7 +194,7 @@ def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tu
         nothing = np.zeros(0)
         hinges = Hinges(_axes(chain, chain.law.stiffness), np.zeros((1, 0, 2)), nothing, nothing)
         return hinges, (f"Bending stiffness {chain.law.stiffness:.6g} N m2, constant.", twist)
-    few = in_directions(chain.law, directions, most=8)
+    few = in_directions(chain.law, directions, max_sliders=8)
     axes = _axes(chain, few.stiffness * directions / 2.0)
     tendons = np.array([few.turned_normals(share) for share in TURNS])
     hinges = Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
@@ -214,8 +219,8 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
-    if not 1 <= sliders <= MOST_SLIDERS:
-        message = f"sliders={sliders}: must be from 1 to {MOST_SLIDERS}"
+    if not 1 <= sliders <= MAX_SLIDERS:
+        message = f"sliders={sliders}: must be from 1 to {MAX_SLIDERS}"
         raise ValueError(message)
     try:
         return sliders_of(table, sliders)

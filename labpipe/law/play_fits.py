@@ -27,12 +27,12 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     rounding_share = 1e-7  # of the first slope, from differences of close corners
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
-        at = curvature[int(np.argmin(slopes > 0.0))]
-        message = f"the law softens before curvature={at:.6g} 1/m: the moment must increase"
+        fault = curvature[int(np.argmin(slopes > 0.0))]
+        message = f"the law softens before curvature={fault:.6g} 1/m: the moment must increase"
         raise ValueError(message)
     if np.any(np.diff(slopes) > rounding_share * slopes[0]):
-        at = curvature[int(np.argmax(np.diff(slopes))) + 1]
-        message = f"the law stiffens before curvature={at:.6g} 1/m: the slope must not increase"
+        fault = curvature[int(np.argmax(np.diff(slopes))) + 1]
+        message = f"the law stiffens before curvature={fault:.6g} 1/m: the slope must not increase"
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
     return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
@@ -60,10 +60,10 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     bridged = np.interp(curvature, np.append(0.0, curvature[hull]), np.append(0.0, moment[hull]))
     excess = bridged / moment - 1.0
     if np.any(excess > max_bridged_share):
-        at = int(np.argmax(excess))
+        worst = int(np.argmax(excess))
         message = (
-            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: its concave hull is "
-            f"{100.0 * excess[at]:.2g} % above it; expected at most "
+            f"the law stiffens at curvature={curvature[worst]:.6g} 1/m: its concave hull is "
+            f"{100.0 * excess[worst]:.2g} % above it; expected at most "
             f"{100.0 * max_bridged_share:.0f} %"
         )
         raise ValueError(message)

@@ -138,21 +138,21 @@ def _instrument_change(
         first, second = old[part], new[part]
         recorded = _rms(second - first)
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
-        left, left_level = _rms(second - scale * first), _rms(second - level - first)
-        if left < left_level and abs(scale - 1.0) > least and recorded > scale_ratio * left:
+        misfit, level_misfit = _rms(second - scale * first), _rms(second - level - first)
+        if misfit < level_misfit and abs(scale - 1.0) > least and recorded > scale_ratio * misfit:
             description = (
                 f"the force over displacement is {scale:.4g} times that of the cycle before"
             )
             return False, description, "check for a change of range, gain or encoder"
-        if abs(level) > least * largest and recorded > level_ratio * left_level:
+        if abs(level) > least * largest and recorded > level_ratio * level_misfit:
             description = f"the force is {level:+.4g} N off that of the cycle before"
             return True, description, "check for a new zero of the load cell"
     first_back, back = before.paths[1], after.paths[1]
     stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
     scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
-    left = _rms(scaled[1] - scaled[0]) if scaled else np.inf
+    misfit = _rms(scaled[1] - scaled[0]) if scaled else np.inf
     recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
-    if abs(stretch - 1.0) < least or recorded < min_scale_ratio * left:
+    if abs(stretch - 1.0) < least or recorded < min_scale_ratio * misfit:
         return None
     description = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
     return False, description, "check for a change of the encoder or its scale"

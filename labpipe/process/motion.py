@@ -175,7 +175,7 @@ def _fit_turn(
     max_missing_share = 0.3
     # s, tried where the strokes show no wait.
     first_wait = 0.2
-    nearby = (np.abs(motion.time - at) <= half_window for at in near)
+    nearby = (np.abs(motion.time - turn_time) <= half_window for turn_time in near)
     if not all(np.isnan(motion.values[is_near]).mean() <= max_missing_share for is_near in nearby):
         return None
     at_once = None
@@ -229,18 +229,18 @@ def check_turns(
     seen_times = motion.time[~np.isnan(motion.values)]
     for number, (before, _) in enumerate(pairwise(strokes)):
         if number not in seen_turns:
-            at = float(motion.time[before.stop])
-            earlier, later = seen_times[seen_times < at], seen_times[seen_times > at]
+            turn_time = float(motion.time[before.stop])
+            earlier, later = seen_times[seen_times < turn_time], seen_times[seen_times > turn_time]
             yield doubtful(
                 "turn_not_seen",
                 "travel",
-                f"the turn of the motion near {at:.2f} s was not recorded",
+                f"the turn of the motion near {turn_time:.2f} s was not recorded",
                 "displacement",
                 "force",
                 *clock,
                 during=(
-                    float(earlier[-1] if len(earlier) else at),
-                    float(later[0] if len(later) else at),
+                    float(earlier[-1] if len(earlier) else turn_time),
+                    float(later[0] if len(later) else turn_time),
                 ),
                 clock=motion.clock,
             )
@@ -348,9 +348,9 @@ def _speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
     return speeds[0], speeds[1]
 
 
-def _mean_near(motion: Signal, at: float) -> tuple[float, float]:
+def _mean_near(motion: Signal, centre: float) -> tuple[float, float]:
     """Return mean time and value of the finite samples within a quarter of a second of a time."""
-    near = (np.abs(motion.time - at) <= 0.25) & ~np.isnan(motion.values)
+    near = (np.abs(motion.time - centre) <= 0.25) & ~np.isnan(motion.values)
     if not near.any():
         return float("nan"), float("nan")
     return float(motion.time[near].mean()), float(motion.values[near].mean())
@@ -454,12 +454,12 @@ def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal
     together = np.hypot(errors[:, 0], errors[:, 1])
     weights = together**-2.0 / (together**-2.0).sum()
     lags = times[:, 1] - times[:, 0]
-    apart = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
-    at, error = weights @ times, apart * np.sqrt(weights**2 @ errors**2)
+    scatter_factor = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
+    mean_time, error = weights @ times, scatter_factor * np.sqrt(weights**2 @ errors**2)
     shape_error = float(weights @ [reversal.shape_error for reversal in felt])
-    corner = replace(felt[0].corner, time=float(at[1]), time_error=float(error[1]))
+    corner = replace(felt[0].corner, time=float(mean_time[1]), time_error=float(error[1]))
     return (
-        replace(seen[0], time=float(at[0]), time_error=float(error[0])),
+        replace(seen[0], time=float(mean_time[0]), time_error=float(error[0])),
         Reversal(corner, shape_error),
     )
 

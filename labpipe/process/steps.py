@@ -330,29 +330,29 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     signal = signals.filtered[name]
     _need_time(signal, name, "a stretch in s")
     first, last = _stretch(signal, step)
-    over = max(step.over, float(signal.time[last - 1] - signal.time[first]))
-    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - over)
+    duration = max(step.over, float(signal.time[last - 1] - signal.time[first]))
+    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - duration)
     rest = signal.values[first:last]
     finite = rest[~np.isnan(rest)]
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
     if len(finite) < (min_samples := required_samples(other_values)):
         time_step = _step_of(signal)
         message = (
-            f"{step.channel}: {len(finite)} samples in the {over:.4g} s to zero on, {min_samples} "
-            f"are needed, and there are {1.0 / time_step:.4g} per second"
+            f"{step.channel}: {len(finite)} samples in the {duration:.4g} s to zero on, "
+            f"{min_samples} are needed, and there are {1.0 / time_step:.4g} per second"
         )
         raise ShortStretchError(message, (min_samples + 0.5) * time_step)
-    stretch = {name: (start, start + over)}
+    stretch = {name: (start, start + duration)}
     if step.by == "mean":
         signals = replace(signals, zeroed={**signals.zeroed, **stretch})
         level, error = mean_level(finite, other_values)
-        method = f"the mean over {over:.4g} s"
+        method = f"the mean over {duration:.4g} s"
     else:
         signals = replace(signals, lined={**signals.lined, **stretch})
         values = finite if step.at == "start" else finite[::-1]
         level, error, rest_samples = line_zero(values, other_values)
-        rest_time = over * rest_samples / len(values)
-        method = f"the outer end of a line over {over:.4g} s"
+        rest_time = duration * rest_samples / len(values)
+        method = f"the outer end of a line over {duration:.4g} s"
         method = (
             f"the mean over the {rest_time:.3g} s before the motion" if rest_samples else method
         )

@@ -145,8 +145,8 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     branches = motion.branches
     for name, (start, stop) in signals.zeroed.items() if branches else ():
         begins, ends = (
-            motion.clocks.from_curve(at, signals.raw[name].clock)
-            for at in (branches[0].start_time, branches[-1].stop_time)
+            motion.clocks.from_curve(end, signals.raw[name].clock)
+            for end in (branches[0].start_time, branches[-1].stop_time)
         )
         if start < begins < stop:
             rest = (start, begins)
@@ -293,8 +293,10 @@ def _is_from_specimen(curve: Curve, sample: int, force_increase: float) -> bool:
     """Check whether a jump may be a break, a slip, or the effect of a turn."""
     # Samples beside a turn, where a steep fall belongs to the specimen.
     turn_reach = 3
-    turn_samples = [at for branch in curve.branches for at in (branch.start, branch.stop)]
-    if any(abs(sample - at) <= turn_reach for at in turn_samples):
+    turn_samples = [
+        turn_sample for branch in curve.branches for turn_sample in (branch.start, branch.stop)
+    ]
+    if any(abs(sample - turn_sample) <= turn_reach for turn_sample in turn_samples):
         return True
     inside = [branch for branch in curve.branches if branch.start <= sample < branch.stop]
     is_loading = bool(inside) and inside[0].direction is Direction.LOADING

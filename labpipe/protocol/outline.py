@@ -159,7 +159,7 @@ def outline_of(data: Values) -> Outline:
         reader_names = reader if isinstance(reader, list) else [reader]
         readers[role] = [word for word in reader_names if word in READERS]
         if channel_keys(role, source):
-            name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
+            name = role if role in ROLES else nearest(role, list(ROLES), limit=1)[0]
             channels.append(_channel(name, role, ("sources", role), source))
         for name in _block(source, "channels"):
             path = ("sources", role, "channels", name)

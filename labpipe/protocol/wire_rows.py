@@ -487,7 +487,7 @@ def _unknown(name: str, heading: str) -> tuple[str, Fault]:
     remedy = f"Did you mean {nearest_column!r}?"
     if same and COLUMNS[nearest_column].unit:
         remedy = f"Give it in {COLUMNS[nearest_column].unit} as {nearest_column!r}."
-    listed = dict.fromkeys([nearest_column, *nearest(name, columns, most=3)])
+    listed = dict.fromkeys([nearest_column, *nearest(name, columns, limit=3)])
     expected = f"one of {', '.join(map(repr, listed))}, ..."
     return nearest_column, Fault((), expected, repr(heading), remedy)
 

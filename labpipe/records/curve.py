@@ -17,7 +17,7 @@ AT_REST = -1
 """Branch number of samples that belong to no branch: before, after and between movements."""
 
 
-_NORMAL_95 = 1.959963984540054
+NORMAL_95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
 
 
@@ -38,13 +38,13 @@ class Interval:
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
         """Make the normal 95 % interval, value -+ 1.96 error, of a known standard error."""
-        half = _NORMAL_95 * error
+        half = NORMAL_95 * error
         return cls(value - half, value + half)
 
     @property
     def standard_error(self) -> float:
         """Return the standard error of a normal 95 % interval, in the unit of its ends."""
-        return (self.upper - self.lower) / (2.0 * _NORMAL_95)
+        return (self.upper - self.lower) / (2.0 * NORMAL_95)
 
 
 class Direction(StrEnum):

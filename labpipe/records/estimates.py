@@ -55,16 +55,16 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
     interval = estimate.interval
     if interval is not None and added_error > 0.0:
         added_half_width = Interval.normal_95(0.0, added_error).upper
-        center = _center_of(estimate.value, interval)
+        centre = _centre_of(estimate.value, interval)
         lower, upper = (
-            hypot(center - interval.lower, added_half_width),
-            hypot(interval.upper - center, added_half_width),
+            hypot(centre - interval.lower, added_half_width),
+            hypot(interval.upper - centre, added_half_width),
         )
-        interval = Interval(center - lower, center + upper)
+        interval = Interval(centre - lower, centre + upper)
     return Estimate(estimate.value, hypot(estimate.error, added_error), estimate.n, interval)
 
 
-def _center_of(value: float, interval: Interval) -> float:
+def _centre_of(value: float, interval: Interval) -> float:
     """Return the value, or the middle of the interval if it does not contain the value.
 
     The interval is corrected for the bias from noise and the value is not, so it may lie outside.

@@ -132,7 +132,7 @@ class MeanInterval:
         return 0.5 * self.middle * log(upper / lower) if self.is_log else 0.5 * (upper - lower)
 
     @property
-    def apart(self) -> float | None:
+    def distinct_estimate(self) -> float | None:
         """Return the estimate where a reader must see it beside the mean, as `apart_from` says."""
         return apart_from(self.mean, self.estimate, self.interval)
 

@@ -144,7 +144,9 @@ def doubtful(
     return Finding(note, tuple(Doubt(quantity, reason, during, clock) for quantity in quantities))
 
 
-def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: int = 100) -> Finding:
+def doubtful_stretches(
+    quantity: str, note: QualityNote, clock: str, *, max_stretches: int = 100
+) -> Finding:
     """Doubt a quantity in the stretches that a note speaks of, or in all of the record.
 
     Parameters
@@ -152,10 +154,10 @@ def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: in
     quantity : see `Doubt`
     note : with stretches on the clock named `clock`, or without any
     clock : role of the recording
-    most : stretches; more of them are taken as one, from the first to the last
+    max_stretches : stretches; more of them are taken as one, from the first to the last
     """
     stretches = note.stretches
-    if len(stretches) > most:
+    if len(stretches) > max_stretches:
         stretches = ((stretches[0][0], stretches[-1][1]),)
     note, reason = replace(note, severity=Severity.WARNING), Reason(note.code, note.message)
     return Finding(

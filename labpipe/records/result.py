@@ -141,7 +141,7 @@ class Result:
         return None if largest is None or largest[1] == 0.0 else (largest[0].cause, largest[1])
 
     @property
-    def apart(self) -> float | None:
+    def distinct_estimate(self) -> float | None:
         """Return the estimate where a reader must see it beside the value, as `apart_from` says."""
         return None if self.value is None else apart_from(self.value, self.estimate, self.interval)
 

@@ -74,7 +74,7 @@ _ROW_MM = 6.0
 """Height of a bar with its gap."""
 _FRAME_MM = 26.0
 """Height of axis and heading."""
-MOST_BARS = 20
+MAX_BARS = 20
 SMALLER = "causes under 2 % in every bar"
 _HATCH = "////"
 COLOURS_OF_CAUSES: Mapping[str, str] = {
@@ -125,9 +125,7 @@ def draw_budget(result: TestResult) -> Figure:
     Numbers of later cycles, of single slips and of the clocks are left out.
     """
     budgeted = [result for result in result.results if result.largest_share is not None]
-    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)][
-        :MOST_BARS
-    ]
+    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)][:MAX_BARS]
     if not numbers:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
         write_reason(page.subplots(), "No number of this test has a budget of its interval.")
@@ -300,7 +298,7 @@ def budgets_to_draw(group: Group) -> list[GroupNumber]:
     group : with or without samples
     """
     numbers = [one for one in group.numbers if is_main(one.name) and is_first_cycle(one.name)]
-    return [number for number in numbers if group_budget(number).of_tests][:MOST_BARS]
+    return [number for number in numbers if group_budget(number).of_tests][:MAX_BARS]
 
 
 def draw_group_budgets(group: Group) -> Figure:

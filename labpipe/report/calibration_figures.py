@@ -230,7 +230,7 @@ MODEL_BAND: dict[str, Any] = {"color": BAND, "alpha": 0.55, "linewidth": 0, "zor
 _FAINT: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.4}
 _MEANS: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
 _ZERO: dict[str, Any] = {"color": "black", "linewidth": 0.6, "zorder": 1}
-N_MEANS = 25
+N_BLOCKS = 25
 """Least number of blocks over which residuals are averaged."""
 
 
@@ -284,7 +284,7 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
 
     Notes
     -----
-    Every point is drawn faint; a line shows the means of at least `N_MEANS` blocks of neighbouring
+    Every point is drawn faint; a line shows the means of at least `N_BLOCKS` blocks of neighbouring
     points, if there are as many points.
     """
     looks = sample_looks(calibration)
@@ -293,7 +293,7 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
         factor = curve.sample_factor if has_own_factor else 1.0
         left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
         _plot(axes, curve.deflection, left, looks[curve.length], **_FAINT)
-        across, up = (block_means(values, N_MEANS) for values in (curve.deflection, left))
+        across, up = (block_means(values, N_BLOCKS) for values in (curve.deflection, left))
         look = looks[curve.length]
         axes.plot(DEFLECTION.factor * across, up, color=look.colour, linestyle=look.dash, **_MEANS)
     axes.set_xlim(left=0.0)

@@ -285,7 +285,7 @@ def _written(difference: Difference, display: Mapping[str, str]) -> Written:
         display_unit = shown_in(difference.name, difference.unit, display)
         shift = difference.difference
         number = write_number(
-            shift.mean, difference.interval, display_unit.factor, apart=shift.apart
+            shift.mean, difference.interval, display_unit.factor, estimate=shift.distinct_estimate
         )
         unit = f" {unit_words(display_unit.unit)}".rstrip()
     else:

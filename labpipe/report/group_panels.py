@@ -40,7 +40,7 @@ class _Points(NamedTuple):
 _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
 """For few samples, and for many, with overlapping lines: a test is below 3 kB."""
 _MAX_OFFSET_SHARE = 0.001
-_BAND_POINTS = 28
+_BAND_OUTLINE_POINTS = 28
 _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
@@ -231,7 +231,7 @@ def band_lines(
 def _band_rows(band: Band) -> Ints:
     """Return the points with which all edges of a band are drawn."""
     return simplify_line(
-        band.displacement, band.upper, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+        band.displacement, band.upper, points=_BAND_OUTLINE_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
 
 
@@ -247,7 +247,7 @@ def mean_lines(
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
     rows = simplify_line(
-        band.displacement, band.mean, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+        band.displacement, band.mean, points=_BAND_OUTLINE_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
     x, y = band.displacement[rows] * across, band.mean[rows] * up
     yield Line(f"mean {look}".strip(), x, y, group=group)

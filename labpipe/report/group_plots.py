@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 RED = "#b2182b"
-POINTS, FAINT_POINTS = 120, 40
+CURVE_POINTS, FAINT_POINTS = 120, 40
 """Largest numbers of points of a curve, so that a page of thirty tests is below 1 MB."""
 
 
@@ -82,7 +82,9 @@ def group_page(
     return keyed_page(PageTexts(title, note, keys), height_mm=height_mm, columns=columns)
 
 
-def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[Floats, Floats]:
+def thin(
+    curve: SampleCurve, values: Floats, *, points: int = CURVE_POINTS
+) -> tuple[Floats, Floats]:
     """Return displacement and values of a curve at the drawn points.
 
     Parameters
@@ -411,7 +413,9 @@ def _slope_label(group: Group, name: str) -> str:
         return as_label(name)
     unit = shown_in(name, number.unit, display_of(group))
     mean = number.mean.chosen
-    slope = write_number(mean.mean, mean.interval, unit.factor, apart=mean.apart).text
+    slope = write_number(
+        mean.mean, mean.interval, unit.factor, estimate=mean.distinct_estimate
+    ).text
     over = "samples" if number.mean.is_pooled else "spool means"
     of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
     return f"{as_label(name)}: {slope} {unit_words(unit.unit)}{of}"

@@ -118,7 +118,9 @@ def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tupl
         if mean is None:
             cells.append(Cell(DASH, "no number"))
             continue
-        written = write_number(mean.mean, mean.interval, unit.factor, apart=mean.apart)
+        written = write_number(
+            mean.mean, mean.interval, unit.factor, estimate=mean.distinct_estimate
+        )
         cells.append(Cell(written.value, f"{written.interval} n = {mean.n}".strip()))
     return Cell(heading(number.name, unit.unit)), *cells
 

@@ -142,7 +142,7 @@ def result_cell(result: Result | None, factor: float, *, is_outlier: bool = Fals
     if result.value is None:
         return Cell(DASH)
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
-    text = with_interval(result.value, result.interval, factor, apart=result.apart)
+    text = with_interval(result.value, result.interval, factor, estimate=result.distinct_estimate)
     return Cell(text, mark=mark)
 
 

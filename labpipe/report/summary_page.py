@@ -198,7 +198,11 @@ def _key_cell(group: Group, name: str) -> Cell:
     factor = shown_in(name, number.unit, display_of(group)).factor
     chosen = number.mean.chosen
     source, whose = _interval_source(chosen, number)
-    tip = whose if source.apart is None else f"interval of the {_estimate_text(chosen, factor)}"
+    tip = (
+        whose
+        if source.distinct_estimate is None
+        else f"interval of the {_estimate_text(chosen, factor)}"
+    )
     return Cell(with_interval(chosen.mean, source.interval, factor), tip=tip)
 
 

@@ -288,7 +288,7 @@ def write_number(
     factor: float = 1.0,
     *,
     digits: int = _DEFAULT_DIGITS,
-    apart: float | None = None,
+    estimate: float | None = None,
 ) -> Written:
     """Write a number with as many digits as its interval supports.
 
@@ -297,7 +297,7 @@ def write_number(
     value, interval : in SI; a value that is not finite is a dash
     factor : from SI to the display unit
     digits : significant digits of a number without an interval
-    apart : estimate that differs from the value, in SI, if any
+    estimate : estimate that differs from the value, in SI, if any
 
     Returns
     -------
@@ -314,7 +314,7 @@ def write_number(
     place = place_of(value, interval, factor, digits)
     if not math.isfinite(value):
         return Written("\u2013")
-    numbers = [value, *_ends(interval), *([] if apart is None else [apart])]
+    numbers = [value, *_ends(interval), *([] if estimate is None else [estimate])]
     return Written(*_round_together([factor * number for number in numbers], place))
 
 
@@ -392,7 +392,7 @@ def rounded(number: float, place: int) -> str:
 
 
 def with_interval(
-    value: float, interval: Interval | None, factor: float = 1.0, *, apart: float | None = None
+    value: float, interval: Interval | None, factor: float = 1.0, *, estimate: float | None = None
 ) -> str:
     """Write a number with its interval in one line.
 
@@ -400,7 +400,7 @@ def with_interval(
     ----------
     value, interval : in SI
     factor : from SI to the unit that is shown
-    apart : estimate that differs from the value, if any
+    estimate : estimate that differs from the value, if any
 
     Returns
     -------
@@ -415,12 +415,12 @@ def with_interval(
     '1.26 (1.15 to 1.44)'
     """
     max_uneven_share = 0.1  # difference of both sides of a symmetric interval, of half its width
-    written = write_number(value, interval, factor, apart=apart)
+    written = write_number(value, interval, factor, estimate=estimate)
     if interval is None or not written.lower:
         return written.value
     up, down = interval.upper - value, value - interval.lower
     half = max(up, down)
-    if apart is not None or not isfinite(half) or abs(up - down) > max_uneven_share * half:
+    if estimate is not None or not isfinite(half) or abs(up - down) > max_uneven_share * half:
         return f"{written.value} ({written.interval})"
     number, times, power = written.value.partition(" \u00d7 ")
     size = float(f"1e{power[2:].translate(_PLAIN_DIGITS)}") if times else 1.0
@@ -442,4 +442,4 @@ def mean_with_interval(mean: MeanInterval, factor: float = 1.0) -> str:
     mean : in SI
     factor : from SI to the unit that is shown
     """
-    return with_interval(mean.mean, mean.interval, factor, apart=mean.apart)
+    return with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)

@@ -70,7 +70,7 @@ _TIME_BEFORE_ZERO = 1.0
 _MIN_SAMPLES = 8
 
 
-_MIN_FOOT_SAMPLES = 4
+_MIN_ZERO_FOOT_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,7 +191,7 @@ class FollowedToZero:
         numbers = np.arange(stretch.start, stretch.stop)
         foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
         middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
-        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_FOOT_SAMPLES)
+        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
         zero_times = np.where(falls, middle - ratio(level, slope), time[end])
         part = slice(
             *np.searchsorted(
@@ -302,7 +302,7 @@ class _Branch:
         end = float(self.time[last])
         from_end = self.time - end
         zero_time, slope = np.nan, 0.0
-        if foot.stop - foot.start >= _MIN_FOOT_SAMPLES:
+        if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
             zero_time = float(_zero_time(from_end[foot], self.force[foot]))
             slope = float(slope_of_line(from_end[foot], self.force[foot]))
         falls = not np.isnan(zero_time)

@@ -308,7 +308,7 @@ class _Stretches:
 
     def spread(self, weights: Floats) -> Floats:
         """Expand weights (p, m) of the samples of each stretch to all samples (p, k)."""
-        columns = np.zeros((len(self.at), self.count + 1))
+        columns = np.zeros((len(self.places), self.count + 1))
         np.put_along_axis(columns, self.samples, weights, axis=1)
         return columns[:, :-1]
 
@@ -316,7 +316,7 @@ class _Stretches:
         """Return the weights of forces in level and slope of the parabolas, shapes (p, m)."""
         products = np.where(self.is_enough[:, None, None], self.products, np.eye(3))
         level, slope, _ = np.moveaxis(np.linalg.solve(products, self.powers), 1, 0)
-        return level, slope / self.tangent_length
+        return level, slope / self.length
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,7 @@ from labpipe.uncertainty.intervals import Measured
 _Place = TypeVar("_Place", float, Floats)
 
 
-_MIN_SIDE_SAMPLES = 4
+_MIN_SEGMENT_SAMPLES = 4
 
 
 def _sort_samples(displacement: Floats, finite: Ints) -> Ints | Failure:
@@ -113,18 +113,18 @@ class _Scan:
 
     def crossings(self) -> Floats:
         """Return where separate lines before and after a gap between samples meet inside it."""
-        below = self.sums[:, _MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        below = self.sums[:, _MIN_SEGMENT_SAMPLES : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
         first, second = _lines(below), _lines(self.sums[:, -1:] - below)
         with np.errstate(divide="ignore", invalid="ignore"):
             meet = (second[0] - first[0]) / (first[1] - second[1])
-        low = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES]
-        high = self.x[_MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        low = self.x[_MIN_SEGMENT_SAMPLES - 1 : len(self.x) - _MIN_SEGMENT_SAMPLES]
+        high = self.x[_MIN_SEGMENT_SAMPLES : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
         crossings: Floats = meet[(meet >= low) & (meet <= high)]
         return crossings
 
     def best(self) -> float:
         """Return the break of the global optimum."""
-        inside = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        inside = self.x[_MIN_SEGMENT_SAMPLES - 1 : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
         places = np.concatenate([inside, self.crossings()])
         return float(places[int(np.argmin(self.squares_at(places)))])
 
@@ -189,7 +189,7 @@ class Hinges:
         if isinstance(order, Failure):
             return order
         scan = _Scan.of(displacement[order], force[order])
-        beside = min(8, max(_MIN_SIDE_SAMPLES, len(order) // 8)) - 1
+        beside = min(8, max(_MIN_SEGMENT_SAMPLES, len(order) // 8)) - 1
         places = np.linspace(scan.x[beside], scan.x[-1 - beside], 300)
         hinges = cls(CommonPath.of(displacement, force, order), scan, places)
         return replace(hinges, moved=scan.best() - float(hinges._best(scan.y[None])[0]))
@@ -225,7 +225,7 @@ class Hinges:
         y = self.path.force(force, displacement)
         shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
         scan, (mean, spread) = self.scan, self.scan.spread
-        inside = scan.x[_MIN_SIDE_SAMPLES - 1], scan.x[-_MIN_SIDE_SAMPLES]
+        inside = scan.x[_MIN_SEGMENT_SAMPLES - 1], scan.x[-_MIN_SEGMENT_SAMPLES]
         breaks = np.clip(self._best(y) + self.moved, *inside)
         sh, cross, hinge_squares = scan.hinges(breaks)
         level, along = y.mean(axis=1), y @ (scan.x - mean)

@@ -154,11 +154,11 @@ class Line(ArrayRecord):
         if index == n:
             rotation = half_length * self.rest_curvature_at_nodes[n]
         else:
-            center_distance = half_length + 0.5 * self.lengths[index]
+            centre_distance = half_length + 0.5 * self.lengths[index]
             frame_rotation = rotation_vectors(
                 multiply(conjugate(self.frames[index - 1]), self.frames[index])
             )
-            rotation = half_length / center_distance * frame_rotation
+            rotation = half_length / centre_distance * frame_rotation
         return multiply(self.frames[index - 1], from_rotation_vectors(rotation))
 
     @property
@@ -213,7 +213,7 @@ def line_along(
     quaternions = np.array(frames)
     rest_curvature = np.zeros((len(lengths) - 1, 3))
     if is_formed:
-        center_distances = 0.5 * (lengths[1:] + lengths[:-1])
+        centre_distances = 0.5 * (lengths[1:] + lengths[:-1])
         frame_rotations = multiply(conjugate(quaternions[:-1]), quaternions[1:])
-        rest_curvature = rotation_vectors(frame_rotations) / center_distances[:, None]
+        rest_curvature = rotation_vectors(frame_rotations) / centre_distances[:, None]
     return Line(lengths, section, points, quaternions, rest_curvature)

@@ -59,8 +59,10 @@ class Schedule:
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 
-    def _of(self, kind: type) -> tuple[int, ...]:
-        return tuple(k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, kind))
+    def _of(self, boundary_type: type) -> tuple[int, ...]:
+        return tuple(
+            k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, boundary_type)
+        )
 
     def node(self, boundary: Boundary) -> int:
         """Return the node of a boundary, from 0."""
@@ -169,15 +171,15 @@ class Schedule:
                 clamps.append(frame)
         return held, np.array(clamps).reshape(-1, 4)
 
-    def _get(self, kind: type[T], k: int) -> T:
+    def _get(self, boundary_type: type[T], k: int) -> T:
         boundary = self.boundaries[k]
-        assert isinstance(boundary, kind)
+        assert isinstance(boundary, boundary_type)
         return boundary
 
     def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
         """Add a moment to the elements at a node."""
-        at = [k for k in (node - 1, node) if 0 <= k < self.n]
-        moments[at] += moment / len(at)
+        elements = [k for k in (node - 1, node) if 0 <= k < self.n]
+        moments[elements] += moment / len(elements)
 
 
 def boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:

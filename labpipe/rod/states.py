@@ -47,8 +47,8 @@ def split_rests(supports: Supports, rests: Floats) -> Floats:
 def _at_sides(supports: Supports, values: Floats) -> Floats:
     out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
     for side in (0, 1):
-        at = supports.sides[:, side] > 0.0
-        out[supports.nodes[at], side] = values[at]
+        is_held = supports.sides[:, side] > 0.0
+        out[supports.nodes[is_held], side] = values[is_held]
     return out
 
 
@@ -101,11 +101,11 @@ def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     """
     clamps, lengths = curvatures.copy(), supports.lengths
     for end, way in ((supports.behind, -1), (supports.before, 1)):
-        at = np.flatnonzero(end < 0)
-        at = at[(at + way >= 0) & (at + way < len(end))]
-        place = END_SHARE * 2.0 * lengths[at]
-        share = place / (lengths[at] + 0.5 * lengths[at + way] - place)
-        clamps[at] += share[:, None] * (curvatures[at] - curvatures[at + way])
+        nodes = np.flatnonzero(end < 0)
+        nodes = nodes[(nodes + way >= 0) & (nodes + way < len(end))]
+        place = END_SHARE * 2.0 * lengths[nodes]
+        share = place / (lengths[nodes] + 0.5 * lengths[nodes + way] - place)
+        clamps[nodes] += share[:, None] * (curvatures[nodes] - curvatures[nodes + way])
     return clamps
 
 

@@ -26,7 +26,7 @@ from labpipe.errors import StoreError, error_text
 from labpipe.records.arrays import Ints
 from labpipe.store import layout
 from labpipe.store.hdf5_objects import (
-    LEVEL,
+    COMPRESSION_LEVEL,
     get_text,
     has_attribute,
     is_empty,
@@ -97,7 +97,7 @@ def _pack_chunk(block: NDArray[Any], rows: int) -> bytes:
     missing = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
     block = np.concatenate([block, missing]) if len(missing) else np.ascontiguousarray(block)
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
-    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, LEVEL)
+    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, COMPRESSION_LEVEL)
     return deflated + fletcher32(deflated).to_bytes(4, "little")
 
 

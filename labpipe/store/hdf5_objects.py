@@ -15,7 +15,7 @@ import numpy as np
 from h5py import h5a, h5d, h5p, h5s, h5t
 from numpy.typing import NDArray
 
-LEVEL: Final = 3
+COMPRESSION_LEVEL: Final = 3
 """At levels 1 and 2 ISA-L (isal 1.9) sometimes compresses equal bytes differently in a thread."""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
@@ -68,7 +68,7 @@ def _properties(chunk: tuple[int, ...]) -> Any:
     properties.set_obj_track_times(False)
     properties.set_chunk(chunk)
     properties.set_shuffle()
-    properties.set_deflate(LEVEL)
+    properties.set_deflate(COMPRESSION_LEVEL)
     properties.set_fletcher32()
     return properties
 

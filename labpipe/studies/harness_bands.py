@@ -34,7 +34,7 @@ from labpipe.studies.harness_section import Material
 Followed = tuple[RodPath, PreparedLine]
 FollowLine = Callable[[int, Inputs], Followed]
 """Prepare and solve a line: number of the distribution, and inputs."""
-_ROUNDING = 1e-6
+_ROUNDING_SHARE = 1e-6
 """Rounding error of the solver, over a number or its `reference_size`."""
 _SHAPE = "shape"
 
@@ -75,7 +75,10 @@ def harness_bands(
         return None
     limit = material.limit
     line = bands_of(
-        [solve.path for solve in solves], material.distributions, at=steps, tested_curvature=limit
+        [solve.path for solve in solves],
+        material.distributions,
+        steps=steps,
+        tested_curvature=limit,
     )
     if line is None:
         return None
@@ -212,7 +215,9 @@ def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:
     """Return the rounding error of each number and of the shape."""
     units = {number.name: number.unit for number in numbers_of(path, prepared)} | {_SHAPE: "m"}
     units |= dict.fromkeys((RADIUS, RADIUS_ON_PATH), "1/m")
-    return {name: _ROUNDING * reference_size(unit, prepared.line) for name, unit in units.items()}
+    return {
+        name: _ROUNDING_SHARE * reference_size(unit, prepared.line) for name, unit in units.items()
+    }
 
 
 def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
@@ -222,5 +227,5 @@ def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: 
     """
     middle = np.median(drawn, axis=0)
     distances = np.where(number > middle, band.upper - middle, middle - band.lower)
-    least = scale + _ROUNDING * float(np.max(np.abs(number)))
+    least = scale + _ROUNDING_SHARE * float(np.max(np.abs(number)))
     return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(distances)), least))

@@ -141,7 +141,7 @@ def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
     stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, dense_points)])
     strain = law.strain(stress)
     strain[-1] = last
-    chosen = thin(strain, stress, most=table_points + 1)
+    chosen = thin(strain, stress, max_points=table_points + 1)
     return tuple(chosen.curvature[1:].tolist()), tuple(chosen.moment[1:].tolist())
 
 

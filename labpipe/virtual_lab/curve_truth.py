@@ -15,7 +15,7 @@ from labpipe.virtual_lab.cantilever_path import MechanicalPath
 
 KINK_WINDOW = (0.2e-3, 5e-3)
 STIFFNESS_RANGE = 5e-3
-_POINTS = 800
+_KINK_GRID_POINTS = 800
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,13 +173,13 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
 
 def line_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
     """Return the slope of the least-squares line between two displacements, N/m."""
-    grid = np.linspace(start, stop, _POINTS)
+    grid = np.linspace(start, stop, _KINK_GRID_POINTS)
     return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_roots())[0])
 
 
 def _roots() -> Floats:
     """Return the roots of the trapezoidal weights of a grid."""
-    roots = np.ones(_POINTS)
+    roots = np.ones(_KINK_GRID_POINTS)
     roots[[0, -1]] = np.sqrt(0.5)
     return roots
 
@@ -197,7 +197,7 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     The best by least squares, with the break refined by a parabola through the best of the grid and
     its neighbours.
     """
-    grid = np.linspace(start, stop, _POINTS)
+    grid = np.linspace(start, stop, _KINK_GRID_POINTS)
     wanted = np.interp(grid, displacement, force)
     breaks = grid[10:-10]
     misfits = np.array([_two_lines(grid, wanted, at)[1] for at in breaks.tolist()])

@@ -23,7 +23,7 @@ COPPER_DENSITY = 8960.0
 """kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
 PVC_DENSITY = 1400.0
 """kg/m^3, default: filled PVC."""
-OVERLAP_TOLERANCE = 1e-3
+MAX_OVERLAP_SHARE = 1e-3
 """Allowed overlap, as a share of the bore's radius."""
 
 
@@ -317,7 +317,7 @@ def _sector_centroid(inner: float, outer: float, half_angle: float) -> float:
 
 
 def _require_bore(insulation: Insulation | None, needed: float) -> None:
-    if insulation is None or needed <= insulation.bore_radius * (1.0 + OVERLAP_TOLERANCE):
+    if insulation is None or needed <= insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
         return
     message = (
         f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
@@ -349,11 +349,11 @@ def place(
     reach = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else reach
     wall = max(reach - bore, 0.0)
-    if max(strands, wall) > OVERLAP_TOLERANCE * bore:
+    if max(strands, wall) > MAX_OVERLAP_SHARE * bore:
         what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
         message = (
             f"the {kind} layout does not fit: strands overlap {what} by "
-            f"{max(strands, wall):.3g} m; expected at most {OVERLAP_TOLERANCE * bore:.3g} m"
+            f"{max(strands, wall):.3g} m; expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T

@@ -23,7 +23,7 @@ from labpipe.wire.newton import Stations, chebyshev_stations
 
 N_STATIONS = 24
 """Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
-POINTS = 32
+N_LOADING_POINTS = 32
 """Of a loading curve."""
 
 
@@ -136,8 +136,8 @@ def load_heavy(
 
     Returns
     -------
-    The curve: rest, then `POINTS` points up to the deflection, or until a part of the wire
-    unloads. Its derivatives by parameters are those of the force above that at rest.
+    The curve: rest, then `N_LOADING_POINTS` points up to the deflection, or until a part of the
+    wire unloads. Its derivatives by parameters are those of the force above that at rest.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def load_heavy(
         If no equilibrium is found.
     """
     crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
-    wanted = deflection * (np.arange(1, POINTS + 1) / POINTS) ** crowding
+    wanted = deflection * (np.arange(1, N_LOADING_POINTS + 1) / N_LOADING_POINTS) ** crowding
     at = heavy_states(table, length, rig, self_weight, wanted)
     stop = at.count_loading()
     rest_slope = float((at.tension[0] - at.rest_tension) / at.deflection[0])  # before slip

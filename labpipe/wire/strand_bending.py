@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LAMINAE = 64
 _DECADES = (-14.0, -6.0, 0.0)
 """Powers of ten of the rim's strain: nearly elastic, then plastic."""
-_ROUNDING = 1e-12  # of the last strain of a curve
+_STRAIN_ROUNDING = 1e-12  # of the last strain of a curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +108,9 @@ def _polygon_share(
     """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
-    strain = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
+    strain = np.where(
+        rim_strain <= material.largest_strain * (1.0 + _STRAIN_ROUNDING), rim_strain, np.nan
+    )
     sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
@@ -190,7 +192,7 @@ def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
     last = min(material.largest_strain, 10.0 ** _DECADES[-1])
-    if np.any(rim > last * (1.0 + _ROUNDING)):
+    if np.any(rim > last * (1.0 + _STRAIN_ROUNDING)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
             f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "

@@ -20,7 +20,7 @@ from labpipe.wire.bending_law import (
 )
 from labpipe.wire.cantilever_curve import cantilever_of
 from labpipe.wire.cross_section import (
-    OVERLAP_TOLERANCE,
+    MAX_OVERLAP_SHARE,
     CrossSection,
     Insulation,
     Layer,
@@ -400,7 +400,7 @@ def _overlap_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, 
     message = (
         f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
         f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
-        f"{100.0 * OVERLAP_TOLERANCE:.1f} % is allowed"
+        f"{100.0 * MAX_OVERLAP_SHARE:.1f} % is allowed"
     )
     return (QualityNote("overlap_tolerated", Severity.INFO, spec.place, message),)
 

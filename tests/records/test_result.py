@@ -60,8 +60,8 @@ def test_shares_of_the_variance() -> None:
 def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool) -> None:
     interval = Interval(7.0, 11.0)
     found = Result("energy.1", 10.0, "J", interval, estimate=estimate)
-    assert found.apart == (estimate if is_apart else None)
-    assert replace(found, interval=None).apart is None
+    assert found.distinct_estimate == (estimate if is_apart else None)
+    assert replace(found, interval=None).distinct_estimate is None
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
     """Of all of it, of each, and of one long stretch where there are too many."""
     stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
-    found = doubtful_stretches("force", note, "recorder", most=2)
+    found = doubtful_stretches("force", note, "recorder", max_stretches=2)
     assert found.note.severity is Severity.WARNING
     assert [doubt.during for doubt in found.doubts] == during
     assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}

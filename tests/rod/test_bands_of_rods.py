@@ -56,7 +56,7 @@ def pushed(inputs: Mapping[str, float]) -> RodPath:
 
 @pytest.mark.slow
 def test_bands_hold_as_many_draws_as_they_say() -> None:
-    bands = bands_of(pushed, [BELIEF], at=(4, -1))
+    bands = bands_of(pushed, [BELIEF], steps=(4, -1))
     assert bands is not None
     assert not bands.notes
     held, free = bands.states
@@ -81,7 +81,7 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
 
     tips = []
     for solvers in ([pushed], [stiffer], [pushed, stiffer]):
-        bands = bands_of(solvers, [BELIEF] * len(solvers), at=(4,))
+        bands = bands_of(solvers, [BELIEF] * len(solvers), steps=(4,))
         assert bands is not None
         shares = bands.states[0].shares["positions"]
         assert set(shares) == {"law_factor", "length_factor", "free_curvature"}

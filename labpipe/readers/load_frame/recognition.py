@@ -97,7 +97,7 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
 def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) -> None:
     for name in allowed:
         if name not in known:
-            close = ", ".join(nearest(name, list(known), most=3))
+            close = ", ".join(nearest(name, list(known), limit=3))
             raise unreadable(
                 path,
                 f"dialect '{name}'",

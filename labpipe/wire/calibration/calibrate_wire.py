@@ -217,7 +217,7 @@ def _verdict(
         log_error=parameter.log_error,
         prior_error=prior,
         contradicts=conflict is not None and conflict.contradicts,
-        is_apart=len(parameter.intervals) > 1 or has_other_value(parameter, others),
+        is_split=len(parameter.intervals) > 1 or has_other_value(parameter, others),
     )
 
 

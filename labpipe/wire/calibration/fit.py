@@ -290,7 +290,7 @@ def verdict_of(
     log_error: float,
     prior_error: float,
     contradicts: bool = False,
-    is_apart: bool = False,
+    is_split: bool = False,
     span_with_others: float = 1.0,
 ) -> Identifiability:
     """Return the verdict on an interval.
@@ -303,7 +303,7 @@ def verdict_of(
     log_error : standard error of the logarithm
     prior_error : that of its prior; infinite without one
     contradicts : whether prior and tests contradict each other
-    is_apart : whether it has several parts, or another solution lies outside of it
+    is_split : whether it has several parts, or another solution lies outside of it
     span_with_others : span that includes solutions just outside of the 95 % set, and the line on
         which insulation and copper trade off
     """
@@ -320,7 +320,7 @@ def verdict_of(
         return Identifiability.NOT
     if max(span, span_with_others) < WELL:
         return Identifiability.WELL
-    return Identifiability.TWO if is_apart else Identifiability.WEAKLY
+    return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
 def in_display_unit(name: str, *values: float) -> str:
