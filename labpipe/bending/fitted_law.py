@@ -336,9 +336,15 @@ class LawShapes:
         moved = _centres(self.loaded, sine, cosine) - self.still
         along = -line.integral(sine[..., None] * turns)
         across = line.integral(cosine[..., None] * turns)
-        at = line.markers
-        along = along[:, at] - height * cosine[:, at, None] * turns[:, at]
-        across = across[:, at] - height * sine[:, at, None] * turns[:, at]
+        marker_indices = line.markers
+        along = (
+            along[:, marker_indices]
+            - height * cosine[:, marker_indices, None] * turns[:, marker_indices]
+        )
+        across = (
+            across[:, marker_indices]
+            - height * sine[:, marker_indices, None] * turns[:, marker_indices]
+        )
         return moved, np.concatenate([along, across], axis=1)
 
     def _directions(self, compliance: Floats) -> tuple[Floats, Floats]:
@@ -350,9 +356,9 @@ class LawShapes:
 def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
     """Return the marker centres, shape (n, 2 markers): x of all, then y."""
     line, height = loaded.line, loaded.centre_offset
-    at = line.markers
-    x = line.integral(cosine)[:, at] - height * sine[:, at]
-    y = line.integral(sine)[:, at] + height * cosine[:, at]
+    marker_indices = line.markers
+    x = line.integral(cosine)[:, marker_indices] - height * sine[:, marker_indices]
+    y = line.integral(sine)[:, marker_indices] + height * cosine[:, marker_indices]
     return np.concatenate([x, y], axis=1)
 
 

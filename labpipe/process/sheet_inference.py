@@ -402,7 +402,7 @@ def _faults(fits: Iterable[Fit]) -> Iterator[str]:
 
 def _role(reader: str) -> str:
     """Return the role of an export by its format alone."""
-    if reader in {known.name for known in EXPORT_FORMATS if known.has_markers}:
+    if reader in {entry.name for entry in EXPORT_FORMATS if entry.has_markers}:
         return "markers"
     return "frame" if reader == "load-frame" else "force"
 

@@ -125,8 +125,8 @@ def _fault_of(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
             return _not_one_of((*path, tag), context["tag"], _quoted(context["expected_tags"]))
         case "literal_error":
             valid_words = _quoted(context["expected"])
-            at: At = "key" if line["loc"][-1] == "[key]" else "value"
-            return _not_one_of(path, line["input"], valid_words, at)
+            location: At = "key" if line["loc"][-1] == "[key]" else "value"
+            return _not_one_of(path, line["input"], valid_words, location)
         case other:
             expected = _EXPECTED.get(other, line["msg"])
             remedy = "Fill it in." if line["input"] is None else ""

@@ -251,11 +251,11 @@ def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, in
     if isinstance(boundary, Clip):
         yield ("turn",), 0, boundary.by or steps, boundary.turn
     elif isinstance(boundary, Grip):
-        at, before = 0, 0.0
+        last_step, before = 0, 0.0
         for number, point in enumerate(boundary.path):
             turn = before if point.turn is None else point.turn
-            yield ("path", number, "turn"), at, point.step, turn - before
-            at, before = point.step, turn
+            yield ("path", number, "turn"), last_step, point.step, turn - before
+            last_step, before = point.step, turn
 
 
 def _height(plane: Plane, position: Vector3) -> float:

@@ -276,8 +276,8 @@ def _overlaps(circles: Sequence[Circle], names: Sequence[str]) -> Iterator[Fault
 
 def _overlap(one: Circle, other: Circle) -> float:
     """Return how deep one circle lies in another, m; 0 within the tolerance."""
-    apart = hypot(one[0] - other[0], one[1] - other[1])
-    depth = (one[2] + other[2]) / 2 - apart
+    distance = hypot(one[0] - other[0], one[1] - other[1])
+    depth = (one[2] + other[2]) / 2 - distance
     return depth if depth > OVERLAP_TOLERANCE * min(one[2], other[2]) else 0.0
 
 

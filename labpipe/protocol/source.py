@@ -142,8 +142,8 @@ class ChannelSource(Block):
         if self.plausible_peak is None:
             return None
         ends = self.plausible_peak.start, self.plausible_peak.stop
-        least, most = (parse_quantity(end, self.target_unit) for end in ends)
-        return least, most
+        lowest, highest = (parse_quantity(end, self.target_unit) for end in ends)
+        return lowest, highest
 
     def named(self, name: str, key: str) -> ChannelSource:
         """Return the channel with its name in labpipe and its key."""

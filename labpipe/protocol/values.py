@@ -75,10 +75,10 @@ def number_remedy(number: str, unit: str = "") -> str:
     point = number.replace(",", ".")
     is_decimal = _DECIMAL_COMMA.fullmatch(number) is not None
     if re.fullmatch(_NUMBER, number) is None and (grouped := _GROUPED.fullmatch(number)):
-        whole = number.replace(grouped[1], "").replace(",", ".")
+        plain_number = number.replace(grouped[1], "").replace(",", ".")
         if is_decimal:
-            return f"Write {whole}{behind} or {point}{behind}, as meant."
-        return f"Write it without thousands separators: {whole}{behind}."
+            return f"Write {plain_number}{behind} or {point}{behind}, as meant."
+        return f"Write it without thousands separators: {plain_number}{behind}."
     return f"Write it with a decimal point: {point}{behind}." if is_decimal else ""
 
 

@@ -334,10 +334,12 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     outer, bore = row.wire_diameter_mm, row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
     conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
     insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
-    whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if 1.0 / max_mass_ratio <= stated / whole <= max_mass_ratio:
+    expected_mass = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
+    if 1.0 / max_mass_ratio <= stated / expected_mass <= max_mass_ratio:
         return
-    expected = f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} "
+    expected = (
+        f"within a third of the {expected_mass:.4g} g/m of the section (strands of {conductor:.4g} "
+    )
     expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"
     remedy = "Correct the mass, the sizes or the densities; the unit is g/m, which is kg/km."
     yield Fault(("mass_per_length_g_per_m",), expected, f"{stated:.4g} g/m", remedy)

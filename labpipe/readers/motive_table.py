@@ -172,14 +172,14 @@ def _time(
     time = frames / header.rate
     if written is None or not len(time):
         return time, header.rate, []
-    apart = np.abs(written - time)
-    if not np.isfinite(apart).all() or apart.max() > max_time_deviation:
-        worst = float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan
+    deviation = np.abs(written - time)
+    if not np.isfinite(deviation).all() or deviation.max() > max_time_deviation:
+        worst = float(np.nanmax(deviation)) if np.isfinite(deviation).any() else np.nan
         message = f"the column of times is up to {1e3 * worst:.4g} ms off frame / rate: kept"
         return written, header.rate, [_note("time_column_differs", message)]
-    if apart.max() > rounding:
+    if deviation.max() > rounding:
         message = "the column of times is rounded to milliseconds"
-        message += f" (up to {1e3 * apart.max():.3g} ms off): frame / rate is used"
+        message += f" (up to {1e3 * deviation.max():.3g} ms off): frame / rate is used"
         return time, header.rate, [_note("time_rounded", message, Severity.INFO)]
     return time, header.rate, []
 
@@ -240,10 +240,10 @@ def _rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Float
 
     degrees = _stack_columns(columns, angles)
     rotation = np.full((len(degrees), 4), np.nan)
-    known = np.isfinite(degrees).all(axis=1)
-    if known.any():
-        turned = Rotation.from_euler(order, degrees[known], degrees=True)
-        rotation[known] = turned.as_quat()
+    is_known = np.isfinite(degrees).all(axis=1)
+    if is_known.any():
+        turned = Rotation.from_euler(order, degrees[is_known], degrees=True)
+        rotation[is_known] = turned.as_quat()
     return rotation
 
 
@@ -413,9 +413,11 @@ def _key_values(cells: Cells) -> dict[str, str]:
     """Return the values of line 1 by key; unquoted commas within values are restored."""
     pairs = dict(zip(cells[::2], cells[1::2], strict=False))
     if "Length Units" not in pairs and "Length Units" in cells:
-        known = [i for i, cell in enumerate(cells) if cell in _KEYS]
-        ends = [*known[1:], len(cells)]
-        pairs = {cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(known, ends, strict=True)}
+        key_columns = [i for i, cell in enumerate(cells) if cell in _KEYS]
+        ends = [*key_columns[1:], len(cells)]
+        pairs = {
+            cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(key_columns, ends, strict=True)
+        }
     return {key.strip(): value.strip().rstrip(",") for key, value in pairs.items() if key.strip()}
 
 

@@ -310,12 +310,15 @@ def _extent(parts: zipfile.ZipFile, name: str) -> _SheetExtent | None:
 def _refuse_others(path: Path) -> None:
     with zipfile.ZipFile(path) as parts:
         names = parts.namelist()
-    found = next((kind for name, kind in _OTHER_FORMATS.items() if name in names), None)
+    format_name = next((text for name, text in _OTHER_FORMATS.items() if name in names), None)
     remedy = "Save it as xlsx in the spreadsheet program."
-    if found is None and not any(name.startswith("xl/") for name in names):
-        found, remedy = "a zip archive of something else", "Unpack it, and name the export in it."
-    if found is not None:
-        raise unreadable(path, "", "an xlsx workbook", found, remedy)
+    if format_name is None and not any(name.startswith("xl/") for name in names):
+        format_name, remedy = (
+            "a zip archive of something else",
+            "Unpack it, and name the export in it.",
+        )
+    if format_name is not None:
+        raise unreadable(path, "", "an xlsx workbook", format_name, remedy)
 
 
 def _number(letters: str) -> int:

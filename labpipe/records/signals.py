@@ -206,20 +206,20 @@ class Clocks:
             variants[CLOCK_DRIFT] = replace(self, force=faster)
         return variants
 
-    def to_curve(self, at: float, clock: str) -> float:
+    def to_curve(self, time: float, clock: str) -> float:
         """Put a time of a clock on that of the curve; as it is while they are not joined."""
         fit = self._fit(clock)
-        return at if fit is None else (at - fit.offset) / (1.0 + fit.drift)
+        return time if fit is None else (time - fit.offset) / (1.0 + fit.drift)
 
     def times_on_curve(self, signal: Signal) -> Floats:
         """Put the times of a signal on the clock of the curve, shape (n,), s."""
         fit = self._fit(signal.clock)
         return signal.time if fit is None else (signal.time - fit.offset) / (1.0 + fit.drift)
 
-    def from_curve(self, at: float, clock: str) -> float:
+    def from_curve(self, time: float, clock: str) -> float:
         """Put a time of the curve on another clock; as it is while they are not joined."""
         fit = self._fit(clock)
-        return at if fit is None else fit.to_force_seconds(at)
+        return time if fit is None else fit.to_force_seconds(time)
 
     def sampled(self, signal: Signal, time: Floats) -> Floats:
         """Interpolate a signal at times of the curve's clock.

@@ -210,7 +210,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes.set_xlabel(f"Share of the {of} (%)")
 
 
-def _write_share(axes: Axes, at: float, height: float, share: float, cause: str) -> None:
+def _write_share(axes: Axes, middle: float, height: float, share: float, cause: str) -> None:
     """Write a share on its colour; on hatching, on a patch of plain colour."""
     dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
@@ -220,7 +220,7 @@ def _write_share(axes: Axes, at: float, height: float, share: float, cause: str)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
     is_hatched = IS_COMMON.get(cause, False)
     label = axes.text(
-        at, height, f"{100 * share:.0f}", ha="center", va="center",
+        middle, height, f"{100 * share:.0f}", ha="center", va="center",
         color="white" if is_dark else "black",
         bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip

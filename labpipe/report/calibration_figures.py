@@ -126,9 +126,9 @@ def _label_end(shape: BentShape, axes: Axes) -> None:
     ends = [line[-1] for line in map(_finite_rows, _lines(shape)) if len(line)]
     if not ends:
         return
-    at = DEFLECTION.factor * np.max(ends, axis=0)
+    end_place = DEFLECTION.factor * np.max(ends, axis=0)
     axes.annotate(
-        length_words(shape.deflection), (float(at[0]), float(at[1])), (5, 0),
+        length_words(shape.deflection), (float(end_place[0]), float(end_place[1])), (5, 0),
         textcoords="offset points", va="center",
     )  # fmt: skip
 
@@ -291,9 +291,9 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
     axes.axhline(0.0, **_ZERO)
     for curve in calibration.curves:
         factor = curve.sample_factor if has_own_factor else 1.0
-        left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
-        _plot(axes, curve.deflection, left, looks[curve.length], **_FAINT)
-        across, up = (block_means(values, N_BLOCKS) for values in (curve.deflection, left))
+        residual = SMALL_FORCE.factor * (curve.force - factor * curve.model)
+        _plot(axes, curve.deflection, residual, looks[curve.length], **_FAINT)
+        across, up = (block_means(values, N_BLOCKS) for values in (curve.deflection, residual))
         look = looks[curve.length]
         axes.plot(DEFLECTION.factor * across, up, color=look.colour, linestyle=look.dash, **_MEANS)
     axes.set_xlim(left=0.0)
@@ -562,18 +562,18 @@ def _write_table(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]
     column_edges = (0.0, 0.24, 0.34, 0.53, 0.60)
     axes.set_axis_off()
     for number, row in enumerate(rows):
-        for at, text in zip(column_edges, row, strict=True):
+        for x_place, text in zip(column_edges, row, strict=True):
             is_bold = number == 0 or text in _DOUBTFUL
-            _put_text(axes, text, at, number, weight="bold" if is_bold else "normal")
+            _put_text(axes, text, x_place, number, weight="bold" if is_bold else "normal")
     for number, line in enumerate(lines, start=len(rows)):
         _put_text(axes, line, 0.0, number + 0.5)
 
 
-def _put_text(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
-    left = 0.012
+def _put_text(axes: Axes, text: str, x: float, line: float, **look: Any) -> None:
+    padding = 0.012
     points_per_mm = 72.0 / 25.4
     axes.annotate(
-        text, (left + at, 1.0), (0.0, -line * _LINE_MM * points_per_mm), textcoords="offset points",
+        text, (padding + x, 1.0), (0.0, -line * _LINE_MM * points_per_mm), textcoords="offset points",
         xycoords=("figure fraction", "axes fraction"), va="top", annotation_clip=False,
         **look,
     ).set_in_layout(False)  # fmt: skip

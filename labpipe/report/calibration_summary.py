@@ -244,12 +244,12 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
     )
     written = write_number(parameter.value, interval, factor)
     value = write_number(parameter.value, None, factor, digits=2) if is_open else written
-    between = " or ".join(_interval_parts(parameter, factor))
+    interval_text = " or ".join(_interval_parts(parameter, factor))
     unit = display.scale.unit or "1"
     return (
         typeset(display.name).rstrip("."),
         value.value,
-        between or "\u2013",
+        interval_text or "\u2013",
         unit,
         parameter.verdict.value,
     )

@@ -96,9 +96,11 @@ def families(campaign: Campaign) -> list[Family]:
     for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
         linked = {(pair.first.name, pair.second.name): pair for pair in pairs}
         groups = {one.name: one for pair in linked.values() for one in (pair.first, pair.second)}
-        whole = [groups[key] for key in _sort_names(groups, name)]
+        sorted_groups = [groups[key] for key in _sort_names(groups, name)]
         families += [
-            Family(name, part) for clique in _cliques(whole, set(linked)) for part in _parts(clique)
+            Family(name, part)
+            for clique in _cliques(sorted_groups, set(linked))
+            for part in _parts(clique)
         ]
     return families
 
@@ -111,8 +113,8 @@ def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[
     """Collect large sets of linked groups greedily, so that each linked pair is in one of them."""
     both = linked | {(two, one) for one, two in linked}
     covered: set[tuple[str, str]] = set()
-    for at, first in enumerate(groups):
-        for second in groups[at + 1 :]:
+    for number, first in enumerate(groups):
+        for second in groups[number + 1 :]:
             if (first.name, second.name) not in both - covered:
                 continue
             members = [first, second]

@@ -164,7 +164,7 @@ def _sample_rows(
     number: GroupNumber, tests: list[str], top: float, colour: str, is_crowded: bool
 ) -> list[Row]:
     if not is_crowded:
-        return [_sample_row(number, test, top + at, colour) for at, test in enumerate(tests)]
+        return [_sample_row(number, test, top + place, colour) for place, test in enumerate(tests)]
     label = f"{len(tests)} samples"
     return [
         replace(_sample_row(number, test, top + step, colour), label=label, interval=None, note="")

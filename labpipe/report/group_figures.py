@@ -231,13 +231,13 @@ def _simultaneous_band_text(group: Group, band: Band, *, is_scaled: bool) -> str
     low, high = force_limits(group, band, is_scaled=is_scaled)
     if low <= np.nanmin(band.lower_all) and np.nanmax(band.upper_all) <= high:
         return text
-    at = int(np.nanargmax(band.upper_all - band.lower_all))
+    widest = int(np.nanargmax(band.upper_all - band.lower_all))
     across, up = group_scale(group, "displacement"), group_scale(group, "force")
     force, unit = (1.0, "") if is_scaled else (up.factor, f" {up.unit}")
     return (
         f"{text} It exceeds the panel because there are only {band.n} curves: at its widest, at"
-        f" {across.factor * band.displacement[at]:.3g} {across.unit}, it extends from"
-        f" {force * band.lower_all[at]:.3g} to {force * band.upper_all[at]:.3g}{unit}."
+        f" {across.factor * band.displacement[widest]:.3g} {across.unit}, it extends from"
+        f" {force * band.lower_all[widest]:.3g} to {force * band.upper_all[widest]:.3g}{unit}."
     )
 
 

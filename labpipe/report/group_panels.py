@@ -74,10 +74,10 @@ class _GroupView:
     def colour(self, sample: Sample) -> str:
         """Return the class of a sample's colour: of its spool, or its own for one spool."""
         spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
-        at = spools.index(sample.specimen.spool)
+        number = spools.index(sample.specimen.spool)
         if len(spools) == 1 and len(self.group.samples) <= _MAX_DETAILED_SAMPLES:
-            at = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
-        return f"c{at % COLOURS}"
+            number = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
+        return f"c{number % COLOURS}"
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
@@ -185,9 +185,12 @@ def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
     if len(places) and finite.any():
         height = np.interp(places, first.displacement[finite], first.force[finite])
         yield _dot_line("slip", places, height, drawn, test)
-    at, force = value_of(sample, "failure_displacement"), value_of(sample, "failure_force")
-    if at is not None and force is not None:
-        yield _dot_line("failure", np.array([at]), np.array([force]), drawn, test)
+    displacement, force = (
+        value_of(sample, "failure_displacement"),
+        value_of(sample, "failure_force"),
+    )
+    if displacement is not None and force is not None:
+        yield _dot_line("failure", np.array([displacement]), np.array([force]), drawn, test)
 
 
 def _dot_line(look: str, places: Floats, heights: Floats, drawn: _GroupView, test: int) -> Line:
@@ -253,9 +256,9 @@ def mean_lines(
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        at = band.displacement[marks] * across
+        mark_places = band.displacement[marks] * across
         ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
-        x = _with_gaps(at, at)
+        x = _with_gaps(mark_places, mark_places)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
@@ -274,8 +277,8 @@ def _keys(drawn: _GroupView, lines: Sequence[Line]) -> list[Key]:
                 sample.specimen.spool: drawn.colour(sample) for sample in group.samples
             }.items()
         ]
-    over = f"mean of {group.band.n} {group.band.over}"
-    labels = {"mean": over, **_KEY_LABELS}
+    mean_text = f"mean of {group.band.n} {group.band.over}"
+    labels = {"mean": mean_text, **_KEY_LABELS}
     return keys + [
         Key(look, label, "class", look) for look, label in labels.items() if look in looks
     ]
@@ -331,11 +334,11 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
 
 
 def _steps(samples: Sequence[Sample]) -> Floats:
-    most = max(
+    max_step = max(
         (sample.shapes for sample in samples if sample.shapes),
         key=lambda shapes: len(shapes.deflection),
     )
-    return np.round(most.deflection, 4) + 0.0
+    return np.round(max_step.deflection, 4) + 0.0
 
 
 def _equal_scale(x: Axis, y: Axis, width: int, height: int) -> tuple[Axis, Axis]:

@@ -132,10 +132,14 @@ def slip_table(group: Group) -> Table | None:
     rows = []
     for sample in group.samples:
         for slip in sample.slips:
-            at = write_number(slip.position, slip.position_interval, across.factor)
+            position = write_number(slip.position, slip.position_interval, across.factor)
             lost = write_number(slip.drop, slip.drop_interval, up.factor)
             decision = decision_words(slip.decision)
-            cells = Cell(at.value, at.interval), Cell(lost.value, lost.interval), Cell(decision)
+            cells = (
+                Cell(position.value, position.interval),
+                Cell(lost.value, lost.interval),
+                Cell(decision),
+            )
             rows.append((Cell(sample.test), *cells))
     heads = (
         "Sample",

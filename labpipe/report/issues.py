@@ -132,10 +132,11 @@ def slip_words(slip: Slip, group: Group) -> str:
     """Describe the place and the lost force of a slip with intervals and display units."""
     display = display_of(group)
     across, up = shown_in("", "m", display), shown_in("", "N", display)
-    at = write_number(slip.position, slip.position_interval, across.factor)
+    position = write_number(slip.position, slip.position_interval, across.factor)
     lost = write_number(slip.drop, slip.drop_interval, up.factor)
-    where = f"{at.value} {unit_words(across.unit)}"
-    return f"{lost.value} {unit_words(up.unit)} ({lost.interval}) lost at {where} ({at.interval})"
+    where = f"{position.value} {unit_words(across.unit)}"
+    loss = f"{lost.value} {unit_words(up.unit)} ({lost.interval})"
+    return f"{loss} lost at {where} ({position.interval})"
 
 
 def _group_issues(group: Group) -> Iterator[Issue]:
@@ -159,13 +160,15 @@ def _group_issues(group: Group) -> Iterator[Issue]:
 def _result_issues(group: str, sample: Sample) -> Iterator[Issue]:
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
-        kind = _kind(result)
-        if kind is not None:
-            results_by_reason.setdefault((kind, result.reasons), []).append(result)
-    for (kind, reasons), results in results_by_reason.items():
+        issue_kind = _kind(result)
+        if issue_kind is not None:
+            results_by_reason.setdefault((issue_kind, result.reasons), []).append(result)
+    for (issue_kind, reasons), results in results_by_reason.items():
         what = "; ".join(as_label(result.name) for result in results)
         names = tuple(result.name for result in results)
-        yield Issue(kind, group, sample.test, what, sentences(reasons), codes_of(reasons), names)
+        yield Issue(
+            issue_kind, group, sample.test, what, sentences(reasons), codes_of(reasons), names
+        )
 
 
 def _kind(result: Result) -> Kind | None:
@@ -213,9 +216,9 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
     for (code, _), same_notes in notes_by_code.items():
         is_note = test and same_notes[0].severity is not Severity.ERROR
         what = "; ".join(replace_names(note.where) for note in same_notes)
-        kind = Kind.NOTE if is_note else Kind.WARNING
+        issue_kind = Kind.NOTE if is_note else Kind.WARNING
         yield Issue(
-            Kind.UNLIKE if code == PROTOCOLS_DIFFER else kind,
+            Kind.UNLIKE if code == PROTOCOLS_DIFFER else issue_kind,
             group,
             test,
             what,
@@ -333,8 +336,8 @@ def _cluster_concerns(concerns: Iterable[Issue]) -> list[list[Issue]]:
             if concern.kind is Kind.SLIP
             else set(filter(None, concern.code.split(", ")))
         )
-        for kind, cluster_codes, related in clusters:
-            if kind is concern.kind and codes & cluster_codes:
+        for issue_kind, cluster_codes, related in clusters:
+            if issue_kind is concern.kind and codes & cluster_codes:
                 cluster_codes.update(codes)
                 related.append(concern)
                 break

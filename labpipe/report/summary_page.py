@@ -75,7 +75,7 @@ def answers(campaign: Campaign) -> list[Answer]:
 
 def _answer(field: str, pairs: Sequence[Pair]) -> Answer:
     rows = tuple(answer_cells(pair) for pair in pairs)
-    largest = max(range(len(pairs)), key=lambda at: _rank_of_pair(pairs[at]))
+    largest = max(range(len(pairs)), key=lambda number: _rank_of_pair(pairs[number]))
     verdicts = Counter(pair.differences[0].verdict for pair in pairs)
     if len(pairs) == 1:
         question, verdict = rows[0][0].text, rows[0][1].text

@@ -207,8 +207,8 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
     angle = np.degrees(np.arctan2(y, x))
     half = 180.0 / np.bincount(layout.layer)[layout.layer]
     return [
-        Wedge((0.0, 0.0), outer[at + 1], turn - wide, turn + wide, width=thick, **look)
-        for at, turn, wide, thick, look in zip(
+        Wedge((0.0, 0.0), outer[ring + 1], turn - wide, turn + wide, width=thick, **look)
+        for ring, turn, wide, thick, look in zip(
             layout.layer, angle, half, np.diff(outer)[layout.layer], looks, strict=True
         )
     ]

@@ -80,23 +80,23 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub("\ufffd", text)
 
 
-def shortened(word: str, most: int) -> str:
+def shortened(word: str, max_length: int) -> str:
     """Shorten a long name in its middle.
 
     Parameters
     ----------
     word : any text
-    most : characters, at least 3
+    max_length : characters, at least 3
 
     Examples
     --------
     >>> shortened("TWB-B1-19-PVC-half-lap", 12)
     'TWB-B1…f-lap'
     """
-    if len(word) <= most:
+    if len(word) <= max_length:
         return word
-    end = (most - 1) // 2
-    return f"{word[: most - 1 - end]}…{word[len(word) - end :]}"
+    end = (max_length - 1) // 2
+    return f"{word[: max_length - 1 - end]}…{word[len(word) - end :]}"
 
 
 def count_of(number: int, noun: str) -> str:
@@ -168,8 +168,8 @@ def as_label(name: str) -> str:
     stem, _, part = name.partition(".")
     if stem.endswith(_PER_PEAK):
         name_text = f"{as_label(stem.removesuffix(_PER_PEAK))}, per peak force"
-    elif at := _AT_CURVATURE.fullmatch(stem):
-        name_text = f"{as_label(at[1])} at {at[2]} 1/m"
+    elif match := _AT_CURVATURE.fullmatch(stem):
+        name_text = f"{as_label(match[1])} at {match[2]} 1/m"
     else:
         name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
     if not part:

@@ -220,13 +220,19 @@ class _WorkbookWriter:
         if is_first:
             page.activate()
         widths = _column_widths(sheet)
-        for at, width in enumerate(widths):
-            page.set_column(at, at, width)
+        for column_number, width in enumerate(widths):
+            page.set_column(column_number, column_number, width)
         forms = [column_place(column) for column in zip(*sheet.rows, strict=True)]
         wrapped = [head in sheet.wrapped for head in sheet.heads]
         for number, row in enumerate(sheet.rows, start=1):
-            for at, value in enumerate(row):
-                self._write(page, (number, at), value, forms[at], is_wrapped=wrapped[at])
+            for column_number, value in enumerate(row):
+                self._write(
+                    page,
+                    (number, column_number),
+                    value,
+                    forms[column_number],
+                    is_wrapped=wrapped[column_number],
+                )
             lines = _row_lines(row, wrapped)
             if lines > 1:
                 page.set_row(number, lines * _LINE_HEIGHT)
@@ -261,8 +267,8 @@ class _WorkbookWriter:
     def _make_table(self, page: Any, sheet: Sheet) -> None:
         heads = unique_heads(sheet.heads)
         if not sheet.rows:
-            for at, head in enumerate(heads):
-                _write_text(page, 0, at, head, self.head)
+            for column_number, head in enumerate(heads):
+                _write_text(page, 0, column_number, head, self.head)
             return
         columns = [{"header": head, "header_format": self.head} for head in heads]
         look = {"columns": columns, "style": "Table Style Light 1"}
@@ -310,9 +316,9 @@ def _set_print_area(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[
     width, height = size
     deep = math.ceil(math.ceil(len(sheet.charts) / _CHARTS_ABREAST) * height / _CELL_HEIGHT)
     if sheet.charts and sheet.is_long:
-        left = len(sheet.heads) + 1
+        first_column = len(sheet.heads) + 1
         wide = min(len(sheet.charts), _CHARTS_ABREAST) * width // _CELL_WIDTH
-        page.print_area(1, left, deep, left + wide)
+        page.print_area(1, first_column, deep, first_column + wide)
         page.fit_to_pages(1, 0)
         return
     rows = len(sheet.rows) if sheet.printed_rows is None else sheet.printed_rows
@@ -371,11 +377,11 @@ def _column_widths(sheet: Sheet) -> list[int]:
     """Return the width of each column: of its longest text; headings are wrapped."""
     widths = [max(8, *map(len, head.split(" "))) + _FILTER_WIDTH for head in sheet.heads]
     for row in sheet.rows:
-        for at, value in enumerate(row):
+        for column_number, value in enumerate(row):
             if isinstance(value, str):
-                widths[at] = max(widths[at], len(value) + 1)
-    most = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
-    return [min(pair) for pair in zip(widths, most, strict=True)]
+                widths[column_number] = max(widths[column_number], len(value) + 1)
+    max_widths = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
+    return [min(pair) for pair in zip(widths, max_widths, strict=True)]
 
 
 def _chart(book: Any, name: str, chart: Chart) -> Any:
@@ -427,7 +433,10 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
         series |= {"line": {"color": colour, "width": 1.5, "dash_type": dash}}
     if line.plus:
         ends = {"minus_values": line.minus, "plus_values": line.plus}
-        bars = {"type": "custom", **{k: _cells(sheet, first, last, at) for k, at in ends.items()}}
+        bars = {
+            "type": "custom",
+            **{k: _cells(sheet, first, last, column_number) for k, column_number in ends.items()},
+        }
         series["y_error_bars"] = {**bars, "line": {"color": "#333333", "width": 1.0}}
     return series
 
@@ -531,9 +540,9 @@ def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
-def truncate_text(text: str, most: int) -> str:
+def truncate_text(text: str, max_length: int) -> str:
     """Truncate a text to a number of UTF-16 units, as Excel counts."""
-    return text.encode("utf-16-le")[: 2 * most].decode("utf-16-le", "ignore")
+    return text.encode("utf-16-le")[: 2 * max_length].decode("utf-16-le", "ignore")
 
 
 def column_place(column: Sequence[Value]) -> int | None:
