@@ -310,12 +310,12 @@ def sheet_columns(
     if min(map(len, body), default=width) < width:  # missing cells are blank
         body = [[*row, *[""] * (width - len(row))] for row in body]
     columns = {}
-    for column_number, name in names.items():
-        cells = list(map(itemgetter(column_number), body))
-        columns[column_number], column_notes = _column(cells, name, first, where)
+    for column, name in names.items():
+        cells = list(map(itemgetter(column), body))
+        columns[column], column_notes = _column(cells, name, first, where)
         notes += column_notes
     filled = filled_rows(columns)
-    return {column_number: values[:filled] for column_number, values in columns.items()}, notes
+    return {column: values[:filled] for column, values in columns.items()}, notes
 
 
 def _find_summary(

@@ -143,7 +143,8 @@ def _draw_tangents(axes: Axes, law: MeasuredLaw, across: Scale, up: Scale) -> No
     middle = law.tangent[at_knots]
     ends = np.stack([middle - law.tangent_lower[at_knots], law.tangent_upper[at_knots] - middle])
     axes.errorbar(
-        law.curvature[at_knots] * across.factor, middle * up.factor, yerr=ends.clip(0.0) * up.factor,
+        law.curvature[at_knots] * across.factor, middle * up.factor,
+        yerr=ends.clip(0.0) * up.factor,
         **_TANGENT,
     )  # fmt: skip
 

@@ -573,7 +573,8 @@ def _put_text(axes: Axes, text: str, x: float, line: float, **look: Any) -> None
     padding = 0.012
     points_per_mm = 72.0 / 25.4
     axes.annotate(
-        text, (padding + x, 1.0), (0.0, -line * _LINE_MM * points_per_mm), textcoords="offset points",
+        text, (padding + x, 1.0), (0.0, -line * _LINE_MM * points_per_mm),
+        textcoords="offset points",
         xycoords=("figure fraction", "axes fraction"), va="top", annotation_clip=False,
         **look,
     ).set_in_layout(False)  # fmt: skip

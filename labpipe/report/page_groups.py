@@ -212,10 +212,7 @@ def samples_tables(group: Group, tests: PageTests) -> list[Table]:
         return []
     numbers = [number for number in group.numbers if is_main(number.name)]
     parts = split_pages(numbers, numbers_per_table)
-    return [
-        _samples_table(group, part, tests, part_number > 0)
-        for part_number, part in enumerate(parts)
-    ]
+    return [_samples_table(group, part, tests, index > 0) for index, part in enumerate(parts)]
 
 
 def _samples_table(
@@ -270,7 +267,8 @@ def budget_drawing(group: Group) -> Markup | None:
         max(room, letter_width * max(len(bar[which]) for bar in bars) + 6)
         for which, room in text_widths
     )
-    view_box = f"{_BAR_LEFT - left_room:.0f} 0 {left_room + _BAR_WIDTH + right_room:.0f} {len(bars) * bar_height + 4}"
+    width = left_room + _BAR_WIDTH + right_room
+    view_box = f"{_BAR_LEFT - left_room:.0f} 0 {width:.0f} {len(bars) * bar_height + 4}"
     parts = [
         f'<svg class="budget" role="img" viewBox="{view_box}"'
         f' aria-label="Shares of the causes of the intervals of {escape(group.name)}.">'
