@@ -90,8 +90,8 @@ def without_band(band: Band) -> Band:
     lower, upper = nothing.copy(), nothing.copy()
     code, why = "two_curves", f"two {band.over} are too few for any band; the samples are shown"
     if band.n > 2:
-        at = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
-        lower[at], upper[at] = band.lower[at], band.upper[at]
+        marks = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
+        lower[marks], upper[marks] = band.lower[marks], band.upper[marks]
         code = "few_curves"
         why = (
             f"{band.n} {band.over} are too few for a band, which needs {min_band_curves}; the mean "
@@ -183,7 +183,7 @@ def _gaps(displacement: Floats) -> list[str]:
     if not len(steps):
         return []
     wide = np.flatnonzero(steps > 1.5 * steps.min())
-    ends = [(1e3 * displacement[at], 1e3 * displacement[at + 1]) for at in wide]
+    ends = [(1e3 * displacement[index], 1e3 * displacement[index + 1]) for index in wide]
     return [f"{start:.4g} mm to {stop:.4g} mm" for start, stop in ends]
 
 
@@ -247,9 +247,9 @@ def _in_order(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
     if not is_finite.any():
         return np.zeros(0), np.zeros(0)
     number = np.arange(len(displacement), dtype=np.float64)
-    at = np.interp(number, number[is_finite], displacement[is_finite])
-    order = np.argsort(at, kind="stable")
-    return at[order], np.where(is_finite, force, np.nan)[order]
+    places = np.interp(number, number[is_finite], displacement[is_finite])
+    order = np.argsort(places, kind="stable")
+    return places[order], np.where(is_finite, force, np.nan)[order]
 
 
 def _span(displacement: Floats, force: Floats) -> tuple[float, float]:

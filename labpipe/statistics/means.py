@@ -270,13 +270,13 @@ def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
     within = float(sum(np.sum((values - values.mean()) ** 2) for values in spools)) / free
     harmonic = len(spools) / float(np.sum(1.0 / counts))
     means = float(np.var([values.mean() for values in spools], ddof=1))
-    between = max(means - within / harmonic, 0.0)
-    total = between + within
+    variance_between = max(means - within / harmonic, 0.0)
+    total = variance_between + within
     low = float(special.fdtri(len(spools) - 1, free, 1.0 - confidence))
     return SpoolScatter(
         float(np.sqrt(within)),
-        float(np.sqrt(between)),
-        between / total if total > 0 else np.nan,
+        float(np.sqrt(variance_between)),
+        variance_between / total if total > 0 else np.nan,
         _share_at(harmonic * means, within * low, harmonic),
     )
 

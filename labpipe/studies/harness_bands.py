@@ -195,13 +195,13 @@ def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason 
                 times = _relative_error(number, draw.drawn[name], row, bands[name], scales[name])
                 squares.setdefault(name, []).append(times**2)
     off = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
-    most = max(off, key=lambda name: off[name], default=_SHAPE)
-    if not lost and off.get(most, 0.0) <= max_cause_error:
+    largest = max(off, key=lambda name: off[name], default=_SHAPE)
+    if not lost and off.get(largest, 0.0) <= max_cause_error:
         return None
     faults = [f"{lost} have no equilibrium"] if lost else []
-    if off.get(most, 0.0) > max_cause_error:
+    if off.get(largest, 0.0) > max_cause_error:
         faults.append(
-            f"{most} differs by {off[most]:.2g} times half the width of its band, "
+            f"{largest} differs by {off[largest]:.2g} times half the width of its band, "
             f"root mean square (expected at most {max_cause_error:g})"
         )
     message = (

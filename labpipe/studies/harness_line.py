@@ -222,9 +222,9 @@ def _ramp(by: int, steps: int) -> Floats:
 
 def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
     legs = legs_of(boundary, line.positions[node].tolist(), steps)
-    at, rows = [leg.step for leg in legs], np.arange(steps + 1)
+    leg_steps, rows = [leg.step for leg in legs], np.arange(steps + 1)
     corners = np.array([leg.position for leg in legs])
-    position = np.column_stack([np.interp(rows, at, axis) for axis in corners.T])
+    position = np.column_stack([np.interp(rows, leg_steps, axis) for axis in corners.T])
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
         frame = _frames(boundary, line.frame_at(node), steps)

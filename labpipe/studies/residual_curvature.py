@@ -92,8 +92,8 @@ def largest_unbending(path: RodPath) -> float:
     path : of the line
     """
     bent = np.array([state.bendings for state in path.states])
-    most = bent.max(axis=0)
-    return float(np.max(most - bent[-1]) / max(float(most.max()), _MIN_CURVATURE))
+    largest = bent.max(axis=0)
+    return float(np.max(largest - bent[-1]) / max(float(largest.max()), _MIN_CURVATURE))
 
 
 def unloading_reason(path: RodPath, line: Line) -> Reason | None:

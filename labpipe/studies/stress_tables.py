@@ -82,8 +82,8 @@ class StatedCurve:
                 f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
             )
         stated = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
-        at = [f"{value:.6g} {unit}" for value, unit in stated if value is not None]
-        measured = f", at {' and '.join(at)}" if at else ", rate and temperature not stated"
+        values = [f"{value:.6g} {unit}" for value, unit in stated if value is not None]
+        measured = f", at {' and '.join(values)}" if values else ", rate and temperature not stated"
         return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
     def as_json(self) -> dict[str, object]:
@@ -178,7 +178,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
 def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
     """Find missing, repeated, contradicting and misspelt columns."""
-    numbers, points = ([name for name in names if name in kind] for kind in (_PROOF, _POINT))
+    numbers, points = ([name for name in names if name in columns] for columns in (_PROOF, _POINT))
     needed = _PROOF if numbers else _POINT
     for column in needed:
         if column not in names:
@@ -237,13 +237,13 @@ def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
         yield Fault(("largest_strain",), expected, f"{numbers.largest_strain:g}", remedy)
 
 
-def _blocks(kind: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
+def _blocks(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
     """Parse rows of a kind; other columns are ignored."""
     blocks: list[_B] = []
     faults: list[PlacedFault] = []
     for row in rows:
-        cells = {key: cell for key, cell in row.items() if key in kind.model_fields}
-        block = parse_row(kind, texts(cells))
+        cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
+        block = parse_row(block_type, texts(cells))
         if isinstance(block, list):
             faults += place_faults(block, cells)
         else:

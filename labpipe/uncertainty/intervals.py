@@ -111,9 +111,9 @@ def measure(
     base = _numbers_of(plain, replicates.smooth)
     drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - base[:, None]
-    between, share = _between_samples(replicates, reading, smooth), 1.0 / np.sqrt(3.0)
-    off = noise - np.outer(between, 0.5 + share * replicates.draws(_BETWEEN))
-    parts, doubts = [(STEP, share * between)], list[tuple[str, Reason]]()
+    sampling_errors, share = _between_samples(replicates, reading, smooth), 1.0 / np.sqrt(3.0)
+    off = noise - np.outer(sampling_errors, 0.5 + share * replicates.draws(_BETWEEN))
+    parts, doubts = [(STEP, share * sampling_errors)], list[tuple[str, Reason]]()
     handed = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         low, high = (smooth.changed(quantity, x) for x in (-1.0, 1.0))

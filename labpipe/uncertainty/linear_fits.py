@@ -99,8 +99,8 @@ def fit_linear(
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values
     residuals = values - plain @ basis
-    most = max([count, *map(len, beside)])
-    grid = Grid(most, most if weighted else min(most, MAX_COSINES))
+    max_samples = max([count, *map(len, beside)])
+    grid = Grid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
     window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
     others = [
         StretchLikelihood.of(cubic_basis(len(stretch)), stretch, grid, MAX_COSINES)
