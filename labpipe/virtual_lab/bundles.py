@@ -138,8 +138,8 @@ class BundleModel:
             "glue": self.glue_share * outer,
             "conduit": self.conduit_stiffness,
         }
-        whole = {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
-        return {name: self.factor * value for name, value in (parts | whole).items()}
+        parts_sum = {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
+        return {name: self.factor * value for name, value in (parts | parts_sum).items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

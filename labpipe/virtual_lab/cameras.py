@@ -335,7 +335,7 @@ def _events(
 
 
 def _stretch_events(
-    kind: str, stretch: Stretch | None, frames: int, *, n_markers: int, n_wire: int
+    event_type: str, stretch: Stretch | None, frames: int, *, n_markers: int, n_wire: int
 ) -> list[MishapEvent]:
     if stretch is None:
         return []
@@ -344,8 +344,9 @@ def _stretch_events(
         markers[0] >= 0 and markers[-1] < n_wire and 0.0 <= stretch.start < stretch.stop <= 1.0
     ):
         message = (
-            f"{kind}: expected markers 0 to {n_wire - n_markers} and 0 <= start < stop <= 1, "
+            f"{event_type}: expected markers 0 to {n_wire - n_markers} and 0 <= start < stop <= 1, "
             f"found {stretch}"
         )
         raise ValueError(message)
-    return [MishapEvent(kind, markers, int(stretch.start * frames), int(stretch.stop * frames))]
+    start, stop = int(stretch.start * frames), int(stretch.stop * frames)
+    return [MishapEvent(event_type, markers, start, stop)]

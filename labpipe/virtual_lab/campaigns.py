@@ -223,13 +223,13 @@ class TapedCampaign:
         """
         random = np.random.default_rng([seed, 61])
         gain_error = TAPED_CELL.gain_uncertainty * float(random.standard_normal())
-        for kind, name in enumerate(self.types):
+        for type_number, name in enumerate(self.types):
             bundle = taped_scenario(name, cycles=self.cycles)
             for sample in range(1, self.samples + 1):
                 usual = replace(bundle, name=f"{name}-{sample}", sample=sample, speed=self.speed)
                 yield (
                     _cantilever_sample(self, usual, gain_error, random),
-                    100_000 * seed + 100 * kind + sample,
+                    100_000 * seed + 100 * type_number + sample,
                 )
 
 
@@ -288,12 +288,12 @@ class ConduitCampaign:
         """
         random = np.random.default_rng([seed, 67])
         gain_error = CONDUIT_CELL.gain_uncertainty * float(random.standard_normal())
-        for kind, name in enumerate(self.types):
+        for type_number, name in enumerate(self.types):
             for sample in range(1, self.samples + 1):
                 usual = replace(conduit_scenario(name), name=f"{name}-{sample}", sample=sample)
                 yield (
                     self._sample(usual, gain_error, random),
-                    100_000 * seed + 50_000 + 100 * kind + sample,
+                    100_000 * seed + 50_000 + 100 * type_number + sample,
                 )
 
     def _sample(
@@ -383,9 +383,9 @@ class TensileCampaign:
     def _corrugated_tubes(
         self, gain_error: float, random: np.random.Generator
     ) -> Iterator[TensileScenario]:
-        for kind, factor in self.tubes:
+        for tube_type, factor in self.tubes:
             for sample in range(1, 4):
-                name = f"{kind}-{sample}"
+                name = f"{tube_type}-{sample}"
                 scattered = factor * _scatter(random, 0.01)
                 tube = corrugated_tube(name, factor=scattered, gain_error=gain_error)
                 yield replace(
@@ -393,7 +393,7 @@ class TensileCampaign:
                     law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
                     frame=replace(tube.frame, unloads=name == self.unloaded),
                     slips=dict(self.slips).get(name, ()),
-                    section=self.small_section if kind in self.small_tubes else (),
+                    section=self.small_section if tube_type in self.small_tubes else (),
                 )
 
     def _twist_tubes(

@@ -235,8 +235,8 @@ def _write_recordings(observation: AnyObservation, folder: Path) -> Mapping[str,
     record = observation.frame_record
     if record is None:
         return RECORDER_FILES
-    layout, kind = ExportLayout(force_unit="N"), "three-point bending test"
-    frame = write_test_suite(folder, record, layout, run, kind=kind)
+    layout, test_type = ExportLayout(force_unit="N"), "three-point bending test"
+    frame = write_test_suite(folder, record, layout, run, test_type=test_type)
     return {**RECORDER_FILES, "frame": frame}
 
 

@@ -272,12 +272,12 @@ def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) 
     factor : on the forces of the slit tube
     gain_error : of the load cell
     """
-    kind, _, sample = name.rpartition("-")
+    tube_type, _, sample = name.rpartition("-")
     return TensileScenario(
         name=name,
         protocol="corrugated-tube",
-        specimen_type=kind,
-        spool=f"{kind}-s1",
+        specimen_type=tube_type,
+        spool=f"{tube_type}-s1",
         sample=sample,
         length=114.3e-3,
         law=_CORRUGATED.scaled(factor),

@@ -186,9 +186,9 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
             n_stations=n_stations,
             self_weight=loop.self_weight,
         )
-        whole = len(path.load) == len(loop.deflection[:count])
+        is_complete = len(path.load) == len(loop.deflection[:count])
         at_rest = 0.0 if path.rest is None else float(path.rest.force[1])
-        return np.maximum(path.load, -at_rest) if whole else None
+        return np.maximum(path.load, -at_rest) if is_complete else None
 
     def predicted(held: float, count: int | None = None) -> Floats:
         forces = loads(held, count)

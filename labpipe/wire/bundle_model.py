@@ -391,7 +391,7 @@ def largest_stretch(table: WireTable) -> float:
 
 
 def stretching_moment(
-    curvature: Floats, y: Floats, kind: Ints, tables: Sequence[WireTable]
+    curvature: Floats, y: Floats, wire_types: Ints, tables: Sequence[WireTable]
 ) -> Floats:
     """Return the moment of the stretching and shortening of sticking wires, N m.
 
@@ -399,7 +399,7 @@ def stretching_moment(
     ----------
     curvature : shape (n,), 1/m, not negative
     y : shape (wires,), m
-    kind : shape (wires,), index into the tables
+    wire_types : shape (wires,), index into the tables
     tables : of the kinds of wire
 
     Returns
@@ -418,8 +418,10 @@ def stretching_moment(
         stretch = curvature[:, None] * (y - neutral[:, None])
         force = np.empty_like(stretch)
         for number, law in enumerate(laws):
-            strains = stretch[:, kind == number]
-            force[:, kind == number] = np.sign(strains) * np.interp(np.abs(strains), strain, law)
+            strains = stretch[:, wire_types == number]
+            force[:, wire_types == number] = np.sign(strains) * np.interp(
+                np.abs(strains), strain, law
+            )
         return force
 
     low, high = (np.full(len(curvature), edge) for edge in (y.min(), y.max()))

@@ -214,8 +214,8 @@ def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     hardening_limits = (4, 8, 1500)  # at least, at most, and over the number of wires in between
     tolerance = 1e-6  # mean diameters, of wires that push each other
     centres, stiffness = begin, _CONTACT_STIFFNESSES[-1]
-    least, most, shared = hardening_limits
-    for _ in range(max(least, min(most, shared // len(diameters)))):
+    lowest, highest, shared = hardening_limits
+    for _ in range(max(lowest, min(highest, shared // len(diameters)))):
         force = np.maximum(contacts.force + stiffness * _overlaps(centres, contacts)[0], 0.0)
         is_hard = np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * tolerance
         contacts = replace(contacts, force=force)
@@ -307,9 +307,9 @@ def gradient_of_heap(
 
 def _overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
     """Return the overlap of each pair (negative for a gap) and its direction, second to first."""
-    apart = centres[contacts.first] - centres[contacts.second]
-    distance = np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2)
-    return contacts.touching - distance, apart / np.where(distance == 0.0, 1.0, distance)[:, None]
+    offsets = centres[contacts.first] - centres[contacts.second]
+    distance = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
+    return contacts.touching - distance, offsets / np.where(distance == 0.0, 1.0, distance)[:, None]
 
 
 def _scale_apart(centres: Floats, diameters: Floats) -> float:
@@ -362,11 +362,11 @@ def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
     middle = points.mean(axis=0)
     start = np.append(middle, np.max(_extents(points, reach, middle)))
 
-    def slack(at: Floats) -> Floats:
-        return np.asarray(at[2] - _extents(points, reach, at[:2]))
+    def slack(circle: Floats) -> Floats:
+        return np.asarray(circle[2] - _extents(points, reach, circle[:2]))
 
-    def radius_of(at: Floats) -> tuple[float, Floats]:
-        return float(at[2]), np.array([0.0, 0.0, 1.0])
+    def radius_of(circle: Floats) -> tuple[float, Floats]:
+        return float(circle[2]), np.array([0.0, 0.0, 1.0])
 
     constraint: Any = {"type": "ineq", "fun": slack}
     solution = minimize(

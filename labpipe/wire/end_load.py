@@ -309,18 +309,18 @@ def _at_nodes(
     return _Nodes(fall, square, per_length, weight, first_cubed, last)
 
 
-def _with_ends(whole: Floats, value: float) -> Floats:
+def _with_ends(inner: Floats, value: float) -> Floats:
     """Return values at the nodes of the whole panels, one value in the two others; and ones."""
-    ends = np.ones((2, whole.size + 2 * _N_NODES))
+    ends = np.ones((2, inner.size + 2 * _N_NODES))
     ends[0, :_N_NODES] = ends[0, -_N_NODES:] = value
-    ends[0, _N_NODES:-_N_NODES] = whole.ravel()
+    ends[0, _N_NODES:-_N_NODES] = inner.ravel()
     return ends
 
 
 def _panels_of(values: Floats) -> Floats:
     """Return the whole panels of values at the nodes, shape (rows, nodes of a panel, panels)."""
-    whole: Floats = values[:, _N_NODES:-_N_NODES]
-    return whole.reshape(len(values), _N_NODES, -1)
+    inner: Floats = values[:, _N_NODES:-_N_NODES]
+    return inner.reshape(len(values), _N_NODES, -1)
 
 
 def _nodes_of(polygon: Polygon, panel: Ints, width: Floats) -> tuple[Floats, Floats]:
@@ -378,10 +378,10 @@ def _at_deflections(ladder: EndLoads, law: MomentLaw, length: float, wanted: Flo
 
 def _first_guess(ladder: EndLoads, wanted: Floats) -> tuple[Floats, Floats]:
     """Interpolate the logarithm of the clamp's moment, and `level`, in a ladder."""
-    at, rungs = np.log(wanted), np.log(ladder.deflection)
-    below = np.minimum(at - rungs[0], 0.0)  # proportional below the lowest
+    log_deflection, rungs = np.log(wanted), np.log(ladder.deflection)
+    below = np.minimum(log_deflection - rungs[0], 0.0)  # proportional below the lowest
     clamp, level = (
-        np.interp(at, rungs, np.log(values)) + below
+        np.interp(log_deflection, rungs, np.log(values)) + below
         for values in (ladder.clamp_moment, ladder.level)
     )
     return clamp, np.exp(level)

@@ -208,13 +208,13 @@ def _extrapolated(states: list[WireState], travel: float) -> Unknowns | None:
     A straight line through two states, and where the last three reverse.
     """
     max_trend_steps = 2.0  # steps ahead over which the last one is extrapolated
-    at = [state.travel for state in states]
-    steps = np.diff([*at, travel])
-    if not 0.0 < (travel - at[-1]) * steps[-2] <= max_trend_steps * steps[-2] ** 2:
+    travels = [state.travel for state in states]
+    steps = np.diff([*travels, travel])
+    if not 0.0 < (travel - travels[-1]) * steps[-2] <= max_trend_steps * steps[-2] ** 2:
         return None
     if steps[0] * steps[-1] <= 0.0:
-        states, at = states[-2:], at[-2:]
+        states, travels = states[-2:], travels[-2:]
     # Lagrange weights
-    shares = [float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at]
+    shares = [float(np.prod([(travel - b) / (a - b) for b in travels if b != a])) for a in travels]
     moment = np.sum([n * state.moment for n, state in zip(shares, states, strict=True)], axis=0)
     return Unknowns(moment, sum(n * state.load for n, state in zip(shares, states, strict=True)))

@@ -366,14 +366,14 @@ def slip_onsets(
     slips = ~_sticks(bundle, np.broadcast_to(_SLIP_GUESSES, (len(_SLIP_GUESSES), len(near_sine))))
     never, first = ~slips.any(axis=0), slips.argmax(axis=0)
     upper = _SLIP_GUESSES[first, 0]
-    lower = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
+    lower_guess = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
     for _ in range(rounds):
-        curvatures = lower + (upper - lower) * _BRACKET_SHARES
+        curvatures = lower_guess + (upper - lower_guess) * _BRACKET_SHARES
         slips = ~_sticks(bundle, curvatures[1:-1])
         first = np.where(slips.any(axis=0), slips.argmax(axis=0) + 1, len(_BRACKET_SHARES) - 1)
         strand = np.arange(len(near_sine))
-        lower, upper = curvatures[first - 1, strand], curvatures[first, strand]
-    return np.where(never, np.inf, lower)
+        lower_guess, upper = curvatures[first - 1, strand], curvatures[first, strand]
+    return np.where(never, np.inf, lower_guess)
 
 
 def _sticks(bundle: Bundle, curvature: Floats) -> Flags:

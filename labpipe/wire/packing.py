@@ -64,12 +64,12 @@ def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, 
     Sum, m^2, and gradient, shape (n, 2), m. Coincident circles do
     not push each other.
     """
-    apart = centres[:, None] - centres[None]
-    distance = np.hypot(apart[..., 0], apart[..., 1])
+    offsets = centres[:, None] - centres[None]
+    distance = np.hypot(offsets[..., 0], offsets[..., 1])
     np.fill_diagonal(distance, np.inf)
     depth = np.maximum(touching - distance, 0.0)
     push = depth / np.where(distance == 0.0, 1.0, distance)
-    return float(0.5 * np.sum(depth**2)), -2.0 * np.einsum("ij,ijk->ik", push, apart)
+    return float(0.5 * np.sum(depth**2)), -2.0 * np.einsum("ij,ijk->ik", push, offsets)
 
 
 def packed(
@@ -220,8 +220,8 @@ def helix_overlap(section: CrossSection) -> float:
             .T
         )
         if first.size and layer.lay_angle:
-            apart = _helix_distances(centres[first], centres[second], layer.lay_angle)
-            deepest = max(deepest, 1.0 - float(apart.min()) / layer.diameter)
+            distances = _helix_distances(centres[first], centres[second], layer.lay_angle)
+            deepest = max(deepest, 1.0 - float(distances.min()) / layer.diameter)
     return deepest
 
 

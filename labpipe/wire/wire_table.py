@@ -173,11 +173,11 @@ def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
         raise WireError(str(error)) from error
     falls = np.diff(curve.moment) <= 0.0
     if falls.any():
-        at = int(np.argmax(falls))
+        worst = int(np.argmax(falls))
         message = (
-            f"the law softens: the moment falls from {curve.moment[at]:.6g} N m at "
-            f"{curvature[at]:.6g} 1/m to {curve.moment[at + 1]:.6g} N m at "
-            f"{curvature[at + 1]:.6g} 1/m, so that curvature is not a function of the moment"
+            f"the law softens: the moment falls from {curve.moment[worst]:.6g} N m at "
+            f"{curvature[worst]:.6g} 1/m to {curve.moment[worst + 1]:.6g} N m at "
+            f"{curvature[worst + 1]:.6g} 1/m, so that curvature is not a function of the moment"
         )
         raise WireError(message)
     return curve

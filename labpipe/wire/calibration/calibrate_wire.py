@@ -248,11 +248,11 @@ def _fixed_parameter(result: CalibrationFit, number: int, value: float) -> Calib
 def _reached_bound(result: CalibrationFit, number: int) -> str:
     """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
-    at, problem = result.fit.point.logs[number], result.problem
+    value, problem = result.fit.point.logs[number], result.problem
     pull = float(pull_of(problem, result.levels, result.fit)[number])
-    if at <= problem.lower[number] and pull < -min_bound_slope:
+    if value <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
-    return "upper" if at >= problem.upper[number] and pull > min_bound_slope else ""
+    return "upper" if value >= problem.upper[number] and pull > min_bound_slope else ""
 
 
 def _profile(trace: Trace) -> Profile:

@@ -216,9 +216,9 @@ def _exponent(material: object) -> float:
 def _copper(section: CrossSection, exponent: float) -> CopperPart:
     layers = [layer for layer in section.layers if _exponent(layer.material) == exponent]
     rim = max(layer.diameter for layer in layers) / 2.0
-    most = min(_TABLE_STRAINS[1], *(layer.material.largest_strain for layer in layers))
-    count = round(np.log10(most / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
-    curvature = np.geomspace(_TABLE_STRAINS[0], most, count) / rim * (1.0 - 1e-12)
+    max_strain = min(_TABLE_STRAINS[1], *(layer.material.largest_strain for layer in layers))
+    count = round(np.log10(max_strain / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
+    curvature = np.geomspace(_TABLE_STRAINS[0], max_strain, count) / rim * (1.0 - 1e-12)
     moment = np.zeros_like(curvature)
     for layer in layers:
         share = elastic_share(layer.material, curvature * layer.diameter / 2.0)

@@ -197,14 +197,14 @@ def _advance(problem: Problem, levels: Levels, here: Fit, step: Floats, gain: fl
     """
     whole_share = 0.75  # of a step, from which the whole step is taken
     shortest_share = 0.1
-    whole = _try(problem, levels, _move(problem, here.point, step))
-    if whole is None:
+    full_step = _try(problem, levels, _move(problem, here.point, step))
+    if full_step is None:
         return None
-    share = gain / max(whole.objective - here.objective + 2.0 * gain, gain)
+    share = gain / max(full_step.objective - here.objective + 2.0 * gain, gain)
     if share > whole_share:
-        return whole
+        return full_step
     part = _try(problem, levels, _move(problem, here.point, max(share, shortest_share) * step))
-    return part if part is not None and part.objective < whole.objective else whole
+    return part if part is not None and part.objective < full_step.objective else full_step
 
 
 def _try(problem: Problem, levels: Levels, point: Point) -> Fit | None:
