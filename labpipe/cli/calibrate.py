@@ -74,7 +74,11 @@ def calibration_table(done: Calibrated) -> str:
         f"largest force)"
     ]
     lines += [_parameter(parameter) for parameter in calibration.parameters]
-    lines += [f"  {parameter.words}" for parameter in calibration.parameters if parameter.words]
+    lines += [
+        f"  {parameter.explanation}"
+        for parameter in calibration.parameters
+        if parameter.explanation
+    ]
     priors = [
         parameter.conflict.message
         for parameter in calibration.parameters
@@ -82,10 +86,10 @@ def calibration_table(done: Calibrated) -> str:
     ]
     lines += [f"  {message}" for message in priors]
     if calibration.friction_separability is not None:
-        lines.append(f"  {calibration.friction_separability.words}")
+        lines.append(f"  {calibration.friction_separability.explanation}")
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
-    printed_messages = {*(parameter.words for parameter in calibration.parameters), *priors}
+    printed_messages = {*(parameter.explanation for parameter in calibration.parameters), *priors}
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in calibration.notes

@@ -187,7 +187,7 @@ def _annotations_of(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
             written = PlainSerializer(text.written)
             return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
         case WholeNumber():
-            schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
+            schema = {"type": "integer", "minimum": marker.minimum, "maximum": marker.maximum}
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
         case PatternText():
             form = {"type": "string", "pattern": f"^{marker.pattern}$"}

@@ -16,8 +16,8 @@ from labpipe.protocol.values import Day, Text, parse_day
 from labpipe.records.declarations import Distance, Quantity, Uncertainty
 from labpipe.units import parse_quantity
 
-AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", least=0.0)]
-CoverageFactor = Annotated[float, Quantity("1", "1", "2", least=1.0, most=10.0)]
+AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
+CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=10.0)]
 
 
 class SizeUncertainties(Block):

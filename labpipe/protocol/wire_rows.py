@@ -50,18 +50,18 @@ class Column:
     Parameters
     ----------
     unit : as shown to people; empty for a pure number
-    least, most : in that unit; they are wider than any wire needs: outside is only a wrong unit or
-        a slip of the hand, and no number inside is too large to work with
+    minimum, maximum : in that unit; they are wider than any wire needs: outside is only a wrong
+        unit or a slip of the hand, and no number inside is too large to work with
     several : whether a cell holds a list
-    whole : whether only whole numbers are allowed
+    is_integer : whether only whole numbers are allowed
     period : after which numbers mean the same again, such as 360 deg
     """
 
     unit: str
-    least: float
-    most: float
+    minimum: float
+    maximum: float
     several: bool = False
-    whole: bool = False
+    is_integer: bool = False
     period: float = math.inf
 
     @property
@@ -72,9 +72,11 @@ class Column:
     @property
     def allowed(self) -> str:
         """Return what a cell may hold, such as ``a number from 0.05 to 200 mm``."""
-        kind = f"{'whole ' * self.whole}number"
+        kind = f"{'whole ' * self.is_integer}number"
         kind, parted = (f"{kind}s", ", separated by ';'") if self.several else (f"a {kind}", "")
-        return f"{kind} from {self.least:.10g} to {self.most:.10g} {self.unit}".rstrip() + parted
+        return (
+            f"{kind} from {self.minimum:.10g} to {self.maximum:.10g} {self.unit}".rstrip() + parted
+        )
 
     def parse(self, text: object) -> float | Numbers:
         """Read the number, or the numbers, of a cell; they stay in the unit of the column.
@@ -92,17 +94,17 @@ class Column:
         return numbers if self.several else numbers[0]
 
     def _number(self, part: str, cell: str) -> float:
-        fits = _NUMBER.fullmatch(part) and self.least <= float(part) <= self.most
-        if not fits or (self.whole and float(part) % 1.0):
+        fits = _NUMBER.fullmatch(part) and self.minimum <= float(part) <= self.maximum
+        if not fits or (self.is_integer and float(part) % 1.0):
             remedy = _list_remedy(part) if self.several and ";" not in cell else ""
             remedy = remedy or number_remedy(part) or "Correct the cell; is the unit right?"
             raise error_of(expected=self.allowed, found=cell, remedy=remedy)
         value = math.fmod(float(part), self.period)
-        return int(value) if self.whole else value
+        return int(value) if self.is_integer else value
 
     def in_si(self, value: float) -> float:
         """Turn a number of the column into SI; twelve digits, so that 1.4 mm is 0.0014 m."""
-        return value if self.whole else float(f"{value * self.factor:.12g}")
+        return value if self.is_integer else float(f"{value * self.factor:.12g}")
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.parse)
@@ -134,13 +136,15 @@ class WireRow(Block):
 
     wire: Annotated[str, BeforeValidator(_name)]
     wire_diameter_mm: Annotated[float, Column("mm", 0.05, 200.0)]
-    strands: Annotated[int, Column("", 1, 2000, whole=True)]
+    strands: Annotated[int, Column("", 1, 2000, is_integer=True)]
     insulation_thickness_mm: Annotated[float, Column("mm", 0.001, 100.0)]
     lay_angles_deg: Annotated[Numbers, Column("deg", -80.0, 80.0, several=True)] = ()
     conductor_area_mm2: Annotated[float | None, Column("mm^2", 1e-5, 4e4)] = None
     strand_diameter_mm: Annotated[float | None, Column("mm", 0.005, 50.0)] = None
     strand_diameters_mm: Annotated[Numbers, Column("mm", 0.005, 50.0, several=True)] = ()
-    layer_counts: Annotated[tuple[int, ...], Column("", 1, 2000, several=True, whole=True)] = ()
+    layer_counts: Annotated[
+        tuple[int, ...], Column("", 1, 2000, several=True, is_integer=True)
+    ] = ()
     layer_radii_mm: Annotated[Numbers, Column("mm", 0.0, 100.0, several=True)] = ()
     insulation_modulus_mpa: Annotated[float | None, Column("MPa", 0.1, 1e7)] = None
     conductor_modulus_gpa: Annotated[float | None, Column("GPa", 0.1, 1000.0)] = None

@@ -48,8 +48,8 @@ class _Cursor:
         else:
             total_size += size
         if start + size > len(self.data):
-            left = len(self.data) - start
-            message = f"an element needs {size} bytes, but only {left} are left"
+            available = len(self.data) - start
+            message = f"an element needs {size} bytes, but only {available} are left"
             raise ValueError(message)
         self.offset = min(self.offset + total_size, len(self.data))
         return data_type, self.data[start : start + size]

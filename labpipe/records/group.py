@@ -167,8 +167,9 @@ class NestedMean:
     decision : what was averaged, and the numbers that say so
     spool_means : by spool, mean and interval over its samples
     within : standard deviation of samples of one spool; NaN where no spool has two samples
-    between : standard deviation of the true means of spools: the scatter of the spool means less
-        what their samples explain; 0 where that is all of it, NaN for one spool or without `within`
+    between_spools : standard deviation of the true means of spools: the scatter of the spool means
+        less what their samples explain; 0 where that is all of it, NaN for one spool or without
+        `within`
     spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN where it cannot be
         had
     """
@@ -180,7 +181,7 @@ class NestedMean:
     decision: Decision
     spool_means: Mapping[str, MeanInterval]
     within: float
-    between: float
+    between_spools: float
     spool_p: float
 
 
@@ -213,7 +214,7 @@ class Band(ArrayRecord):
     lower, upper : shape (n,), pointwise band: holds the mean at one displacement
     lower_all, upper_all : shape (n,), simultaneous band: holds the whole mean curve
     n : number of curves averaged
-    over : ``samples`` or ``spool means``
+    members : ``samples`` or ``spool means``
     reason : why there is no curve (then all are empty), no band (then all four are NaN), or the
         pointwise interval at three displacements alone (NaN elsewhere: ``few_curves``); else None
     """
@@ -225,7 +226,7 @@ class Band(ArrayRecord):
     lower_all: Vector
     upper_all: Vector
     n: int
-    over: str
+    members: str
     reason: Reason | None = None
 
     @property
@@ -279,7 +280,7 @@ class Contrast:
 
     Parameters
     ----------
-    between : second less first; on a log scale the logarithm of second over first
+    difference : second less first; on a log scale the logarithm of second over first
     errors : standard errors of the two means, by scatter; on a log scale over the means
     counts : values behind each of the means
     shared : standard uncertainty of what tests of a rig share, as far as it does not cancel
@@ -287,7 +288,7 @@ class Contrast:
     is_log : of numbers that cannot be negative
     """
 
-    between: float
+    difference: float
     errors: tuple[float, float]
     counts: tuple[int, int]
     shared: float = 0.0
@@ -355,7 +356,7 @@ class Difference:
     def share(self) -> float | None:
         """Return the second over first less 1, of numbers that cannot be negative."""
         is_log = self.contrast is not None and self.contrast.is_log
-        return expm1(self.contrast.between) if self.contrast is not None and is_log else None
+        return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
     @property
     def words(self) -> str:

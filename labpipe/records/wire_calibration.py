@@ -120,13 +120,13 @@ class CurveMatch(ArrayRecord):
     errors : over the points that both have, RMSE over the largest force of the other curve there,
         share of its points inside the 95 % band of the other; None without any
     left_out : number of points that were not compared
-    words : which points were left out, or why none was compared; empty if all were
+    explanation : which points were left out, or why none was compared; empty if all were
     """
 
     reference: Vector
     errors: CurveErrors | None
     left_out: int = 0
-    words: str = ""
+    explanation: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,7 +271,7 @@ class CalibratedParameter:
     is_open_below, is_open_above : the tests do not bound it on that side
     at_bound : ``lower``, ``upper``, or empty
     verdict : in one word or two
-    words : the verdict as a sentence
+    explanation : the verdict as a sentence
     profiles : one of each solution whose part of the interval is not empty, the best first; none
         for a fixed parameter
     conflict : None without a prior
@@ -288,7 +288,7 @@ class CalibratedParameter:
     is_open_above: bool
     at_bound: str
     verdict: Identifiability
-    words: str
+    explanation: str
     profiles: tuple[Profile, ...] = ()
     conflict: PriorConflict | None = None
     source: str = ""
@@ -312,14 +312,14 @@ class Separability(ArrayRecord):
         noise, falling: a combination with singular value s is known to 1 / s (in logarithms)
     combinations : shape (n, n), a row for each singular value: weights of the logarithms
     are_identified : by name
-    words : in a sentence or two
+    explanation : in a sentence or two
     """
 
     names: tuple[str, ...]
     singular_values: Annotated[Floats, "names"]
     combinations: Annotated[Floats, "names", "names"]
     are_identified: Mapping[str, bool]
-    words: str
+    explanation: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -346,7 +346,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
         there is one
     """
     if not parameter.profiles:
-        write_reason(axes, typeset(parameter.words), line_length=30)
+        write_reason(axes, typeset(parameter.explanation), line_length=30)
         return
     axis = DISPLAYS[parameter.name]
     low, high = panel_range(parameter)

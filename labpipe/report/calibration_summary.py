@@ -297,7 +297,7 @@ def sentences(calibration: Calibration) -> list[str]:
 
 def _parameter_sentences(calibration: Calibration) -> Iterator[str]:
     for parameter in calibration.parameters:
-        yield typeset(parameter.words)
+        yield typeset(parameter.explanation)
         if parameter.conflict is not None:
             yield typeset(parameter.conflict.message)
 
@@ -331,7 +331,7 @@ def _separability_sentences(calibration: Calibration) -> Iterator[str]:
     """Describe the separability of friction and of the parameters where some are not identified."""
     for separability in (calibration.friction_separability, calibration.separability):
         if separability is not None and not all(separability.are_identified.values()):
-            yield typeset(separability.words)
+            yield typeset(separability.explanation)
 
 
 def _note_sentences(calibration: Calibration) -> Iterator[str]:

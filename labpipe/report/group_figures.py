@@ -210,7 +210,7 @@ def _curve_caption(group: Group, band: Band, *, is_scaled: bool = False) -> str:
         "Thin: first loading of each sample, up to failure if it failed. Faint: unloading and later"
         " cycles, if any."
     )
-    mean = f" Thick: mean of {band.n} {band.over}, drawn only where all of them have data."
+    mean = f" Thick: mean of {band.n} {band.members}, drawn only where all of them have data."
     if len(band.marks):
         cut = _clipping_text(group, band, is_scaled=is_scaled)
         return f"{text}{mean} Vertical: 95 % intervals of the mean at three displacements.{cut}"

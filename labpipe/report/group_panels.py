@@ -277,7 +277,7 @@ def _keys(drawn: _GroupView, lines: Sequence[Line]) -> list[Key]:
                 sample.specimen.spool: drawn.colour(sample) for sample in group.samples
             }.items()
         ]
-    mean_text = f"mean of {group.band.n} {group.band.over}"
+    mean_text = f"mean of {group.band.n} {group.band.members}"
     labels = {"mean": mean_text, **_KEY_LABELS}
     return keys + [
         Key(look, label, "class", look) for look, label in labels.items() if look in looks

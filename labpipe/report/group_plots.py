@@ -329,7 +329,7 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
         for spool, look in spool_looks(group).items()
     ]
     if band.n >= 2 and len(band.displacement):
-        keys.append(line_key(f"mean of {band.n} {band.over}", **_MEAN))
+        keys.append(line_key(f"mean of {band.n} {band.members}", **_MEAN))
         if band.has_area:
             keys.append(area_key("95 % band, pointwise", **_POINTWISE))
         elif len(band.marks):

@@ -179,7 +179,7 @@ class Line:
     reason : a sentence
     subject : test or group, or their number
     effect : on the number that it changes most; empty if unknown
-    details : a row per concern with this cause
+    details : a row per issue with this cause
     """
 
     head: str
@@ -203,9 +203,9 @@ def cause_lines(causes: Sequence[Cause]) -> list[Line]:
             cause.subject,
             "" if cause.effect is None else cause.effect.text,
             Table(
-                f"{cause.kind} ({len(cause.concerns)})",
+                f"{cause.kind} ({len(cause.issues)})",
                 ("Test", "What", "Why"),
-                tuple(_concern_row(one) for one in cause.concerns),
+                tuple(_issue_row(one) for one in cause.issues),
             ),
         )
         for cause in causes
@@ -216,8 +216,8 @@ def note_table(campaign: Campaign) -> Table | None:
     """Return the table of notes without consequences, a row per kind; None without notes."""
     rows = tuple(
         (
-            Cell(note.concerns[0].reason, tip=note.code),
-            Cell(str(len(note.concerns))),
+            Cell(note.issues[0].reason, tip=note.code),
+            Cell(str(len(note.issues))),
             Cell(note.subject),
         )
         for note in find_notes(campaign)
@@ -226,10 +226,10 @@ def note_table(campaign: Campaign) -> Table | None:
     return Table("Notes without consequences", heads, rows) if rows else None
 
 
-def _concern_row(concern: Issue) -> tuple[Cell, ...]:
-    subject = concern.test or ", ".join(concern.tests) or "the whole group"
-    why = Cell(concern.reason, tip=concern.code)
-    return Cell(subject, concern.group), Cell(concern.what or DASH), why
+def _issue_row(issue: Issue) -> tuple[Cell, ...]:
+    subject = issue.test or ", ".join(issue.tests) or "the whole group"
+    why = Cell(issue.reason, tip=issue.code)
+    return Cell(subject, issue.group), Cell(issue.what or DASH), why
 
 
 def method_tables(campaign: Campaign) -> list[Table]:

@@ -86,14 +86,12 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test with a common
     reason are one issue.
     """
-    concerns = [
-        Issue(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()
-    ]
-    concerns += [Issue(Kind.REJECTED, "", file, "", why) for file, why in campaign.rejected.items()]
+    issues = [Issue(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()]
+    issues += [Issue(Kind.REJECTED, "", file, "", why) for file, why in campaign.rejected.items()]
     for group in campaign.groups:
-        concerns += _group_issues(group)
+        issues += _group_issues(group)
     order = list(Kind)
-    return tuple(sorted(concerns, key=lambda finding: order.index(finding.kind)))
+    return tuple(sorted(issues, key=lambda finding: order.index(finding.kind)))
 
 
 def sentence(message: str) -> str:
@@ -250,23 +248,23 @@ class Cause:
     ----------
     kind : what is wrong
     code : of the first issue, may be empty
-    concerns : issues with this cause, at least one
+    issues : issues with this cause, at least one
     effect : None if unknown
     """
 
     kind: Kind
     code: str
-    concerns: tuple[Issue, ...]
+    issues: tuple[Issue, ...]
     effect: Effect | None
 
     @property
     def subject(self) -> str:
         """Test or group, or their number."""
-        groups = list(dict.fromkeys(concern.group for concern in self.concerns))
+        groups = list(dict.fromkeys(issue.group for issue in self.issues))
         tests = dict.fromkeys(
-            (concern.group, test)
-            for concern in self.concerns
-            for test in (concern.test, *concern.tests)
+            (issue.group, test)
+            for issue in self.issues
+            for test in (issue.test, *issue.tests)
             if test
         )
         if len(tests) == 1:
@@ -282,10 +280,10 @@ class Cause:
         """Return the first reason, and the number of further ones."""
         if self.kind is Kind.UNLIKE:
             places = dict.fromkeys(
-                place for concern in self.concerns for place in concern.what.split("; ")
+                place for issue in self.issues for place in issue.what.split("; ")
             )
             return f"Processed differently from other tests of their group: {', '.join(places)}."
-        reasons = list(dict.fromkeys(concern.reason for concern in self.concerns))
+        reasons = list(dict.fromkeys(issue.reason for issue in self.issues))
         more = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
         return f"{reasons[0]}{more}"
 
@@ -302,11 +300,11 @@ def find_causes(campaign: Campaign) -> list[Cause]:
     Causes by decreasing effect, those of unknown effect last, equal ones in the order of `Kind`.
     Notes without consequences are not included (`find_notes`).
     """
-    concerns = [concern for concern in find_issues(campaign) if concern.kind is not Kind.NOTE]
+    issues = [issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE]
     groups = {group.name: group for group in campaign.groups}
     causes = [
         Cause(related[0].kind, related[0].code, tuple(related), _effect(related, groups))
-        for related in _cluster_concerns(concerns)
+        for related in _cluster_issues(issues)
     ]
     return sorted(
         causes, key=lambda cause: -inf if cause.effect is None else cause.effect.size, reverse=True
@@ -320,61 +318,59 @@ def find_notes(campaign: Campaign) -> list[Cause]:
     ----------
     campaign : all of it
     """
-    notes = [concern for concern in find_issues(campaign) if concern.kind is Kind.NOTE]
+    notes = [issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE]
     causes = [
-        Cause(same[0].kind, same[0].code, tuple(same), None) for same in _cluster_concerns(notes)
+        Cause(same[0].kind, same[0].code, tuple(same), None) for same in _cluster_issues(notes)
     ]
-    return sorted(causes, key=lambda cause: len(cause.concerns), reverse=True)
+    return sorted(causes, key=lambda cause: len(cause.issues), reverse=True)
 
 
-def _cluster_concerns(concerns: Iterable[Issue]) -> list[list[Issue]]:
-    """Cluster concerns of one kind that share a code; slips share one cluster."""
+def _cluster_issues(issues: Iterable[Issue]) -> list[list[Issue]]:
+    """Cluster issues of one kind that share a code; slips share one cluster."""
     clusters: list[tuple[Kind, set[str], list[Issue]]] = []
-    for concern in concerns:
+    for issue in issues:
         codes = (
-            {Kind.SLIP}
-            if concern.kind is Kind.SLIP
-            else set(filter(None, concern.code.split(", ")))
+            {Kind.SLIP} if issue.kind is Kind.SLIP else set(filter(None, issue.code.split(", ")))
         )
         for issue_kind, cluster_codes, related in clusters:
-            if issue_kind is concern.kind and codes & cluster_codes:
+            if issue_kind is issue.kind and codes & cluster_codes:
                 cluster_codes.update(codes)
-                related.append(concern)
+                related.append(issue)
                 break
         else:
-            clusters.append((concern.kind, set(codes), [concern]))
+            clusters.append((issue.kind, set(codes), [issue]))
     return [related for _, _, related in clusters]
 
 
-def _effect(concerns: Sequence[Issue], groups: dict[str, Group]) -> Effect | None:
-    if concerns[0].kind is Kind.UNREADABLE:
+def _effect(issues: Sequence[Issue], groups: dict[str, Group]) -> Effect | None:
+    if issues[0].kind is Kind.UNREADABLE:
         return Effect(inf, "the test is missing from all numbers")
-    if concerns[0].kind is Kind.REJECTED:
+    if issues[0].kind is Kind.REJECTED:
         return Effect(0.0, "not in any mean, by decision")
     effects = [
         effect
-        for name, group_concerns in _by_group(concerns).items()
+        for name, group_issues in _by_group(issues).items()
         if name in groups
-        for effect in _group_effects(groups[name], group_concerns)
+        for effect in _group_effects(groups[name], group_issues)
     ]
     return max(effects, key=lambda effect: effect.size, default=None)
 
 
-def _by_group(concerns: Iterable[Issue]) -> dict[str, list[Issue]]:
-    concerns_by_group: dict[str, list[Issue]] = {}
-    for concern in concerns:
-        concerns_by_group.setdefault(concern.group, []).append(concern)
-    return concerns_by_group
+def _by_group(issues: Iterable[Issue]) -> dict[str, list[Issue]]:
+    issues_by_group: dict[str, list[Issue]] = {}
+    for issue in issues:
+        issues_by_group.setdefault(issue.group, []).append(issue)
+    return issues_by_group
 
 
-def _group_effects(group: Group, concerns: Sequence[Issue]) -> Iterator[Effect]:
+def _group_effects(group: Group, issues: Sequence[Issue]) -> Iterator[Effect]:
     """Yield the effects of all affected tests on the numbers of a group."""
     for number in group.numbers:
         tests = {
             test
-            for concern in concerns
-            if not concern.numbers or number.name in concern.numbers
-            for test in (concern.test, *concern.tests)
+            for issue in issues
+            if not issue.numbers or number.name in issue.numbers
+            for test in (issue.test, *issue.tests)
             if test
         }
         if tests and not number.is_set_by_rig:

@@ -262,7 +262,7 @@ def _mean_row(group: Group, number: GroupNumber) -> Row:
     return (
         *head, *_mean_cells(mean.chosen, scale), "log" if mean.chosen.is_log else "linear",
         "samples" if mean.is_pooled else "spool means", mean.over_samples.n, spread(mean.within),
-        spread(mean.between), p_value(mean.spool_p), str(mean.decision),
+        spread(mean.between_spools), p_value(mean.spool_p), str(mean.decision),
         str(mean.chosen.reason or ""), number.name,
     )  # fmt: skip
 
@@ -325,7 +325,7 @@ def _curve_rows(group: Group, band: Band, across: Scale, up: Scale) -> Iterator[
     columns = [(up.factor * getattr(band, name)).tolist() for name in names]
     x = (across.factor * band.displacement).tolist()
     for number, values in zip(numbers_from(), zip(x, *columns, strict=True), strict=False):
-        yield (group.name, *values, band.n, band.over, "" if number else why)
+        yield (group.name, *values, band.n, band.members, "" if number else why)
 
 
 def _curve_charts(

@@ -266,8 +266,8 @@ def open_decisions(causes: Sequence[Cause], tests: PageTests) -> list[OpenDecisi
 
 
 def _undecided(cause: Cause, tests: PageTests) -> Iterator[PageTest]:
-    for concern in cause.concerns:
-        test = tests.by_name.get(concern.test)
+    for issue in cause.issues:
+        test = tests.by_name.get(issue.test)
         if test is not None and not test.sample.decided:
             yield test
 

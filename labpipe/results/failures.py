@@ -67,8 +67,8 @@ def final_loss(
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
     if not len(f) or not f.max() > 0.0:
-        most = float(f.max()) + 0.0 if len(f) else 0.0
-        return Failure("no_tension", f"the force is nowhere above zero, at most {most:.4g} N")
+        max_force = float(f.max()) + 0.0 if len(f) else 0.0
+        return Failure("no_tension", f"the force is nowhere above zero, at most {max_force:.4g} N")
     peak = float(f.max())
     last = int(np.flatnonzero(f >= rule.force_below * peak)[-1])
     if last == len(f) - 1:

@@ -235,8 +235,8 @@ def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tupl
     inside = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
     if not inside:
         return ()
-    at = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
-    message = f"slipped in the grips at {at}, and the curve stays as measured"
+    positions_text = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
+    message = f"slipped in the grips at {positions_text}, and the curve stays as measured"
     return (Reason("slip_in_window", message),)
 
 

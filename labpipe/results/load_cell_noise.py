@@ -32,8 +32,8 @@ def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
     ends : s on the clock of the curve, ends of branches and time of failure
     signal : the signal
     """
-    at = [clocks.from_curve(end, signal.clock) for end in ends]
-    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    end_times = [clocks.from_curve(end, signal.clock) for end in ends]
+    cuts: list[int] = np.searchsorted(signal.time, end_times, side="right").tolist()
     return cuts
 
 
@@ -84,7 +84,7 @@ class ForceSamples:
             return None
         time = test.clocks.times_on_curve(signal)
         frames = _frames_of(time, trace.time)
-        ends = [at for branch in trace.branches for at in (branch.start_time, branch.stop_time)]
+        ends = [end for branch in trace.branches for end in (branch.start_time, branch.stop_time)]
         cuts = cuts_of(test.clocks, ends, signal)
         smooth = _between_frames(trace, time, cuts, reach)
         deviations = _less_frame_means(signal.values - smooth, frames)
@@ -198,7 +198,7 @@ def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int)
     cuts : samples of `time` at which branches begin and end
     reach : samples within the reach of the filter, over which a piece joins the one before
     """
-    frames = [at for branch in trace.branches for at in (branch.start, branch.stop)]
+    frames = [frame for branch in trace.branches for frame in (branch.start, branch.stop)]
     between_frames = np.empty(len(time))
     ends = sorted({(0, 0), *zip(cuts, frames, strict=True), (len(time), len(trace.time))})
     for (low, begin), (high, end) in pairwise(ends):
@@ -225,12 +225,15 @@ def _join_at_cut(values: Floats, cut: int, join_samples: int) -> None:
     values[cut : cut + join_samples] += (gap - np.clip(gap, -step, step)) * ramp
 
 
-def _extrapolated(at: Floats, time: Floats, values: Floats) -> Floats:
+def _extrapolated(wanted_times: Floats, time: Floats, values: Floats) -> Floats:
     """Interpolate values, with linear extrapolation at both ends."""
-    interpolated = np.interp(at, time, values)
-    for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
+    interpolated = np.interp(wanted_times, time, values)
+    for pair, there in (
+        (slice(2), wanted_times < time[0]),
+        (slice(-2, None), wanted_times > time[-1]),
+    ):
         (before, after), (low, high) = time[pair], values[pair]
-        interpolated[there] = low + (high - low) / (after - before) * (at[there] - before)
+        interpolated[there] = low + (high - low) / (after - before) * (wanted_times[there] - before)
     return interpolated
 
 

@@ -274,8 +274,8 @@ class ReducedTest:
             return None
         branch = curve.branches[0]
         path = curve.displacement[branch.start : branch.stop]
-        at, beyond = (np.flatnonzero(mask) for mask in (path >= low, path > high))
-        start = curve.time[branch.start + int(at[0])] if len(at) else branch.start_time
+        reached, beyond = (np.flatnonzero(mask) for mask in (path >= low, path > high))
+        start = curve.time[branch.start + int(reached[0])] if len(reached) else branch.start_time
         stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
         return float(start), float(stop)
 
@@ -301,14 +301,14 @@ class ReducedTest:
     def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:
             return True
-        start, stop = (self.clocks.to_curve(at, doubt.clock) for at in doubt.during)
+        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.during)
         signals, stretches = self.signals, [during]
         name = {"force": signals.force, "displacement": signals.displacement}.get(
             doubt.quantity, ""
         )
         if name in signals.zeroed or name in signals.lined:
             zero = signals.zeroed.get(name) or signals.lined[name]
-            first, last = (self.clocks.to_curve(at, signals.raw[name].clock) for at in zero)
+            first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
 

@@ -64,7 +64,7 @@ def loading_band(
         notes.append(group_note("curve_pooling", f"{by} {decision.decision}"))
     if decision.is_pooled:
         return without_band(mean_band(shared)), notes
-    band = mean_band(_spool_curves(shared, spools), over="spool means")
+    band = mean_band(_spool_curves(shared, spools), members="spool means")
     return without_band(band), notes
 
 
@@ -88,14 +88,14 @@ def without_band(band: Band) -> Band:
         return band
     nothing = np.full(len(band.displacement), np.nan)
     lower, upper = nothing.copy(), nothing.copy()
-    code, why = "two_curves", f"two {band.over} are too few for any band; the samples are shown"
+    code, why = "two_curves", f"two {band.members} are too few for any band; the samples are shown"
     if band.n > 2:
         marks = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
         lower[marks], upper[marks] = band.lower[marks], band.upper[marks]
         code = "few_curves"
         why = (
-            f"{band.n} {band.over} are too few for a band, which needs {min_band_curves}; the mean "
-            "has its interval at three displacements"
+            f"{band.n} {band.members} are too few for a band, which needs {min_band_curves}; the "
+            "mean has its interval at three displacements"
         )
     return replace(
         band,
@@ -269,13 +269,13 @@ def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> R
     )
 
 
-def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
+def mean_band(curves: CommonCurves, members: str = "samples") -> Band:
     """Compute the mean of curves with a pointwise and a simultaneous 95 % band.
 
     Parameters
     ----------
     curves : independent curves at common displacements
-    over : ``samples`` or ``spool means``
+    members : ``samples`` or ``spool means``
 
     Returns
     -------
@@ -293,14 +293,16 @@ def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
         reason = curves.reason or Reason(
             "no_overlap", "every displacement lies in a gap of some curve"
         )
-        return _bare(np.zeros(0), np.zeros(0), n, over, reason)
+        return _bare(np.zeros(0), np.zeros(0), n, members, reason)
     mean = curves.force.mean(axis=0)
     if n == 1:
         reason = Reason("one_curve", "a band needs the scatter of two curves, there is one")
-        return _bare(curves.displacement, mean, n, over, reason)
+        return _bare(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
     half, half_all = t_quantile(n - 1) * error, simultaneous_quantile(curves.force) * error
-    why = f"no simultaneous band over two {over}, which may cross and then show no scatter at all"
+    why = (
+        f"no simultaneous band over two {members}, which may cross and then show no scatter at all"
+    )
     return Band(
         curves.displacement,
         mean,
@@ -309,14 +311,14 @@ def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
         mean - half_all,
         mean + half_all,
         n,
-        over,
+        members,
         None if n > 2 else Reason("two_curves", why),
     )
 
 
-def _bare(displacement: Floats, mean: Floats, n: int, over: str, reason: Reason) -> Band:
+def _bare(displacement: Floats, mean: Floats, n: int, members: str, reason: Reason) -> Band:
     nothing = np.full(len(displacement), np.nan)
-    return Band(displacement, mean, nothing, nothing, nothing, nothing, n, over, reason)
+    return Band(displacement, mean, nothing, nothing, nothing, nothing, n, members, reason)
 
 
 def simultaneous_quantile(curves: Floats) -> float:

@@ -85,7 +85,7 @@ def nested_mean(
         decision=_decision(values, scatter, p, limits, is_pooled=is_pooled),
         spool_means=means,
         within=scatter.within,
-        between=scatter.between,
+        between_spools=scatter.between_spools,
         spool_p=p,
     )
 
@@ -112,7 +112,7 @@ def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) ->
         decision=decision,
         spool_means=means,
         within=over_samples.deviation,
-        between=nan,
+        between_spools=nan,
         spool_p=nan,
     )
 
@@ -143,7 +143,7 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...
     if np.isnan(scatter.within):
         return ("no spool has two samples, so the scatter within spools is not known",)
     upper = f"{100.0 * scatter.share_upper:.3g} %"
-    if scatter.between == 0.0:
+    if scatter.between_spools == 0.0:
         text = (
             "the spools differ no more than their samples explain, "
             f"yet up to {upper} of the variance may lie between them"
@@ -161,7 +161,9 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...
 def _ratio(scatter: SpoolScatter) -> str:
     if scatter.within == 0.0:
         return ""
-    return f" (spools scatter {scatter.between / scatter.within:.3g} times as much as samples)"
+    return (
+        f" (spools scatter {scatter.between_spools / scatter.within:.3g} times as much as samples)"
+    )
 
 
 def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
@@ -232,14 +234,14 @@ class SpoolScatter:
     Parameters
     ----------
     within : standard deviation of samples of one spool; NaN if no spool has two samples
-    between : standard deviation of the true means of spools; 0 if the scatter of the spool means is
-        explained by that of their samples; NaN if `within` is
-    share : between^2 / (between^2 + within^2)
+    between_spools : standard deviation of the true means of spools; 0 if the scatter of the spool
+        means is explained by that of their samples; NaN if `within` is
+    share : between_spools^2 / (between^2 + within^2)
     share_upper : upper confidence limit of the share; 1 if not available
     """
 
     within: float
-    between: float
+    between_spools: float
     share: float
     share_upper: float
 
@@ -259,9 +261,9 @@ def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
     Notes
     -----
     One-way analysis of variance on unweighted spool means, with the harmonic mean h of the numbers
-    of samples: between^2 = S^2 - within^2 / h, S^2 the variance of the spool means. The limit of
-    the share inverts the F distribution of h S^2 / within^2 (Thomas and Hultquist, Annals of
-    Statistics 6 (1978) 582); for equal numbers of samples it is exact.
+    of samples: between_spools^2 = S^2 - within^2 / h, S^2 the variance of the spool means. The
+    limit of the share inverts the F distribution of h S^2 / within^2 (Thomas and Hultquist, Annals
+    of Statistics 6 (1978) 582); for equal numbers of samples it is exact.
     """
     counts = np.array([len(values) for values in spools])
     free = int(np.sum(counts - 1))

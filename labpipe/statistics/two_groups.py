@@ -73,7 +73,7 @@ def contrast_of(
     if margin is not None:
         room = log1p(margin) if is_log else margin * abs(first.mean)
     return Contrast(
-        between=log(two / one) if is_log else second.middle - first.middle,
+        difference=log(two / one) if is_log else second.middle - first.middle,
         errors=(_error(first) / one, _error(second) / two),
         counts=(first.n, second.n),
         shared=standard_uncertainty(difference_of(*common)),
@@ -115,7 +115,7 @@ def difference_p(contrast: Contrast) -> float:
     ----------
     contrast : of two means
     """
-    return min(1.0, 2.0 * _tail(abs(contrast.between), contrast))
+    return min(1.0, 2.0 * _tail(abs(contrast.difference), contrast))
 
 
 def equivalence_p(contrast: Contrast) -> float:
@@ -138,7 +138,7 @@ def equivalence_p(contrast: Contrast) -> float:
     """
     if contrast.margin is None:
         return float("nan")
-    room = contrast.margin - abs(contrast.between)
+    room = contrast.margin - abs(contrast.difference)
     p = _tail(abs(room), contrast)
     return p if room > 0 else 1.0 - p
 
@@ -234,7 +234,7 @@ def _judged(
         return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, why=why)
     outside = (1.0 - LEVEL) / difference_test.divisor
     half = half_of(contrast, outside)
-    ends = Interval(contrast.between - half, contrast.between + half, 1.0 - outside)
+    ends = Interval(contrast.difference - half, contrast.difference + half, 1.0 - outside)
     if contrast.is_log:
         ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
     is_different, is_alike = difference_test.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL

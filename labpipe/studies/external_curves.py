@@ -203,10 +203,12 @@ def _notes(
         )
         yield QualityNote("external_curve_untested", Severity.INFO, curve.name, message)
     for agreement in (tests, model):
-        if agreement is None or not agreement.words:
+        if agreement is None or not agreement.explanation:
             continue
         if agreement.errors is None:
-            message = agreement.words
+            message = agreement.explanation
             yield QualityNote("external_curve_not_compared", Severity.WARNING, curve.name, message)
         else:
-            yield QualityNote("external_curve_cut", Severity.INFO, curve.name, agreement.words)
+            yield QualityNote(
+                "external_curve_cut", Severity.INFO, curve.name, agreement.explanation
+            )

@@ -42,7 +42,7 @@ def test_numbers_and_band_of_two_spools() -> None:
     assert number.mean is not None
     assert number.mean.chosen.mean == pytest.approx(52.28)
     assert not number.left_out
-    assert (group.band.n, group.band.over) == (2, "spool means")
+    assert (group.band.n, group.band.members) == (2, "spool means")
     np.testing.assert_allclose(group.band.mean, 52.28 * group.band.displacement)
     assert "not pooled over 6 samples" in said(group)["curve_pooling"]
     assert group.band_scaled is None

@@ -168,7 +168,7 @@ def _parameter(
         is_open_above=any(trace.is_open_above for trace in profiles_),
         at_bound=_reached_bound(result, number),
         verdict=Identifiability.WELL,
-        words="",
+        explanation="",
         profiles=tuple(map(_profile, profiles_)),
         conflict=conflict,
     )
@@ -179,7 +179,7 @@ def _parameter(
     )
     ends = _interval_at_99(result, number, parameter)
     parameter = replace(parameter, verdict=_verdict(result, number, parameter, others, ends))
-    return replace(parameter, words=describe_parameter(parameter, others, ends))
+    return replace(parameter, explanation=describe_parameter(parameter, others, ends))
 
 
 def _interval_at_99(
@@ -236,12 +236,14 @@ def _fixed_parameter(result: CalibrationFit, number: int, value: float) -> Calib
         is_open_above=False,
         at_bound="",
         verdict=Identifiability.FIXED,
-        words="",
+        explanation="",
         source=result.settings.choices[name].source if name in result.settings.choices else "",
     )
     return replace(
         parameter,
-        words=describe_parameter(parameter) if acts else f"{NAMES[name]} does not act on this wire",
+        explanation=describe_parameter(parameter)
+        if acts
+        else f"{NAMES[name]} does not act on this wire",
     )
 
 
@@ -397,9 +399,9 @@ def _level_notes(
 
 def _parameter_notes(parameter: CalibratedParameter) -> Iterator[QualityNote]:
     if parameter.at_bound:
-        yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.words)
+        yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.explanation)
     if parameter.verdict is Identifiability.NOT:
-        yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.words)
+        yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.explanation)
     if parameter.conflict is not None and parameter.conflict.contradicts:
         yield QualityNote(
             "prior_contradicts_data", Severity.WARNING, parameter.name, parameter.conflict.message

@@ -359,7 +359,7 @@ def describe_parameter(
 
     Parameters
     ----------
-    parameter : without words
+    parameter : without explanation
     others : value and likelihood, over that of the best, of solutions just outside of the 95 % set
     ends : of what the tests allow at 99 %
     """

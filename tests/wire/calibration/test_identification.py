@@ -33,7 +33,7 @@ KNOWN = CalibratedParameter(
     is_open_above=False,
     at_bound="",
     verdict=Identifiability.WELL,
-    words="",
+    explanation="",
 )
 
 
