@@ -255,12 +255,12 @@ class Test:
     def _repr_html_(self) -> str:
         return page_of(self._outcome)
 
-    def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
+    def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
         examples = ", ".join(nearest(name, names, limit=7))
         text = error_text(
             self.name,
             "",
-            expected=f"a {kind} such as {examples}" if names else f"a {kind}",
+            expected=f"a {what} such as {examples}" if names else f"a {what}",
             found=repr(name) if names else "none",
             remedy="Choose one of these." if names else "Look at `quality`.",
         )

@@ -171,14 +171,14 @@ def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str
     for comparison in comparisons:
         curve = comparison.curve
         specimen = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
-        for kind, match in (("tests", comparison.tests), ("model", comparison.model)):
+        for compared_with, match in (("tests", comparison.tests), ("model", comparison.model)):
             if match is not None:
                 curve_name = (
                     curve.name
                     if len(curve.name) <= max_name_width
                     else f"{curve.name[: max_name_width - 1]}…"
                 )
-                name = f"  {curve_name:<{width}}  {f'{kind} of {specimen}':<22}"
+                name = f"  {curve_name:<{width}}  {f'{compared_with} of {specimen}':<22}"
                 lines.append(f"{name}{_numbers(match)}")
     notes = [note for comparison in comparisons for note in comparison.notes]
     return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]

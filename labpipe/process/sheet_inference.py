@@ -84,17 +84,19 @@ class Neighbours:
 
     tests: dict[Path, tuple[str, str]] = field(default_factory=dict)
 
-    def protocols_beside(self, folder: Path, kind: str | None = None) -> Counter[str]:
+    def protocols_beside(self, folder: Path, specimen_type: str | None = None) -> Counter[str]:
         """Count the protocols of the other tests, of all types or of one.
 
         Parameters
         ----------
         folder : of the test itself
-        kind : type of the specimen; None for all
+        specimen_type : type of the specimen; None for all
         """
         other_tests = (test for where, test in self.tests.items() if where != folder.resolve())
         return Counter(
-            name for other_kind, name in other_tests if kind is None or other_kind == kind
+            name
+            for other_kind, name in other_tests
+            if specimen_type is None or other_kind == specimen_type
         )
 
 

@@ -74,10 +74,10 @@ def _step_faults(outline: Outline) -> Faults:
     channel_names = [channel.name for channel in outline.channels]
     earlier_tags: list[str] = []
     for step in outline.steps:
-        kind = STEPS.get(step.tag)
-        if kind is not None and kind.on_markers:
+        step_type = STEPS.get(step.tag)
+        if step_type is not None and step_type.on_markers:
             yield from _marker_step_faults(outline, step, earlier_tags)
-        for key in existing_in(kind, "channel") if kind is not None else ("channel",):
+        for key in existing_in(step_type, "channel") if step_type is not None else ("channel",):
             yield from _channel_faults(
                 step.values, ("steps", step.number, key), channel_names, outline
             )
@@ -204,17 +204,17 @@ def _result_faults(outline: Outline) -> Faults:
     stiffnesses: list[str] = []
     for entry in outline.results:
         tag, path = entry.tag, ("results", entry.number, "result")
-        kind = RESULTS.get(tag)
-        if kind is None:
+        result_type = RESULTS.get(tag)
+        if result_type is None:
             continue
-        yield from _need_faults(outline, tag, kind.needs, path)
-        settings = {**defaults_of(kind), **entry.values}
-        for key in existing_in(kind, "stiffness"):
+        yield from _need_faults(outline, tag, result_type.needs, path)
+        settings = {**defaults_of(result_type), **entry.values}
+        for key in existing_in(result_type, "stiffness"):
             yield from _of_faults(settings.get(key), (*path[:2], key), stiffnesses)
         names = result_names(tag, entry.values)
         yield from _twice_faults(names, tag, seen, path)
         seen |= dict.fromkeys(names, tag)
-        named_outputs = zip(names, kind.outputs, strict=True)
+        named_outputs = zip(names, result_type.outputs, strict=True)
         stiffnesses += [
             name for name, output in named_outputs if output.unit == "N/m" and output.first is None
         ]

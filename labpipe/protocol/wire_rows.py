@@ -72,10 +72,10 @@ class Column:
     @property
     def allowed(self) -> str:
         """Return what a cell may hold, such as ``a number from 0.05 to 200 mm``."""
-        kind = f"{'whole ' * self.is_integer}number"
-        kind, parted = (f"{kind}s", ", separated by ';'") if self.several else (f"a {kind}", "")
+        noun = f"{'whole ' * self.is_integer}number"
+        noun, parted = (f"{noun}s", ", separated by ';'") if self.several else (f"a {noun}", "")
         return (
-            f"{kind} from {self.minimum:.10g} to {self.maximum:.10g} {self.unit}".rstrip() + parted
+            f"{noun} from {self.minimum:.10g} to {self.maximum:.10g} {self.unit}".rstrip() + parted
         )
 
     def parse(self, text: object) -> float | Numbers:
@@ -433,18 +433,18 @@ def default_words(name: str) -> str:
     return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
 
-def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
+def parse_row(row_type: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
     """Read the texts of a row by column, or find all that is wrong with them.
 
     Parameters
     ----------
-    kind : `WireRow`, or `labpipe.protocol.stress_curve.StressPoint`
+    row_type : `WireRow`, or `labpipe.protocol.stress_curve.StressPoint`
     texts : by column; a blank cell is an empty text
     """
     try:
-        return kind.model_validate(texts)
+        return row_type.model_validate(texts)
     except ValidationError as error:
-        return faults_of(error, data=texts, keys=kind.keys())
+        return faults_of(error, data=texts, keys=row_type.keys())
 
 
 def column_name(heading: str) -> str:

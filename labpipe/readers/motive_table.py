@@ -258,11 +258,13 @@ def _euler_order(about: Mapping[str, str]) -> str:
 
 
 def _euler_note(bodies: Sequence[Group], header: Header) -> list[QualityNote]:
-    kind = header.about.get("Rotation Type", "")
+    convention = header.about.get("Rotation Type", "")
     turned = [body.name for body in bodies if _has_euler(body, header.about)]
     if not turned:
         return []
-    message = f"Euler angles of type '{kind}' in degrees were converted to quaternions as intrinsic"
+    message = (
+        f"Euler angles of type '{convention}' in degrees were converted to quaternions as intrinsic"
+    )
     message += " rotations: no real file has confirmed that convention"
     return [QualityNote("rotation_from_euler", Severity.WARNING, ", ".join(turned), message)]
 
@@ -274,9 +276,9 @@ def _left_out_notes(groups: Sequence[Group]) -> list[QualityNote]:
     if fitted:
         message = f"{fitted} Rigid Body Marker are fitted positions, not measurements: left out"
         notes.append(QualityNote("fitted_markers", Severity.INFO, "markers", message))
-    others = {kind: n for kind, n in count.items() if kind not in {"Marker", "Rigid Body"}}
+    others = {asset: n for asset, n in count.items() if asset not in {"Marker", "Rigid Body"}}
     if others:
-        message = "left out: " + ", ".join(f"{n} of type {kind}" for kind, n in others.items())
+        message = "left out: " + ", ".join(f"{n} of type {asset}" for asset, n in others.items())
         notes.append(QualityNote("columns_left_out", Severity.INFO, "columns", message))
     return notes
 

@@ -203,8 +203,10 @@ def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
     -------
     Both; None if there is no unit.
     """
-    kinds = [_BRACKETED[brackets]] if brackets else list(_BRACKETED.values())
-    match = next((pattern_match for kind in kinds if (pattern_match := kind.fullmatch(cell))), None)
+    patterns = [_BRACKETED[brackets]] if brackets else list(_BRACKETED.values())
+    match = next(
+        (pattern_match for pattern in patterns if (pattern_match := pattern.fullmatch(cell))), None
+    )
     if match is None and not brackets:
         match = _UNIT_AFTER_MARK.fullmatch(cell)
         match = match if match is not None and is_unit(match[2]) else None

@@ -34,9 +34,9 @@ class ArrayRecord:
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        kind: Any = type(self)
+        record_type: Any = type(self)
         lengths: dict[int | str, int] = {}
-        for name, dtype, axes in _arrays_of(kind):
+        for name, dtype, axes in _arrays_of(record_type):
             array = np.asarray(getattr(self, name), dtype=dtype).view()
             shape = tuple(self._length(axis, lengths) for axis in axes)
             if not _fits(array, shape) or any(

@@ -979,16 +979,16 @@ differ: a modulus has to state which one it refers to.
 """
 
 
-def _area(kind: str, given: Mapping[str, float]) -> float | Failure:
+def _area(section_kind: str, given: Mapping[str, float]) -> float | Failure:
     """Compute an area from its sizes."""
-    needs, area_of = _AREAS[kind]
+    needs, area_of = _AREAS[section_kind]
     sizes = [given[name] for name in needs if name in given]
     if len(sizes) < len(needs):
         missing = " and ".join(f"specimen.section.{name}" for name in needs)
         return Failure("no_area", f"{missing} not given")
     area = area_of(*sizes)
     if not area > 0.0:
-        return Failure("no_area", f"the {kind} area comes out as {area:.4g} m^2")
+        return Failure("no_area", f"the {section_kind} area comes out as {area:.4g} m^2")
     return area
 
 
