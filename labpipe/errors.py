@@ -65,7 +65,7 @@ CODES = MappingProxyType(
         "bad_sheet": "test.yaml or the protocol is wrong, or is not there",
         "missing_export": "an export that test.yaml names is not there",
         "missing_channel": "an export has no such channel, or several that could be meant",
-        "unreadable_export": "an export is damaged, or is not what it is said to be",
+        "unreadable_export": "an export is damaged, or has another format than stated",
         "cannot_process": "the recordings do not hold what the protocol asks for",
         "bad_result": "an earlier result.h5 that is to be processed again cannot be used",
         "disk_full": "there is no room for the results, or a quota is used up",

@@ -196,7 +196,7 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80
         raise ValueError(message)
     diameter = 2.0 * table.layout.wire_radius
     material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
-    max_tip_share = 0.6  # of the length; less where the law ends before
+    max_tip_share = 0.6  # of the length; less if the range of the law ends before
     reach = min(max_tip_share * table.spec.length, float(table.tip_deflection[-1]))
     lines = [f"** {line}" for line in (*_facts(table, material), *_loading(table, reach))]
     if reach > 0.0:

@@ -100,7 +100,7 @@ class PlayLaw(ArrayRecord):
     stiffness : EI0, N m^2
     half_widths : shape (plays,), N m, positive and increasing
     compliances : shape (plays,), 1/(N m^2), none negative
-    largest_moment : N m, where the law ends
+    largest_moment : N m, end of the range of the law
 
     Raises
     ------

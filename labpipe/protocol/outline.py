@@ -183,7 +183,7 @@ def channel_keys(role: str, source: Values) -> list[str]:
 
     Parameters
     ----------
-    role : what may be said of cameras is no channel's in the role ``markers``
+    role : name of the source; cameras have other keys in the role ``markers``
     source : the block as written
     """
     others = _OF_CAMERAS if role == "markers" else frozenset[str]()

@@ -318,7 +318,7 @@ class BendingCloud(ArrayRecord):
 class MeasuredLaw(ArrayRecord):
     """The monotone moment-curvature law of the first loading, with 95 % intervals.
 
-    Arrays of shape (n,) unless said otherwise; NaN in the stiffnesses where `is_known` is not.
+    Arrays of shape (n,) unless stated otherwise; NaN in the stiffnesses where `is_known` is not.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ class Result:
         processed alike
     n : number of samples it rests on
     made_of : name of the result that it is made of, such as a stiffness; empty for none
-    remark : what is to be said of the number of this test alone: force that slips added
+    remark : addition to the method for this test alone, such as force that slips added
     estimate : the value less what noise adds to it on average, in the middle of the doubt; None
         where it is the value
     budget : what the interval is made of; empty where that is not known apart
@@ -123,7 +123,7 @@ class Result:
 
     @property
     def how(self) -> str:
-        """Return the method, with what is to be said of this test alone."""
+        """Return the method with the remark of this test."""
         return "; ".join(filter(None, (self.method, self.remark)))
 
     @property

@@ -134,7 +134,7 @@ class WireTable(ArrayRecord):
     name : of the wire
     spec : what it was made from
     layout : where the strands lie
-    curvature : 1/m, from 0, increasing; the last is the end of the range: nothing is said beyond
+    curvature : 1/m, from 0, increasing; the last is the end of the range
     moment : N m, the sum of the five parts
     stick, slip, bending, plastic, insulation : N m, parts of the moment
     tangent_stiffness, secant_stiffness : N m^2

@@ -214,13 +214,13 @@ class Identifiability(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile(ArrayRecord):
-    """How much worse the fit becomes as one parameter is held, traced from one solution.
+    """Profile of the objective along one parameter, traced from one solution.
 
     Parameters
     ----------
     value : shape (n,), of the parameter, increasing
     deviance : shape (n,), rise of the objective over the least of all solutions, all others fitted
-        anew
+        again
     threshold_below, threshold_above : of the deviance, at the lower and the upper end of the 95 %
         interval: the square of a quantile of t, averaged over what the scatter of samples may be
     """

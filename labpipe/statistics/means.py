@@ -133,7 +133,7 @@ def _decision(
         else f"Over {len(counts)} spool means, not pooled over {sum(counts)} samples"
     )
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
-        why = "all values are equal, so there is no scatter to tell spools apart by"
+        why = "all values are equal, so the spools cannot be distinguished by their scatter"
         return Decision(done, (why,))
     return Decision(done, (*_share_words(scatter, limits), _test_words(p, counts, limits)))
 
@@ -176,7 +176,7 @@ def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str
             f"with {sizes} samples the Anderson-Darling test of equal spools cannot tell, "
             f"as its p is never below {least:.2g}"
         )
-    verdict = "does not tell them apart" if p >= limits.min_p else "tells them apart"
+    verdict = "does not distinguish them" if p >= limits.min_p else "distinguishes them"
     return (
         f"the Anderson-Darling test of equal spools {verdict} "
         f"(p = {p:.2g}, pooling needs {limits.min_p:.2g})"

@@ -203,7 +203,8 @@ def _tension_notes(spec: WireSpec) -> tuple[QualityNote, ...]:
 def straight_range(spec: WireSpec) -> float:
     """Return the curvature up to which the insulation counts as linear, 1/m.
 
-    Infinite for a wire with a stress table of its insulation: its law ends with the table.
+    Infinite for a wire with a stress table of its insulation: the range of its law ends with the
+    table.
     """
     if spec.insulation_table is not None:
         return float("inf")
