@@ -408,9 +408,9 @@ class LawBasis:
         shape (n, points, knots).
         """
         plain = self.values(moment) - self.values(rest)
-        way = moment - rest
-        turned = (way * rest < 0.0) & (np.abs(way) < 2.0 * np.abs(rest))
-        plain[turned] = 2.0 * self.values(0.5 * way[turned])
+        moment_change = moment - rest
+        turned = (moment_change * rest < 0.0) & (np.abs(moment_change) < 2.0 * np.abs(rest))
+        plain[turned] = 2.0 * self.values(0.5 * moment_change[turned])
         return plain
 
 

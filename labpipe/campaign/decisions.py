@@ -368,8 +368,8 @@ def decision_folder(test: Path, shared: Path) -> Path:
     -------
     The nearest folder above the test with decisions, resolved.
     """
-    around = test.resolve().parents
-    return next((parent for parent in around if (parent / DECISIONS).is_file()), shared.resolve())
+    parents = test.resolve().parents
+    return next((parent for parent in parents if (parent / DECISIONS).is_file()), shared.resolve())
 
 
 def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:

@@ -272,9 +272,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     if early:
         return PairingOutcome(None, missing=early)
     copies = _copy_exports(candidate)
-    around = neighbours_in(candidate.folder.resolve().parent)
-    seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=around)
-    missing = _missing(seen, plan, around.protocols_beside(candidate.folder), waited)
+    neighbours = neighbours_in(candidate.folder.resolve().parent)
+    seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=neighbours)
+    missing = _missing(seen, plan, neighbours.protocols_beside(candidate.folder), waited)
     if seen.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unread=seen.unread)

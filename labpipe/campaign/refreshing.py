@@ -209,8 +209,8 @@ class CatalogSync:
         sheet = self.campaign.raw / folder / SHEET_NAME
         files = find_outcome(self.campaign, folder)
         row, seen = self.catalog.row_of(folder), self.catalog.seen_of(folder)
-        there = sheet if sheet.is_file() else None
-        entry = self._new_entry(folder, there, files, row, seen)
+        sheet_file = sheet if sheet.is_file() else None
+        entry = self._new_entry(folder, sheet_file, files, row, seen)
         if entry is not None:
             self.catalog.put([entry])
             return entry.row

@@ -271,8 +271,8 @@ def _report_contents(parser: argparse.ArgumentParser) -> None:
         " of the specimen that differ within a type)"
     )
     parser.add_argument("--by", default="", metavar="FIELD[,FIELD...]", help=fields)
-    alone = "show only pairs of groups that differ in this field alone, such as taping"
-    parser.add_argument("--compare", default="", metavar="FIELD", help=alone)
+    alone_help = "show only pairs of groups that differ in this field alone, such as taping"
+    parser.add_argument("--compare", default="", metavar="FIELD", help=alone_help)
     sheet = "wire sheet; compares bundles with the bounds of slipping and sticking wires"
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
 

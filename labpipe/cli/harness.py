@@ -147,6 +147,6 @@ def _sweep(harness: FollowedHarness) -> Iterator[str]:
         if finding.status == "failed":
             yield f"  {1e3 * finding.length:>12.5g} mm        -  {finding.reasons[0].message}"
             continue
-        radius, way = 1e3 * finding.bend.radius, 1e3 * finding.bend_on_path.radius
+        radius, path_radius = 1e3 * finding.bend.radius, 1e3 * finding.bend_on_path.radius
         doubt = f"  doubtful: {finding.reasons[0].code}" if finding.reasons else ""
-        yield f"  {1e3 * finding.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm{doubt}"
+        yield f"  {1e3 * finding.length:>12.5g} mm{radius:>19.4g} mm{path_radius:>14.4g} mm{doubt}"

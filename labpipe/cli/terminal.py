@@ -121,8 +121,8 @@ def from_here(path: Path) -> Path:
     ----------
     path : absolute or relative
     """
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
+    current = Path.cwd()
+    return path.relative_to(current) if path.is_relative_to(current) else path
 
 
 def name_width(names: Iterable[str]) -> int:

@@ -81,7 +81,7 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
     secant = y[1:] / x[1:]
     low, high = float(secant.min()), float(secant.max())
     best_law = laws[int(np.argmin([law.error for law in laws]))]
-    alone = in_directions(best_law, DIRECTIONS)
+    scalar_law = in_directions(best_law, DIRECTIONS)
     return LossCard(
         first=start,
         last=float(x[-1]),
@@ -91,7 +91,7 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
         sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
         directions=tuple(
             (directional.directions, directional.error)
-            for directional in (alone, turned(best_law, alone))
+            for directional in (scalar_law, turned(best_law, scalar_law))
         ),
     )
 

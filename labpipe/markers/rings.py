@@ -273,9 +273,9 @@ def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, flo
     points, out = sections.at_rest[:, 1:], np.asarray(towards)
     axis = points.mean(axis=0) - radius * out
     for _ in range(max_steps if radius > 0.0 else 0):
-        away = points - axis
-        far = np.linalg.norm(away, axis=1)
-        step = np.linalg.lstsq(-away / far[:, None], radius - far, rcond=0.05)[0]
+        offsets = points - axis
+        far = np.linalg.norm(offsets, axis=1)
+        step = np.linalg.lstsq(-offsets / far[:, None], radius - far, rcond=0.05)[0]
         axis = axis + step
     return np.asarray(axis, dtype=np.float64)
 

@@ -203,9 +203,9 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
 
     lowest = misfit(guess)
     for reach in half_widths:
-        around = np.array([guess - reach, guess, guess + reach])
-        fits = np.array([misfit(around[0]), lowest, misfit(around[2])])
-        bend, slope, _ = np.polyfit(around - guess, fits, 2)
+        guesses = np.array([guess - reach, guess, guess + reach])
+        fits = np.array([misfit(guesses[0]), lowest, misfit(guesses[2])])
+        bend, slope, _ = np.polyfit(guesses - guess, fits, 2)
         step = -0.5 * slope / bend if bend > 0.0 else reach * float(np.argmin(fits) - 1)
         guess += float(np.clip(step, -2.0 * reach, 2.0 * reach))
         lowest = misfit(guess)
@@ -213,16 +213,16 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
 
 
 def _fit(sections: Sections, axis: Floats, middle: float, span: float, radius: float) -> SpanShape:
-    here = np.array([middle, axis[0], axis[1]])
+    parameters = np.array([middle, axis[0], axis[1]])
     slope = np.zeros((len(sections.markers), sections.count))
     centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-    bent = fit_bent_axis(centres - here, span=span, terms=TERMS)
+    bent = fit_bent_axis(centres - parameters, span=span, terms=TERMS)
     for _ in range(2):
         slope = np.arcsin(bent.sine(np.nan_to_num(centres[..., 0] - middle)))
         centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-        bent = fit_bent_axis(centres - here, span=span, terms=TERMS, start=bent)
-    fewer = fit_bent_axis(centres - here, span=span, terms=TERMS - 1)
-    return SpanShape(bent, middle, centres - here, twist, lever, fewer.mid_span, 0.0)
+        bent = fit_bent_axis(centres - parameters, span=span, terms=TERMS, start=bent)
+    fewer = fit_bent_axis(centres - parameters, span=span, terms=TERMS - 1)
+    return SpanShape(bent, middle, centres - parameters, twist, lever, fewer.mid_span, 0.0)
 
 
 def _locate_centres(

@@ -185,12 +185,12 @@ def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value:
     blocks = np.array_split(corrected[loading], min(20, top + 1 - branch.start))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
-    way = float(curve.displacement[top] - curve.displacement[branch.start])
+    travel = float(curve.displacement[top] - curve.displacement[branch.start])
     pull = float(curve.force[top] - curve.force[branch.start])
     message = error_text(
         "curve.compliance",
         "",
-        expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N in loading",
+        expected=f"a compliance below that of this test, {1e6 * travel / pull:.4g} um/N in loading",
         found=f"{1e6 * value:.4g} um/N, with which the specimen would get shorter",
         remedy="Check its unit, and the test of the stiff bar.",
     )

@@ -448,7 +448,7 @@ def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal
     """Combine the corners of a turn into one event, weighted by their errors."""
     if len(events) < 2:
         return events[0] if events else None
-    seen, felt = [event[0] for event in events], [event[1] for event in events]
+    motion_events, force_events = [event[0] for event in events], [event[1] for event in events]
     times = np.array([[one.time, two.corner.time] for one, two in events])
     errors = np.array([[one.time_error, two.corner.time_error] for one, two in events])
     together = np.hypot(errors[:, 0], errors[:, 1])
@@ -456,10 +456,10 @@ def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal
     lags = times[:, 1] - times[:, 0]
     scatter_factor = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
     mean_time, error = weights @ times, scatter_factor * np.sqrt(weights**2 @ errors**2)
-    shape_error = float(weights @ [reversal.shape_error for reversal in felt])
-    corner = replace(felt[0].corner, time=float(mean_time[1]), time_error=float(error[1]))
+    shape_error = float(weights @ [reversal.shape_error for reversal in force_events])
+    corner = replace(force_events[0].corner, time=float(mean_time[1]), time_error=float(error[1]))
     return (
-        replace(seen[0], time=float(mean_time[0]), time_error=float(error[0])),
+        replace(motion_events[0], time=float(mean_time[0]), time_error=float(error[0])),
         Reversal(corner, shape_error),
     )
 

@@ -55,8 +55,8 @@ def file_beside(name: str, path: Path) -> Path:
     name : as written
     path : of the harness YAML
     """
-    beside = path.parent / name
-    return beside if beside.exists() else Path(name)
+    neighbour = path.parent / name
+    return neighbour if neighbour.exists() else Path(name)
 
 
 def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
@@ -194,10 +194,10 @@ def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
     for number, boundary in enumerate(harness.boundaries):
         if not isinstance(boundary, HELD) or boundary.release is None:
             continue
-        there = boundary.path[0].step if isinstance(boundary, Grip) else boundary.by
-        if there is not None and boundary.release <= there:
+        last_step = boundary.path[0].step if isinstance(boundary, Grip) else boundary.by
+        if last_step is not None and boundary.release <= last_step:
             expected = (
-                f"a step after {there}, at which {boundary.name!r} is where it brings the line"
+                f"a step after {last_step}, at which {boundary.name!r} is where it brings the line"
             )
             remedy = "Let it go later, or bring it there earlier."
             yield Fault(("boundaries", number, "release"), expected, str(boundary.release), remedy)

@@ -133,13 +133,13 @@ def length_faults(
     """
     key = "length" if entry.get("support") == "cantilever" else "span"
     block = specimen.get("uncertainty")
-    there = block.get(key) if isinstance(block, Mapping) else None
-    here = entry.get("length_uncertainty")
-    values = _quantity(here, "m"), _quantity(there, "m")
+    given = block.get(key) if isinstance(block, Mapping) else None
+    stated = entry.get("length_uncertainty")
+    values = _quantity(stated, "m"), _quantity(given, "m")
     if None in values or values[0] == values[1]:
         return
     expected = f"the uncertainty of the {key} once"
-    actual = f"{here!r} beside {there!r} in 'specimen.uncertainty.{key}'"
+    actual = f"{stated!r} beside {given!r} in 'specimen.uncertainty.{key}'"
     remedy = f"Write it as 'specimen.uncertainty.{key}' alone."
     yield Fault((*path, "length_uncertainty"), expected, actual, remedy)
 

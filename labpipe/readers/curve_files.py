@@ -222,13 +222,13 @@ def _number(cell: Cell, path: Path) -> float:
 
 def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Floats) -> None:
     """Refuse a curve that turns back or has two forces at one deflection."""
-    for number, (before, here) in enumerate(pairwise(deflection.tolist()), start=1):
-        if here <= before:
+    for number, (previous, current) in enumerate(pairwise(deflection.tolist()), start=1):
+        if current <= previous:
             remedy = "Keep the first loading only, its points in order, each deflection once."
             if deflection[-1] < deflection[0]:
                 remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
-            expected = f"a deflection above the one before ({1e3 * before:.6g} mm)"
-            found = f"{1e3 * here:.6g} mm"
+            expected = f"a deflection above the one before ({1e3 * previous:.6g} mm)"
+            found = f"{1e3 * current:.6g} mm"
             raise unreadable(path, points[number][0].place, expected, found, remedy)
 
 
@@ -493,11 +493,15 @@ def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_
         [block.time for block in deflections],
         [block.time for block in forces],
     )
-    alone = next((block for block in deflections if block.time not in force_times), None)
-    alone = alone or next((block for block in forces if block.time not in deflection_times), None)
-    if alone is not None:
-        expected = f"displacements and total force at time {alone.time}"
-        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _RUN_AGAIN)
+    unpaired = next((block for block in deflections if block.time not in force_times), None)
+    unpaired = unpaired or next(
+        (block for block in forces if block.time not in deflection_times), None
+    )
+    if unpaired is not None:
+        expected = f"displacements and total force at time {unpaired.time}"
+        raise unreadable(
+            path, f"line {unpaired.line}", expected, f"only {unpaired.quantity}", _RUN_AGAIN
+        )
     if deflection_times != force_times:
         found = f"{len(deflection_times)} and {len(force_times)} in another order"
         raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)

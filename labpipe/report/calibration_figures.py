@@ -454,8 +454,8 @@ def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, f
         return
     values: Floats = np.geomspace(*ends, 200)
     error = np.log(parameter.conflict.factor) / normal_quantile
-    away = np.log(values / parameter.conflict.centre) / error
-    axes.plot(DISPLAYS[parameter.name].scale.factor * values, away**2, **PRIOR)
+    deviations = np.log(values / parameter.conflict.centre) / error
+    axes.plot(DISPLAYS[parameter.name].scale.factor * values, deviations**2, **PRIOR)
 
 
 def _set_ticks(axes: Axes) -> None:

@@ -313,7 +313,7 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
         if shapes is None or not len(shapes.deflection):
             continue
         places = shapes.positions[-drawn.points.shapes :]
-        x, y = (_with_gaps(*places[:, :, way].T) * drawn.across.factor for way in (0, 1))
+        x, y = (_with_gaps(*places[:, :, axis].T) * drawn.across.factor for axis in (0, 1))
         look = f"shape {drawn.colour(sample)}"
         lines.append(Line(look, x, y, drawn.number(sample)))
     if not lines:
@@ -325,7 +325,7 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
     height = min(max(equal_scale_height(width, x_axis, y_axis), min_height), max_height)
     x_axis, y_axis = _equal_scale(x_axis, y_axis, width, height)
     steps = ", ".join(
-        f"{way * drawn.across.factor:.2g}" for way in _steps(samples)[-drawn.points.shapes :]
+        f"{step * drawn.across.factor:.2g}" for step in _steps(samples)[-drawn.points.shapes :]
     )
     caption = f"Markers at {steps} {unit} of the first loading, at equal axis scale."
     title = f"Shapes of {count_of(len(lines), 'sample')} of {drawn.group.name}."

@@ -422,8 +422,8 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
     moved = float(np.mean([np.mean(values) for values in remaining.values()])) - before
     without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"
     share = f"{100.0 * abs(moved / before):.2g} % " if before else ""
-    way = "higher" if moved > 0.0 else "lower"
+    direction = "higher" if moved > 0.0 else "lower"
     size = abs(moved) / half if half > 0.0 else 0.0
     if isnan(half) or isnan(size):
-        return Effect(0.0, f"{without} {share}{way}")
-    return Effect(size, f"{without} {share}{way}, {size:.2g} times half its interval")
+        return Effect(0.0, f"{without} {share}{direction}")
+    return Effect(size, f"{without} {share}{direction}, {size:.2g} times half its interval")

@@ -232,8 +232,8 @@ def _at_slow_loss(share: float, trace: Trace) -> Reading:
         ends = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
         step = np.gradient(place, axis=-1)
         more = trace.beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
-        here, there = ends
-        return here + more, there
+        first_end, second_end = ends
+        return first_end + more, second_end
 
     return Reading(numbers, 1)
 

@@ -228,12 +228,14 @@ def _join_at_cut(values: Floats, cut: int, join_samples: int) -> None:
 def _extrapolated(wanted_times: Floats, time: Floats, values: Floats) -> Floats:
     """Interpolate values, with linear extrapolation at both ends."""
     interpolated = np.interp(wanted_times, time, values)
-    for pair, there in (
+    for pair, is_outside in (
         (slice(2), wanted_times < time[0]),
         (slice(-2, None), wanted_times > time[-1]),
     ):
         (before, after), (low, high) = time[pair], values[pair]
-        interpolated[there] = low + (high - low) / (after - before) * (wanted_times[there] - before)
+        interpolated[is_outside] = low + (high - low) / (after - before) * (
+            wanted_times[is_outside] - before
+        )
     return interpolated
 
 

@@ -91,11 +91,11 @@ class Tangents:
         stretches = _Stretches.of(d, np.arange(high, low, -length / _TANGENTS_PER_LENGTH), length)
         if stretches.failure is not None:
             return stretches.failure
-        there = slice(int(np.argmin([*stretches.is_enough, False])))
-        levels, slopes = (stretches.spread(weight)[there] for weight in stretches.weights())
+        usable = slice(int(np.argmin([*stretches.is_enough, False])))
+        levels, slopes = (stretches.spread(weight)[usable] for weight in stretches.weights())
         path = CommonPath.of(displacement, force, samples)
         last = stretches.samples[0][stretches.samples[0] < len(d)]
-        return cls(path, length, stretches.places[there], slopes, levels[0], last)
+        return cls(path, length, stretches.places[usable], slopes, levels[0], last)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -197,9 +197,9 @@ class Tangents:
         near = middle + self.length * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
         is_inside = (near <= d.max() - 0.5 * half) & (near >= d.min() + 0.5 * half)
         stretches = _Stretches.of(d, near[is_inside], half)
-        there = stretches.is_enough
-        rows = stretches.spread(stretches.weights()[1])[there]
-        reached = _first_place_with(stretches.places[there], f @ rows.T, slope)
+        usable = stretches.is_enough
+        rows = stretches.spread(stretches.weights()[1])[usable]
+        reached = _first_place_with(stretches.places[usable], f @ rows.T, slope)
         full, short = (_levels_at(d, f, middle, length) for length in (self.length, half))
         places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
         beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])

@@ -96,9 +96,9 @@ def _tip_travel(test: ReducedTest) -> Estimate | Failure:
     if is_finite.sum() < 16:
         return Failure("too_few_samples", f"the tip is seen in {int(is_finite.sum())} frames")
     begin = tip[is_finite][:5].mean(axis=0)
-    away = np.linalg.norm(tip[is_finite] - begin, axis=1)
-    error = np.sqrt(2.0) * noise_level(away)
-    return Estimate(float(away.max()), float(error), int(is_finite.sum()))
+    distances = np.linalg.norm(tip[is_finite] - begin, axis=1)
+    error = np.sqrt(2.0) * noise_level(distances)
+    return Estimate(float(distances.max()), float(error), int(is_finite.sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -128,11 +128,13 @@ def counted_from_taut(
     it does to the curve. So a zero of the displacement that is in both is in no number behind.
     What makes the slack doubtful goes with it.
     """
-    alone = measure(replace(replicates, inputs=()), slack)
-    if isinstance(alone, Failure):
-        message = f"expected a slack that was measured, found {alone.message}"
+    without_inputs = measure(replace(replicates, inputs=()), slack)
+    if isinstance(without_inputs, Failure):
+        message = f"expected a slack that was measured, found {without_inputs.message}"
         raise ValueError(message)
-    draws = np.where(np.isnan(alone[0].off), np.nanmean(alone[0].off), alone[0].off)
+    draws = np.where(
+        np.isnan(without_inputs[0].off), np.nanmean(without_inputs[0].off), without_inputs[0].off
+    )
     error = float(np.std(draws))
     inputs = tuple(
         _with_slack(replicate, replicates.smooth, slack) for replicate in replicates.inputs

@@ -151,13 +151,15 @@ def _fit_within(
         return None  # longer than the longest slip
     allowed = drops[costs <= costs.min() + max_excess_variances * variance]
     is_whole = np.all(drops % 1.0 == 0.0, axis=1)
-    around = drops[is_whole & (costs <= costs[is_whole].min() + max_excess_variances * variance)]
+    whole_drops = drops[
+        is_whole & (costs <= costs[is_whole].min() + max_excess_variances * variance)
+    ]
     explained = without - float(costs.min())
     if explained <= 0.0:
         return None  # a step of a converter
     if not _is_clear(pull, window, explained / variance if variance > 0.0 else np.inf):
         return None
-    drop = _measure_drop(pull, window, (best, allowed, around))
+    drop = _measure_drop(pull, window, (best, allowed, whole_drops))
     return drop if drop is not None and _is_rare(pull, window, drop) else None
 
 
@@ -200,11 +202,11 @@ def _is_clear(pull: PullCurve, window: _Window, squared: float) -> bool:
 def _is_rare(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
     """Test a drop against the same step at all other places, by its robust deviation."""
     kernel = _step_kernel(window, drop)
-    here = -float(kernel @ pull.f[window.low : window.high])
+    own_step = -float(kernel @ pull.f[window.low : window.high])
     elsewhere = np.convolve(pull.without([drop]).f, kernel[::-1], mode="valid")
     spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
     freedom = int(MAD_FREEDOM_SHARE * len(elsewhere) / _places_per_freedom(kernel, window.factor))
-    return bool(stdtr(max(freedom, 1), -here / spread) <= _false_alarm_rate(pull))
+    return bool(stdtr(max(freedom, 1), -own_step / spread) <= _false_alarm_rate(pull))
 
 
 def _step_kernel(window: _Window, drop: LoadDrop) -> Floats:
@@ -281,7 +283,7 @@ def _costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, flo
 def _measure_drop(
     pull: PullCurve, window: _Window, drops: tuple[Floats, Floats, Floats]
 ) -> LoadDrop | None:
-    (best, allowed, around), blurred = drops, pull.blurred
+    (best, allowed, whole_drops), blurred = drops, pull.blurred
     start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
     first = int(np.floor(allowed[:, 0].min())) + 1 - blurred
     last = int(np.ceil(allowed.sum(axis=1).max())) + blurred
@@ -310,8 +312,8 @@ def _measure_drop(
         middle=float(best[0] + 0.5 * best[1]),
         drop=-drop.value,
         drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
-        earliest=int(around[:, 0].min()),
-        latest=int(around.sum(axis=1).max()),
+        earliest=int(whole_drops[:, 0].min()),
+        latest=int(whole_drops.sum(axis=1).max()),
         slope_before=before,
         slope_behind=before + change,
         slope_error=float(np.sqrt(both.covariance[3, 3])),
@@ -467,16 +469,16 @@ def _confirmed(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     """Return the drops in order that remain distinct with all others added back."""
     drops = _drops(pull, min_drop)
     while len(drops) > 1:
-        again = [
+        refits = [
             fit_load_drop(pull.without([other for other in drops if other is not drop]), drop.start)
             for drop in drops
         ]
-        confirmed = [fit for fit in again if fit is not None]
+        confirmed = [fit for fit in refits if fit is not None]
         if len(confirmed) == len(drops):
             drops = confirmed
             break
         # The last one is the least distinct: it may have been an artefact of another.
-        lost = max(number for number, fit in enumerate(again) if fit is None)
+        lost = max(number for number, fit in enumerate(refits) if fit is None)
         drops = [*drops[:lost], *drops[lost + 1 :]]
     return sorted(drops, key=lambda drop: drop.start)
 

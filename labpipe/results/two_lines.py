@@ -189,8 +189,8 @@ class Hinges:
         if isinstance(order, Failure):
             return order
         scan = _Scan.of(displacement[order], force[order])
-        beside = min(8, max(_MIN_SEGMENT_SAMPLES, len(order) // 8)) - 1
-        places = np.linspace(scan.x[beside], scan.x[-1 - beside], 300)
+        margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(order) // 8)) - 1
+        places = np.linspace(scan.x[margin], scan.x[-1 - margin], 300)
         hinges = cls(CommonPath.of(displacement, force, order), scan, places)
         return replace(hinges, moved=scan.best() - float(hinges._best(scan.y[None])[0]))
 

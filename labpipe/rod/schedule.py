@@ -54,8 +54,8 @@ class Schedule:
             self.node(boundaries[k])
         self.start_places = np.array([self._ring_start(self._get(Ring, k)) for k in self.rings])
         self._require_one_each()
-        here = replace(line, positions=start.positions, frames=start.frames)
-        self._start_frames = {k: here.frame_at(node) for k, node in self.held_nodes.items()}
+        start_line = replace(line, positions=start.positions, frames=start.frames)
+        self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 

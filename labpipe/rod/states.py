@@ -100,12 +100,12 @@ def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     `END_SHARE` of its element.
     """
     clamps, lengths = curvatures.copy(), supports.lengths
-    for end, way in ((supports.behind, -1), (supports.before, 1)):
+    for end, side in ((supports.behind, -1), (supports.before, 1)):
         nodes = np.flatnonzero(end < 0)
-        nodes = nodes[(nodes + way >= 0) & (nodes + way < len(end))]
+        nodes = nodes[(nodes + side >= 0) & (nodes + side < len(end))]
         place = END_SHARE * 2.0 * lengths[nodes]
-        share = place / (lengths[nodes] + 0.5 * lengths[nodes + way] - place)
-        clamps[nodes] += share[:, None] * (curvatures[nodes] - curvatures[nodes + way])
+        share = place / (lengths[nodes] + 0.5 * lengths[nodes + side] - place)
+        clamps[nodes] += share[:, None] * (curvatures[nodes] - curvatures[nodes + side])
     return clamps
 
 

@@ -79,10 +79,10 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
     rest_curvature = line.rest_curvature_at_nodes
     lent, turns = [], []
     for node, number in clamp_at.items():
-        for element, way in ((node - 1, -0.5), (node, 0.5)):
+        for element, sign in ((node - 1, -0.5), (node, 0.5)):
             if 0 <= element < len(line.lengths):
                 lent.append((element, number))
-                turns.append(way * line.lengths[element] * rest_curvature[node])
+                turns.append(sign * line.lengths[element] * rest_curvature[node])
     pairs = np.array(lent, dtype=np.int64).reshape(-1, 2)
     ends, row = np.unique(pairs[:, 0], return_inverse=True)
     return Supports(

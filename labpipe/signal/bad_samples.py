@@ -349,10 +349,10 @@ def find_spikes(force: Floats) -> Ints:
 
     level = median_filter(f, _SPIKE_WINDOW, mode="nearest")
     off = f - level
-    away = np.abs(off)
+    size = np.abs(off)
     # np.median, as `records.arrays.median` is slow for few distinct values.
-    far = max(mad_factor * 1.4826 * float(np.median(away)), _MIN_SPIKE * float(np.ptp(level)))
-    runs = [_peak_of_run(np.arange(*run), off) for run in stretches_of(away > far)]
+    far = max(mad_factor * 1.4826 * float(np.median(size)), _MIN_SPIKE * float(np.ptp(level)))
+    runs = [_peak_of_run(np.arange(*run), off) for run in stretches_of(size > far)]
     spikes = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
     numbers: Ints = valid[np.concatenate(spikes).astype(np.int64)] if spikes else valid[:0]
     return numbers
@@ -393,8 +393,8 @@ def _has_small_steps(f: Floats) -> bool:
 
 def _peak_of_run(run: Ints, off: Floats) -> Ints:
     """Return the samples of a run without neighbours whose median the spike has shifted."""
-    away = np.abs(off[run])
-    core: Ints = run[away > 0.3 * away.max()]
+    size = np.abs(off[run])
+    core: Ints = run[size > 0.3 * size.max()]
     return core
 
 

@@ -29,18 +29,18 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
     max_error = 0.15
     # Share of the samples; more are used where noise requires it.
     end_share = 0.02
-    way = float(values[-1] - values[0])
+    travel = float(values[-1] - values[0])
     lasts = float(time[-1] - time[0])
-    if len(values) < 3 or way == 0.0 or not lasts > 0.0:
+    if len(values) < 3 or travel == 0.0 or not lasts > 0.0:
         return False
-    speed, noise = abs(way) / lasts, noise_level(values)
+    speed, noise = abs(travel) / lasts, noise_level(values)
     time_step = median(np.diff(time))
     size = max(3, int(end_share * len(values)))
     while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / time_step > max_error * speed:
         size += max(1, size // 4)
     late, high = time[-size:] - time[-size:].mean(), values[-size:]
     slope = float(late @ high) / float(late @ late)
-    return slope * float(np.sign(way)) >= min_end_speed * speed
+    return slope * float(np.sign(travel)) >= min_end_speed * speed
 
 
 def standing_stretches(

@@ -330,8 +330,8 @@ def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None
     if np.ptp(level) < range_noise_factor * noise_level(level):
         return None
     bend, after = _slope_drops(level)
-    here = level[_BLOCKS:-_BLOCKS] - level.min()
-    drop = np.where((after < 0.0) & (here > min_height_share * np.ptp(level)), bend, 0.0)
+    inner = level[_BLOCKS:-_BLOCKS] - level.min()
+    drop = np.where((after < 0.0) & (inner > min_height_share * np.ptp(level)), bend, 0.0)
     best = int(np.argmax(drop))
     return float(middles[best + _BLOCKS]) if drop[best] > 0.0 else None
 

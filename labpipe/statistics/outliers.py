@@ -67,7 +67,7 @@ class Suspects:
         chances = [min(step.p for step in self.steps[number:]) for number in range(len(self.steps))]
         pairs = zip(self.steps, chances, strict=True)
         marked = [(step, chance) for step, chance in pairs if chance < level]
-        alone = {step.where for step, _ in marked}
+        single_places = {step.where for step, _ in marked}
         return tuple(
             Outlier(
                 self.names[where],
@@ -76,7 +76,7 @@ class Suspects:
                 chance,
             )
             for step, chance in marked
-            for where, others in _shared(step, alone)
+            for where, others in _shared(step, single_places)
         )
 
 
@@ -159,9 +159,9 @@ def _suspects(group: Group, number: GroupNumber) -> Suspects:
     return find_suspects(values, spools)
 
 
-def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
+def _shared(step: _Step, single_places: set[int]) -> list[tuple[int, list[int]]]:
     """Return the value of a step and equally suspect ones, each with the others."""
-    every = [step.where, *(twin for twin in step.twins if twin not in alone)]
+    every = [step.where, *(twin for twin in step.twins if twin not in single_places)]
     return [(where, [other for other in every if other != where]) for where in every]
 
 

@@ -230,8 +230,9 @@ class Target:
                 continue  # a scale has no scales
             for place, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                again = spec.axes[:place].count(axis)
-                unique = f"{scale}_{again + 1}" if again else scale  # xarray requires unique names
+                n_before = spec.axes[:place].count(axis)
+                # xarray requires unique names
+                unique = f"{scale}_{n_before + 1}" if n_before else scale
                 if unique not in opened_scales:
                     opened_scales[unique] = self._scale(unique, scale, axis, dataset.shape[place])
                 self.attach(dataset, place, opened_scales[unique])

@@ -238,9 +238,9 @@ def _frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
     for point in points:
         step = point.step if isinstance(point, Waypoint) else point.by or steps
         span = step - len(frames) + 1
-        here = matrices(frames[-1])[:, 2]
-        there = here if point.direction is None else np.array(point.direction)
-        full = rotation_vectors(shortest_turns(here, there))
+        start_direction = matrices(frames[-1])[:, 2]
+        direction = start_direction if point.direction is None else np.array(point.direction)
+        full = rotation_vectors(shortest_turns(start_direction, direction))
         shares = np.arange(1, span + 1) / span
         moved = from_rotation_vectors(shares[:, None] * full)
         frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))

@@ -260,8 +260,8 @@ def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
             expected = "the name of a csv in the folder of the wire sheet"
             remedy = "Put the table beside the sheet and give its name."
             raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
-        beside = path.with_name(name.text)
-        return as_table(csv_cells(beside), beside, rows_of=rows_of), beside
+        neighbour = path.with_name(name.text)
+        return as_table(csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
     sheets = list(sheets_of(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:

@@ -223,9 +223,9 @@ def _neighbours(places: Floats) -> Ints:
 def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
     """Return the place of each wire, with the wires of the first kind first."""
     first = bundle.wires[0][1]
-    around = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
+    order = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
-        return around
+        return order
     # the second kind is spread evenly over the shells
     share = (len(places) - first) / len(places)
     is_second = np.diff(np.floor(share * np.arange(len(places) + 1) + 0.5)) > 0.0

@@ -253,8 +253,8 @@ def marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
 
 def twist_at(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
     """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
-    way, _, _ = path.middle(progress)
-    turned: Floats = markers.twist * way / path.test.stroke
+    travel, _, _ = path.middle(progress)
+    turned: Floats = markers.twist * travel / path.test.stroke
     return turned
 
 
@@ -262,9 +262,9 @@ def cylinder_markers(path: ThreePointPath, markers: CylinderMarkers, progress: F
     """Return marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
     sections, angles = marker_places(markers)
     x, y, turn = path.points(progress, sections)
-    around = angles - twist_at(path, markers, progress)[:, None]
-    up = markers.centre_offset * np.sin(around)
-    out = markers.centre_offset * np.cos(around)
+    rolled_angles = angles - twist_at(path, markers, progress)[:, None]
+    up = markers.centre_offset * np.sin(rolled_angles)
+    out = markers.centre_offset * np.cos(rolled_angles)
     centres: Floats = np.stack([x - up * np.sin(turn), y + up * np.cos(turn), out], axis=2)
     return centres
 

@@ -204,8 +204,8 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
         [_two_lines(grid, wanted, break_point)[1] for break_point in breaks.tolist()]
     )
     best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
-    below, here, above = misfits[best - 1 : best + 2]
-    shift = 0.5 * (below - above) / (below - 2.0 * here + above)
+    below, middle, above = misfits[best - 1 : best + 2]
+    shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
     break_point = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
     (level, first, change), _ = _two_lines(grid, wanted, break_point)
     return KinkTruth(

@@ -237,7 +237,7 @@ def evaluate_conduit(
     stroke, factor = scenario.test.stroke, scenario.factor
     loading = _type_loading(path).scaled(factor)
     both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _TRUTH_POINTS - 1)
-    force, way = factor * path.force(both), path.displacement(both)
+    force, displacement = factor * path.force(both), path.displacement(both)
     top = int(np.argmax(force))
     time: Floats = np.arange(0.0, schedule.end + scenario.clocks.camera_lead, 1.0 / rate)
     progress = schedule.progress_at(time - scenario.clocks.camera_lead)
@@ -248,9 +248,9 @@ def evaluate_conduit(
         initial_bending_stiffness=scenario.bundle.law().stiffness,
         bending_stiffness=loading.windowed_stiffness * scenario.test.span**3 / 48.0,
         peak_force=float(force[top]),
-        peak_displacement=float(way[top]),
+        peak_displacement=float(displacement[top]),
         residual_displacement=path.residual,
-        energy=float(np.trapezoid(force, way)),
+        energy=float(np.trapezoid(force, displacement)),
         middle=_middle(path, scenario),
         start_time=turns[0],
         top_time=turns[1],

@@ -269,9 +269,9 @@ def _find_exchange(wire_types: Ints, traits: Floats, near: Floats) -> tuple[int,
     distances = size[:, None] + size - 2.0 * traits @ traits.T
     share = 1.0 / count[wire_types]
     change = (share[:, None] + share) * distances + 2.0 * (among + among.T - pulls[:, None] - pulls)
-    beside = (near @ member)[:, wire_types]
-    own_beside = np.diag(beside)
-    alike = beside + beside.T - own_beside[:, None] - own_beside - 2.0 * near
+    neighbours = (near @ member)[:, wire_types]
+    own_beside = np.diag(neighbours)
+    alike = neighbours + neighbours.T - own_beside[:, None] - own_beside - 2.0 * near
     change = np.where(wire_types[:, None] == wire_types, np.inf, np.round(change, _MERIT_DIGITS))
     change[np.tri(len(wire_types), dtype=bool)] = np.inf  # each pair once
     candidates = np.argwhere(change == change.min())

@@ -325,17 +325,19 @@ def _panels_of(values: Floats) -> Floats:
 
 def _nodes_of(polygon: Polygon, panel: Ints, width: Floats) -> tuple[Floats, Floats]:
     """Return W* at Gauss's nodes of some panels, from their lower ends, and the nodes' weights."""
-    way = _NODES[:, None] * width
-    energy = (polygon.compliance[panel] / 2.0 * way + polygon.curvature[panel]) * way
+    distance = _NODES[:, None] * width
+    energy = (polygon.compliance[panel] / 2.0 * distance + polygon.curvature[panel]) * distance
     return energy + polygon.energy[panel], _WEIGHTS[:, None] * width
 
 
 def _at_clamp(polygon: Polygon, moment: Floats) -> tuple[Floats, Floats]:
     """Return curvature and complementary energy at moments."""
     panel = np.searchsorted(polygon.moment[1:-1], moment, side="right")
-    way = moment - polygon.moment[panel]
+    moment_change = moment - polygon.moment[panel]
     slope, curvature = polygon.compliance[panel], polygon.curvature[panel]
-    return curvature + slope * way, polygon.energy[panel] + way * (curvature + slope * way / 2.0)
+    return curvature + slope * moment_change, polygon.energy[panel] + moment_change * (
+        curvature + slope * moment_change / 2.0
+    )
 
 
 def _at_moments(polygon: Polygon, length: float, clamp: Floats) -> tuple[EndLoads, Floats]:

@@ -212,8 +212,8 @@ def helix_overlap(section: CrossSection) -> float:
     neighbour_diameters = 1.5
     deepest = 0.0
     for number, layer in enumerate(section.layers):
-        here = section.layer == number
-        centres = np.column_stack([section.x[here], section.y[here]])
+        in_layer = section.layer == number
+        centres = np.column_stack([section.x[in_layer], section.y[in_layer]])
         first, second = (
             KDTree(centres)
             .query_pairs(neighbour_diameters * layer.diameter, output_type="ndarray")

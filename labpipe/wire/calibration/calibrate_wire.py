@@ -266,13 +266,13 @@ def _prior_conflict(result: CalibrationFit, number: int) -> PriorConflict:
     name = PARAMETERS[number]
     precision = result.problem.precision.copy()
     precision[number] = 0.0
-    alone = replace(result.problem, precision=precision)
+    problem = replace(result.problem, precision=precision)
     fits = [
-        search(alone, result.levels, valley.fit.point, result.free) for valley in result.valleys
+        search(problem, result.levels, valley.fit.point, result.free) for valley in result.valleys
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     spread = uncertainty(
-        alone, fit, result.free, result.levels, is_scatter_known=result.is_scatter_known
+        problem, fit, result.free, result.levels, is_scatter_known=result.is_scatter_known
     )
     variance = float(spread.covariance[number, number])
     prior_variance = 1.0 / result.problem.precision[number]

@@ -116,8 +116,8 @@ def _solve(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floa
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     moves = np.append(free, problem.gain > 0.0)
     tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
-    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
-    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
+    deviations = np.append(fit.point.logs - problem.centre, fit.point.gain)
+    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * deviations
     matrix[range(P + 1), range(P + 1)] += tight
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
     if moves.any():

@@ -143,10 +143,10 @@ def estimate_levels(
     grid = np.linspace(*log_ratios)
     heights = [linear.estimate(float(np.exp(log_level)) / information)[1] for log_level in grid]
     best = int(np.argmin(heights))
-    around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     optimum = minimize_scalar(
         lambda log_level: linear.estimate(float(np.exp(log_level)) / information)[1],
-        bounds=around,
+        bounds=bracket,
         method="bounded",
         options={"xatol": 1e-3},
     )
