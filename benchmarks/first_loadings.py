@@ -21,9 +21,9 @@ from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
 from labpipe.virtual_lab.specimens import StrandedWire
 
-MOST_SCATTER = 1.25
+MAX_SCATTER = 1.25
 """Farthest that a sample's factor, or its inverse, may be from 1."""
-_INVERSES = np.array([1.0 / MOST_SCATTER, 1.0, MOST_SCATTER])
+_INVERSES = np.array([1.0 / MAX_SCATTER, 1.0, MAX_SCATTER])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,7 @@ def observe_loading(
     ------
     ValueError
         If the wire is neither one of strands nor a bundle, its factor is farther from 1 than
-        `MOST_SCATTER`, the string is slack at first, or the mechanics have no solution.
+        `MAX_SCATTER`, the string is slack at first, or the mechanics have no solution.
     """
     random = np.random.default_rng([seed, 43])
     cell = scenario.load_cell
@@ -109,10 +109,10 @@ def _stranded(test: MechanicalTest) -> StrandedWire | BundleModel:
             f"BundleModel, and None"
         )
         raise ValueError(message)
-    if not 1.0 / MOST_SCATTER <= wire.factor <= MOST_SCATTER:
+    if not 1.0 / MAX_SCATTER <= wire.factor <= MAX_SCATTER:
         message = (
-            f"factor={wire.factor!r}: allowed are numbers from {1.0 / MOST_SCATTER:g} to "
-            f"{MOST_SCATTER:g}"
+            f"factor={wire.factor!r}: allowed are numbers from {1.0 / MAX_SCATTER:g} to "
+            f"{MAX_SCATTER:g}"
         )
         raise ValueError(message)
     return wire

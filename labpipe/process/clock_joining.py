@@ -250,14 +250,14 @@ def _event_table(events: list[tuple[Corner, Reversal]], *, shape_errors: int) ->
     """
     rows = [
         (
-            seen.time,
-            felt.corner.time,
+            motion_event.time,
+            force_event.corner.time,
             np.hypot(
-                np.hypot(seen.time_error, felt.corner.time_error),
-                np.sqrt(shape_errors) * felt.shape_error if shape_errors else 0.0,
+                np.hypot(motion_event.time_error, force_event.corner.time_error),
+                np.sqrt(shape_errors) * force_event.shape_error if shape_errors else 0.0,
             ),
         )
-        for seen, felt in events
+        for motion_event, force_event in events
     ]
     return np.array(rows, dtype=np.float64).reshape(-1, 3).T
 

@@ -156,7 +156,7 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
         return
     begins, ends = branches[0].start_time, branches[-1].stop_time
     for name, stretch in signals.zeroed.items():
-        start, stop = (clocks.to_curve(at, signals.raw[name].clock) for at in stretch)
+        start, stop = (clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
         if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
             message = (
                 f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "

@@ -88,7 +88,9 @@ def _filled(stated: object) -> object:
     """Put the shipped ranges, and ends of ranges, where some are left out."""
     if not isinstance(stated, Mapping):
         return stated
-    shipped = {kind: {"from": least, "to": most} for kind, (_, least, most) in PLAUSIBLE.items()}
+    shipped = {
+        kind: {"from": lowest, "to": highest} for kind, (_, lowest, highest) in PLAUSIBLE.items()
+    }
     ranges = {
         kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
         for kind, ends in stated.items()
@@ -96,8 +98,11 @@ def _filled(stated: object) -> object:
     return shipped | ranges
 
 
-def _schema_of(least: str, most: str) -> dict[str, object]:
-    ends = {"from": {"type": "string", "default": least}, "to": {"type": "string", "default": most}}
+def _schema_of(lowest: str, highest: str) -> dict[str, object]:
+    ends = {
+        "from": {"type": "string", "default": lowest},
+        "to": {"type": "string", "default": highest},
+    }
     return {"type": "object", "properties": ends, "additionalProperties": False}
 
 
@@ -187,12 +192,12 @@ def _outside(
     unit = PLAUSIBLE[kind][0]
     try:
         size = abs(parse_quantity(text, unit))
-        least, most = (parse_quantity(ends[end], unit) for end in ("from", "to"))
+        lowest, highest = (parse_quantity(ends[end], unit) for end in ("from", "to"))
     except ValueError:
         return
-    if least <= size <= most or least >= most:
+    if lowest <= size <= highest or lowest >= highest:
         return
-    end = "from" if size < least else "to"
+    end = "from" if size < lowest else "to"
     override = in_test_sheet(f"plausible.{kind}.{end}", text)
     if in_file:
         override = f"'plausible: {{{kind}: {{{end}: {text}}}}}'"

@@ -138,12 +138,13 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
 
 def _draw_tangents(axes: Axes, law: MeasuredLaw, across: Scale, up: Scale) -> None:
     """Draw the slope of the law at its knots, where it is measured, with its interval."""
-    at = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
-    at = at[np.isfinite(law.tangent[at])]
-    middle = law.tangent[at]
-    ends = np.stack([middle - law.tangent_lower[at], law.tangent_upper[at] - middle])
+    at_knots = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
+    at_knots = at_knots[np.isfinite(law.tangent[at_knots])]
+    middle = law.tangent[at_knots]
+    ends = np.stack([middle - law.tangent_lower[at_knots], law.tangent_upper[at_knots] - middle])
     axes.errorbar(
-        law.curvature[at] * across.factor, middle * up.factor, yerr=ends.clip(0.0) * up.factor,
+        law.curvature[at_knots] * across.factor, middle * up.factor,
+        yerr=ends.clip(0.0) * up.factor,
         **_TANGENT,
     )  # fmt: skip
 

@@ -74,9 +74,7 @@ _ROW_MM = 6.0
 """Height of a bar with its gap."""
 _FRAME_MM = 26.0
 """Height of axis and heading."""
-MOST_BARS = 20
-_MIN_LABELLED_SHARE = 0.10
-"""Smallest share of a bar that has room for its number."""
+MAX_BARS = 20
 SMALLER = "causes under 2 % in every bar"
 _HATCH = "////"
 COLOURS_OF_CAUSES: Mapping[str, str] = {
@@ -127,9 +125,7 @@ def draw_budget(result: TestResult) -> Figure:
     Numbers of later cycles, of single slips and of the clocks are left out.
     """
     budgeted = [result for result in result.results if result.largest_share is not None]
-    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)][
-        :MOST_BARS
-    ]
+    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)][:MAX_BARS]
     if not numbers:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
         write_reason(page.subplots(), "No number of this test has a budget of its interval.")
@@ -189,6 +185,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes : to draw on; causes that all tests of a rig share are hatched
     of : the quantity that is divided into shares
     """
+    min_labelled_share = 0.10  # smallest share of a bar that has room for its number
     bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
@@ -199,7 +196,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
         for cause, share in bar_parts(bar.shares, named).items():
             corner = 100 * start, height - bar_height / 2
             axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_bar_style(cause)))
-            if share >= _MIN_LABELLED_SHARE:
+            if share >= min_labelled_share:
                 _write_share(axes, 100 * (start + share / 2), height, share, cause)
             start += share
         axes.text(1.01, height, bar.text, transform=beside, va="center")
@@ -213,7 +210,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes.set_xlabel(f"Share of the {of} (%)")
 
 
-def _write_share(axes: Axes, at: float, height: float, share: float, cause: str) -> None:
+def _write_share(axes: Axes, middle: float, height: float, share: float, cause: str) -> None:
     """Write a share on its colour; on hatching, on a patch of plain colour."""
     dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
@@ -223,7 +220,7 @@ def _write_share(axes: Axes, at: float, height: float, share: float, cause: str)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
     is_hatched = IS_COMMON.get(cause, False)
     label = axes.text(
-        at, height, f"{100 * share:.0f}", ha="center", va="center",
+        middle, height, f"{100 * share:.0f}", ha="center", va="center",
         color="white" if is_dark else "black",
         bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip
@@ -301,7 +298,7 @@ def budgets_to_draw(group: Group) -> list[GroupNumber]:
     group : with or without samples
     """
     numbers = [one for one in group.numbers if is_main(one.name) and is_first_cycle(one.name)]
-    return [number for number in numbers if group_budget(number).of_tests][:MOST_BARS]
+    return [number for number in numbers if group_budget(number).of_tests][:MAX_BARS]
 
 
 def draw_group_budgets(group: Group) -> Figure:

@@ -52,7 +52,7 @@ _NOTES = (
 
 
 def has_bundles(campaign: Campaign) -> bool:
-    """Tell whether any sample of a campaign is a harness bundle."""
+    """Return whether any sample of a campaign is a harness bundle."""
     return any(
         sample.specimen.bundle is not None for group in campaign.groups for sample in group.samples
     )
@@ -142,8 +142,8 @@ def place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
     """
     scales = place_scales(campaign)
     parts = list(_parts(campaign.places))
-    for at, part in enumerate(parts, start=1):
-        name = "between-slipping-and-sticking" + (f"-{at}" if len(parts) > 1 else "")
+    for number, part in enumerate(parts, start=1):
+        name = "between-slipping-and-sticking" + (f"-{number}" if len(parts) > 1 else "")
         scale = scales[part[0].group]
         groups = ", ".join(dict.fromkeys(place.group for place in part))
         alt = f"Bending stiffness between all slipping and nothing slipping: {groups}."
@@ -211,10 +211,10 @@ def _plot_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
     if not isnan(place.low):
         axes.plot([factor * place.low, factor * place.high], [row, row], **_BOUNDS)
         axes.plot([factor * place.free], [row], **_FREE)
-    left = axes.get_xlim()[0]
+    left_edge = axes.get_xlim()[0]
     if place.value is not None and place.value > 0.0:
         if place.interval is not None:
-            ends = [max(factor * place.interval.lower, left), factor * place.interval.upper]
+            ends = [max(factor * place.interval.lower, left_edge), factor * place.interval.upper]
             axes.plot(ends, [row, row], color=look["color"], linewidth=1.0, zorder=2)
         axes.plot([factor * place.value], [row], linestyle="", zorder=3, **look)
     why = sentences(place.reasons)
@@ -304,8 +304,8 @@ def plot_bundle_section(model: BundleModel, axes: Axes) -> None:
 
     layout, colours = model.layout, _colours()
     places = LENGTH.factor * np.column_stack([layout.x, layout.y])
-    for place, diameter, kind in zip(places, layout.diameter, layout.kind, strict=True):
-        radius, colour = LENGTH.factor * diameter / 2.0, colours[int(kind) % len(colours)]
+    for place, diameter, wire_type in zip(places, layout.diameter, layout.kind, strict=True):
+        radius, colour = LENGTH.factor * diameter / 2.0, colours[int(wire_type) % len(colours)]
         axes.add_patch(Circle((place[0], place[1]), radius, facecolor=colour, **_OUTLINE))
     bore = model.bundle.conduit_bore or 0.0
     if bore:
@@ -365,8 +365,8 @@ def plot_bounds(model: BundleModel, axes: Axes) -> None:
 def _bundle_keys(model: BundleModel) -> list[Artist]:
     colours = _colours()
     keys: list[Artist] = [
-        area_key(wire.type, facecolor=colours[kind % len(colours)], **_OUTLINE)
-        for kind, wire in enumerate(model.bundle.wires)
+        area_key(wire.type, facecolor=colours[number % len(colours)], **_OUTLINE)
+        for number, wire in enumerate(model.bundle.wires)
     ]
     if model.bundle.conduit_bore is not None:
         bore = {name: _BORE[name] for name in ("linewidth", "linestyle")}

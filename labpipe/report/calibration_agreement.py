@@ -237,7 +237,7 @@ class ExternalPanel(NamedTuple):
 
     @property
     def prediction(self) -> Prediction | None:
-        """Prediction up to the end of the longest curve."""
+        """Return the prediction up to the end of the longest curve."""
         predictions = [
             comparison.prediction
             for comparison in self.comparisons

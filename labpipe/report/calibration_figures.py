@@ -126,9 +126,9 @@ def _label_end(shape: BentShape, axes: Axes) -> None:
     ends = [line[-1] for line in map(_finite_rows, _lines(shape)) if len(line)]
     if not ends:
         return
-    at = DEFLECTION.factor * np.max(ends, axis=0)
+    end_place = DEFLECTION.factor * np.max(ends, axis=0)
     axes.annotate(
-        length_words(shape.deflection), (float(at[0]), float(at[1])), (5, 0),
+        length_words(shape.deflection), (float(end_place[0]), float(end_place[1])), (5, 0),
         textcoords="offset points", va="center",
     )  # fmt: skip
 
@@ -230,7 +230,7 @@ MODEL_BAND: dict[str, Any] = {"color": BAND, "alpha": 0.55, "linewidth": 0, "zor
 _FAINT: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.4}
 _MEANS: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
 _ZERO: dict[str, Any] = {"color": "black", "linewidth": 0.6, "zorder": 1}
-N_MEANS = 25
+N_BLOCKS = 25
 """Least number of blocks over which residuals are averaged."""
 
 
@@ -284,16 +284,16 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
 
     Notes
     -----
-    Every point is drawn faint; a line shows the means of at least `N_MEANS` blocks of neighbouring
+    Every point is drawn faint; a line shows the means of at least `N_BLOCKS` blocks of neighbouring
     points, if there are as many points.
     """
     looks = sample_looks(calibration)
     axes.axhline(0.0, **_ZERO)
     for curve in calibration.curves:
         factor = curve.sample_factor if has_own_factor else 1.0
-        left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
-        _plot(axes, curve.deflection, left, looks[curve.length], **_FAINT)
-        across, up = (block_means(values, N_MEANS) for values in (curve.deflection, left))
+        residual = SMALL_FORCE.factor * (curve.force - factor * curve.model)
+        _plot(axes, curve.deflection, residual, looks[curve.length], **_FAINT)
+        across, up = (block_means(values, N_BLOCKS) for values in (curve.deflection, residual))
         look = looks[curve.length]
         axes.plot(DEFLECTION.factor * across, up, color=look.colour, linestyle=look.dash, **_MEANS)
     axes.set_xlim(left=0.0)
@@ -346,7 +346,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
         there is one
     """
     if not parameter.profiles:
-        write_reason(axes, typeset(parameter.words), line_length=30)
+        write_reason(axes, typeset(parameter.explanation), line_length=30)
         return
     axis = DISPLAYS[parameter.name]
     low, high = panel_range(parameter)
@@ -454,8 +454,8 @@ def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, f
         return
     values: Floats = np.geomspace(*ends, 200)
     error = np.log(parameter.conflict.factor) / normal_quantile
-    away = np.log(values / parameter.conflict.centre) / error
-    axes.plot(DISPLAYS[parameter.name].scale.factor * values, away**2, **PRIOR)
+    deviations = np.log(values / parameter.conflict.centre) / error
+    axes.plot(DISPLAYS[parameter.name].scale.factor * values, deviations**2, **PRIOR)
 
 
 def _set_ticks(axes: Axes) -> None:
@@ -562,18 +562,19 @@ def _write_table(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]
     column_edges = (0.0, 0.24, 0.34, 0.53, 0.60)
     axes.set_axis_off()
     for number, row in enumerate(rows):
-        for at, text in zip(column_edges, row, strict=True):
+        for x_place, text in zip(column_edges, row, strict=True):
             is_bold = number == 0 or text in _DOUBTFUL
-            _put_text(axes, text, at, number, weight="bold" if is_bold else "normal")
+            _put_text(axes, text, x_place, number, weight="bold" if is_bold else "normal")
     for number, line in enumerate(lines, start=len(rows)):
         _put_text(axes, line, 0.0, number + 0.5)
 
 
-def _put_text(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
-    left = 0.012
+def _put_text(axes: Axes, text: str, x: float, line: float, **look: Any) -> None:
+    padding = 0.012
     points_per_mm = 72.0 / 25.4
     axes.annotate(
-        text, (left + at, 1.0), (0.0, -line * _LINE_MM * points_per_mm), textcoords="offset points",
+        text, (padding + x, 1.0), (0.0, -line * _LINE_MM * points_per_mm),
+        textcoords="offset points",
         xycoords=("figure fraction", "axes fraction"), va="top", annotation_clip=False,
         **look,
     ).set_in_layout(False)  # fmt: skip

@@ -83,10 +83,10 @@ def _external_agreement(comparison: ExternalCurveComparison) -> Iterator[tuple[V
 def _errors(match: CurveMatch) -> tuple[Value, ...]:
     errors = match.errors
     if errors is None:
-        return (0, match.left_out, None, None, None, match.words)
+        return (0, match.left_out, None, None, None, match.explanation)
     inside = 100.0 * errors.inside if math.isfinite(errors.inside) else None
     rmse = FORCE.factor * errors.rmse
-    return (errors.n, match.left_out, rmse, 100.0 * errors.rmse_share, inside, match.words)
+    return (errors.n, match.left_out, rmse, 100.0 * errors.rmse_share, inside, match.explanation)
 
 
 def _external_points(comparison: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
@@ -118,8 +118,8 @@ def tables_of(report: CalibrationReport) -> list[Sheet]:
 
     Returns
     -------
-    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source),
-    those of external curves, ``curves``, ``forces`` and ``notes``.
+    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the
+    dissertation), those of external curves, ``curves``, ``forces`` and ``notes``.
     """
     calibration = report.calibration
     return [
@@ -165,7 +165,7 @@ def _parameter_row(parameter: CalibratedParameter) -> tuple[Value, ...]:
             up * conflict.centre, conflict.factor, up * conflict.alone, conflict.size,
             yes(conflict.contradicts), conflict.source,
         )  # fmt: skip
-    texts = (typeset(parameter.words), "" if conflict is None else typeset(conflict.message))
+    texts = (typeset(parameter.explanation), "" if conflict is None else typeset(conflict.message))
     named = (typeset(display.name).rstrip("."), parameter.name, display.scale.unit or "1")
     verdict = (parameter.verdict.value, parameter.at_bound)
     return (*named, up * parameter.value, *ends, *verdict, *prior, *texts)
@@ -325,7 +325,7 @@ def _notes_sheet(report: CalibrationReport) -> Sheet:
             "calibration",
             Severity.INFO.value,
             ", ".join(separability.names),
-            typeset(separability.words),
+            typeset(separability.explanation),
             "told_apart",
         )
         for separability in separabilities

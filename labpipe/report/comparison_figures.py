@@ -185,7 +185,7 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
     if not drawn:
         write_reason(axes, "No group has a mean curve.")
         return
-    places = [at - 0.5 * (len(drawn) - 1) for at in range(len(drawn))]
+    places = [number - 0.5 * (len(drawn) - 1) for number in range(len(drawn))]
     for look, band in drawn:
         x, rows = across.factor * band.displacement, _line_points(band, band.mean)
         axes.plot(x[rows], up * band.mean[rows], color=look.colour, linestyle=look.dash, zorder=3)
@@ -215,9 +215,9 @@ def _force_limits(bands: Sequence[Band], up: float) -> tuple[float, float]:
     room = 0.4 * (high - low)  # for bands, above and below the means
     edges = [edge for band in bands for edge in (band.lower, band.upper) if np.isfinite(edge).any()]
     least = min([low, *(float(np.nanmin(edge)) for edge in edges)])
-    most = max([high, *(float(np.nanmax(edge)) for edge in edges)])
+    highest = max([high, *(float(np.nanmax(edge)) for edge in edges)])
     margin = 0.04 * (high - low) or 1.0
-    return up * (max(least, low - room) - margin), up * (min(most, high + room) + margin)
+    return up * (max(least, low - room) - margin), up * (min(highest, high + room) + margin)
 
 
 def plot_means(family: Family, name: str, axes: Axes) -> None:
@@ -273,7 +273,10 @@ def _is_scaled(family: Family) -> bool:
 def _looks(family: Family) -> list[Look]:
     """Give each group a colour and a dash that also differ in grey."""
     colours = style_colours()
-    return [Look(colours[at % len(colours)], _DASHES[at]) for at in range(len(family.groups))]
+    return [
+        Look(colours[number % len(colours)], _DASHES[number])
+        for number in range(len(family.groups))
+    ]
 
 
 def _keys(family: Family) -> list[Artist]:

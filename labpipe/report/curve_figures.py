@@ -379,9 +379,9 @@ def mark_points(result: TestResult, axes: Axes) -> None:
             axes.axvline(place * across.factor, **_place_style(dashes))
     for slip in result.slips:
         axes.axvline(slip.position * across.factor, **_SLIP)
-    at, force = _value(result, "failure_displacement"), _value(result, "failure_force")
-    if at is not None and force is not None:
-        axes.plot(at * across.factor, force * up.factor, **_FAILURE)
+    displacement, force = _value(result, "failure_displacement"), _value(result, "failure_force")
+    if displacement is not None and force is not None:
+        axes.plot(displacement * across.factor, force * up.factor, **_FAILURE)
 
 
 _SLIP: dict[str, Any] = {"color": "#b2182b", "linewidth": 0.6, "linestyle": (0, (5, 2))}

@@ -291,15 +291,15 @@ def issues_sheet(campaign: Campaign) -> Sheet:
 def _cause_rows(causes: Iterable[tuple[int | None, Cause]]) -> Iterator[Row]:
     for rank, cause in causes:
         effect = "" if cause.effect is None else cause.effect.text
-        for concern in cause.concerns:
-            tests = concern.test or ", ".join(concern.tests)
+        for issue in cause.issues:
+            tests = issue.test or ", ".join(issue.tests)
             yield (
                 rank,
-                str(concern.kind),
-                concern.group,
+                str(issue.kind),
+                issue.group,
                 tests,
-                concern.what,
-                concern.reason,
+                issue.what,
+                issue.reason,
                 effect,
-                concern.code,
+                issue.code,
             )

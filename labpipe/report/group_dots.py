@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_DOT_NUMBERS = 6
-MAX_DOT_ROWS = 24
-"""Samples with a row each; in larger groups the samples of a spool share a row."""
 _RING: dict[str, Any] = {
     "marker": "o", "color": RED, "markerfacecolor": "none", "markersize": 8, "linestyle": ""
 }  # fmt: skip
@@ -57,7 +54,8 @@ class Row:
 
 
 def numbers_to_draw(group: Group) -> list[GroupNumber]:
-    """Return at most `MAX_DOT_NUMBERS` numbers with two or more samples, no later cycles."""
+    """Return at most six numbers with two or more samples, no later cycles."""
+    max_dot_numbers = 6
     numbers = [
         number
         for number in group.numbers
@@ -65,7 +63,7 @@ def numbers_to_draw(group: Group) -> list[GroupNumber]:
         and number.mean is not None
         and number.mean.over_samples.n > 1
     ]
-    return numbers[:MAX_DOT_NUMBERS]
+    return numbers[:max_dot_numbers]
 
 
 def draw_dots(group: Group) -> Figure:
@@ -131,15 +129,17 @@ def dot_rows(group: Group, number: GroupNumber) -> list[Row]:
 
     Returns
     -------
-    Rows at the same heights for every number of a group. In a group of more than `MAX_DOT_ROWS`
+    Rows at the same heights for every number of a group. In a group of more than 24
     samples those of a spool share a row, side by side, without intervals.
     """
+    # Samples with a row each; in larger groups the samples of a spool share a row.
+    max_dot_rows = 24
     rows: list[Row] = []
     looks = spool_looks(group)
     for spool, look in looks.items():
         tests = [sample.test for sample in group.samples if sample.specimen.spool == spool]
         rows += _sample_rows(
-            number, tests, _next_height(rows), look.colour, len(group.samples) > MAX_DOT_ROWS
+            number, tests, _next_height(rows), look.colour, len(group.samples) > max_dot_rows
         )
         if len(looks) == 1:
             break  # its mean is that of all
@@ -164,7 +164,7 @@ def _sample_rows(
     number: GroupNumber, tests: list[str], top: float, colour: str, is_crowded: bool
 ) -> list[Row]:
     if not is_crowded:
-        return [_sample_row(number, test, top + at, colour) for at, test in enumerate(tests)]
+        return [_sample_row(number, test, top + place, colour) for place, test in enumerate(tests)]
     label = f"{len(tests)} samples"
     return [
         replace(_sample_row(number, test, top + step, colour), label=label, interval=None, note="")

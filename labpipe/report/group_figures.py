@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
 
 MAX_SLIP_PANELS = 8
-_HEIGHT = 62.0
-_MAX_TITLE_LENGTH = 40
 _MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
 _CUT: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": ":"}
 
@@ -65,6 +63,8 @@ def draw_slips(group: Group) -> Figure:
     ----------
     group : one with slips; samples beyond the last panel are named in the footnote
     """
+    max_title_length = 40
+    height = 62.0
     panel_columns = 2
     samples = samples_with_slips(group)
     drawn, rest = samples[:MAX_SLIP_PANELS], samples[MAX_SLIP_PANELS:]
@@ -72,11 +72,11 @@ def draw_slips(group: Group) -> Figure:
     note = (
         f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
     )
-    page = group_page(group, _slip_keys(drawn), height_mm=_HEIGHT * rows, note=note)
+    page = group_page(group, _slip_keys(drawn), height_mm=height * rows, note=note)
     panels = panel_grid(page, len(drawn), columns=panel_columns, sharey=True)
     for sample, axes in zip(drawn, panels, strict=True):
         plot_slips(group, sample, axes)
-        axes.set_title(shortened(sample.test, _MAX_TITLE_LENGTH), loc="left")
+        axes.set_title(shortened(sample.test, max_title_length), loc="left")
         axes.label_outer(remove_inner_ticks=True)
     return page
 
@@ -210,7 +210,7 @@ def _curve_caption(group: Group, band: Band, *, is_scaled: bool = False) -> str:
         "Thin: first loading of each sample, up to failure if it failed. Faint: unloading and later"
         " cycles, if any."
     )
-    mean = f" Thick: mean of {band.n} {band.over}, drawn only where all of them have data."
+    mean = f" Thick: mean of {band.n} {band.members}, drawn only where all of them have data."
     if len(band.marks):
         cut = _clipping_text(group, band, is_scaled=is_scaled)
         return f"{text}{mean} Vertical: 95 % intervals of the mean at three displacements.{cut}"
@@ -231,13 +231,13 @@ def _simultaneous_band_text(group: Group, band: Band, *, is_scaled: bool) -> str
     low, high = force_limits(group, band, is_scaled=is_scaled)
     if low <= np.nanmin(band.lower_all) and np.nanmax(band.upper_all) <= high:
         return text
-    at = int(np.nanargmax(band.upper_all - band.lower_all))
+    widest = int(np.nanargmax(band.upper_all - band.lower_all))
     across, up = group_scale(group, "displacement"), group_scale(group, "force")
     force, unit = (1.0, "") if is_scaled else (up.factor, f" {up.unit}")
     return (
         f"{text} It exceeds the panel because there are only {band.n} curves: at its widest, at"
-        f" {across.factor * band.displacement[at]:.3g} {across.unit}, it extends from"
-        f" {force * band.lower_all[at]:.3g} to {force * band.upper_all[at]:.3g}{unit}."
+        f" {across.factor * band.displacement[widest]:.3g} {across.unit}, it extends from"
+        f" {force * band.lower_all[widest]:.3g} to {force * band.upper_all[widest]:.3g}{unit}."
     )
 
 

@@ -40,7 +40,7 @@ class _Points(NamedTuple):
 _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
 """For few samples, and for many, with overlapping lines: a test is below 3 kB."""
 _MAX_OFFSET_SHARE = 0.001
-_BAND_POINTS = 28
+_BAND_OUTLINE_POINTS = 28
 _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
@@ -68,16 +68,16 @@ class _GroupView:
 
     @property
     def points(self) -> _Points:
-        """Numbers of points of its lines."""
+        """Return the numbers of points of its lines."""
         return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
     def colour(self, sample: Sample) -> str:
         """Return the class of a sample's colour: of its spool, or its own for one spool."""
         spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
-        at = spools.index(sample.specimen.spool)
+        number = spools.index(sample.specimen.spool)
         if len(spools) == 1 and len(self.group.samples) <= _MAX_DETAILED_SAMPLES:
-            at = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
-        return f"c{at % COLOURS}"
+            number = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
+        return f"c{number % COLOURS}"
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
@@ -185,9 +185,12 @@ def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
     if len(places) and finite.any():
         height = np.interp(places, first.displacement[finite], first.force[finite])
         yield _dot_line("slip", places, height, drawn, test)
-    at, force = value_of(sample, "failure_displacement"), value_of(sample, "failure_force")
-    if at is not None and force is not None:
-        yield _dot_line("failure", np.array([at]), np.array([force]), drawn, test)
+    displacement, force = (
+        value_of(sample, "failure_displacement"),
+        value_of(sample, "failure_force"),
+    )
+    if displacement is not None and force is not None:
+        yield _dot_line("failure", np.array([displacement]), np.array([force]), drawn, test)
 
 
 def _dot_line(look: str, places: Floats, heights: Floats, drawn: _GroupView, test: int) -> Line:
@@ -231,7 +234,7 @@ def band_lines(
 def _band_rows(band: Band) -> Ints:
     """Return the points with which all edges of a band are drawn."""
     return simplify_line(
-        band.displacement, band.upper, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+        band.displacement, band.upper, points=_BAND_OUTLINE_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
 
 
@@ -247,15 +250,15 @@ def mean_lines(
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
     rows = simplify_line(
-        band.displacement, band.mean, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+        band.displacement, band.mean, points=_BAND_OUTLINE_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
     x, y = band.displacement[rows] * across, band.mean[rows] * up
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        at = band.displacement[marks] * across
+        mark_places = band.displacement[marks] * across
         ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
-        x = _with_gaps(at, at)
+        x = _with_gaps(mark_places, mark_places)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
@@ -274,8 +277,8 @@ def _keys(drawn: _GroupView, lines: Sequence[Line]) -> list[Key]:
                 sample.specimen.spool: drawn.colour(sample) for sample in group.samples
             }.items()
         ]
-    over = f"mean of {group.band.n} {group.band.over}"
-    labels = {"mean": over, **_KEY_LABELS}
+    mean_text = f"mean of {group.band.n} {group.band.members}"
+    labels = {"mean": mean_text, **_KEY_LABELS}
     return keys + [
         Key(look, label, "class", look) for look, label in labels.items() if look in looks
     ]
@@ -310,7 +313,7 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
         if shapes is None or not len(shapes.deflection):
             continue
         places = shapes.positions[-drawn.points.shapes :]
-        x, y = (_with_gaps(*places[:, :, way].T) * drawn.across.factor for way in (0, 1))
+        x, y = (_with_gaps(*places[:, :, axis].T) * drawn.across.factor for axis in (0, 1))
         look = f"shape {drawn.colour(sample)}"
         lines.append(Line(look, x, y, drawn.number(sample)))
     if not lines:
@@ -322,7 +325,7 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
     height = min(max(equal_scale_height(width, x_axis, y_axis), min_height), max_height)
     x_axis, y_axis = _equal_scale(x_axis, y_axis, width, height)
     steps = ", ".join(
-        f"{way * drawn.across.factor:.2g}" for way in _steps(samples)[-drawn.points.shapes :]
+        f"{step * drawn.across.factor:.2g}" for step in _steps(samples)[-drawn.points.shapes :]
     )
     caption = f"Markers at {steps} {unit} of the first loading, at equal axis scale."
     title = f"Shapes of {count_of(len(lines), 'sample')} of {drawn.group.name}."
@@ -331,11 +334,11 @@ def _shape_plot(drawn: _GroupView) -> Plot | None:
 
 
 def _steps(samples: Sequence[Sample]) -> Floats:
-    most = max(
+    max_step = max(
         (sample.shapes for sample in samples if sample.shapes),
         key=lambda shapes: len(shapes.deflection),
     )
-    return np.round(most.deflection, 4) + 0.0
+    return np.round(max_step.deflection, 4) + 0.0
 
 
 def _equal_scale(x: Axis, y: Axis, width: int, height: int) -> tuple[Axis, Axis]:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 RED = "#b2182b"
-POINTS, FAINT_POINTS = 120, 40
+CURVE_POINTS, FAINT_POINTS = 120, 40
 """Largest numbers of points of a curve, so that a page of thirty tests is below 1 MB."""
 
 
@@ -82,7 +82,9 @@ def group_page(
     return keyed_page(PageTexts(title, note, keys), height_mm=height_mm, columns=columns)
 
 
-def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[Floats, Floats]:
+def thin(
+    curve: SampleCurve, values: Floats, *, points: int = CURVE_POINTS
+) -> tuple[Floats, Floats]:
     """Return displacement and values of a curve at the drawn points.
 
     Parameters
@@ -233,9 +235,9 @@ def plot_marks(
     color : of the lines
     shift : m, to the right, so that groups do not overlap
     """
-    for at in band.marks:
-        x = across * (band.displacement[at] + shift)
-        axes.plot([x, x], [up * band.lower[at], up * band.upper[at]], color=color, **MARK)
+    for mark in band.marks:
+        x = across * (band.displacement[mark] + shift)
+        axes.plot([x, x], [up * band.lower[mark], up * band.upper[mark]], color=color, **MARK)
 
 
 def interval_key(label: str, *, color: str) -> Artist:
@@ -267,23 +269,23 @@ def force_limits(group: Group, band: Band, *, is_scaled: bool = False) -> tuple[
     ]
     finite = [force for force in forces if np.isfinite(force)] or [0.0, 1.0]
     low, high = _widened(min(finite), max(finite), band.lower, band.upper, 0.5)
-    whole = _widened(low, high, band.lower_all, band.upper_all, np.inf)
-    if whole[1] - whole[0] <= 1.25 * (high - low):
-        low, high = whole
+    full_limits = _widened(low, high, band.lower_all, band.upper_all, np.inf)
+    if full_limits[1] - full_limits[0] <= 1.25 * (high - low):
+        low, high = full_limits
     margin = 0.04 * (high - low) or 1.0
     return low - margin, high + margin
 
 
 def _widened(
-    low: float, high: float, lower: Floats, upper: Floats, most: float
+    low: float, high: float, lower_edge: Floats, upper_edge: Floats, max_widening: float
 ) -> tuple[float, float]:
     """Widen a range for a band, at most by a share of itself."""
-    if not _has_values(lower) or high == low:
+    if not _has_values(lower_edge) or high == low:
         return low, high
-    room = most * (high - low)
+    room = max_widening * (high - low)
     return (
-        max(min(low, float(np.nanmin(lower))), low - room),
-        min(max(high, float(np.nanmax(upper))), high + room),
+        max(min(low, float(np.nanmin(lower_edge))), low - room),
+        min(max(high, float(np.nanmax(upper_edge))), high + room),
     )
 
 
@@ -300,9 +302,12 @@ def _force_factor(sample: Sample) -> float:
 
 
 def _mark_failure(sample: Sample, axes: Axes, across: float, up: float, *, size: float) -> None:
-    at, force = value_of(sample, "failure_displacement"), value_of(sample, "failure_force")
-    if at is not None and force is not None:
-        axes.plot(at * across, force * up, "x", color=RED, markersize=size, zorder=5)
+    displacement, force = (
+        value_of(sample, "failure_displacement"),
+        value_of(sample, "failure_force"),
+    )
+    if displacement is not None and force is not None:
+        axes.plot(displacement * across, force * up, "x", color=RED, markersize=size, zorder=5)
 
 
 def _has_values(edge: Floats) -> bool:
@@ -324,7 +329,7 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
         for spool, look in spool_looks(group).items()
     ]
     if band.n >= 2 and len(band.displacement):
-        keys.append(line_key(f"mean of {band.n} {band.over}", **_MEAN))
+        keys.append(line_key(f"mean of {band.n} {band.members}", **_MEAN))
         if band.has_area:
             keys.append(area_key("95 % band, pointwise", **_POINTWISE))
         elif len(band.marks):
@@ -366,7 +371,7 @@ def draw_lines(group: Group) -> Figure:
 
 
 def has_lines(group: Group) -> bool:
-    """Tell whether any sample has a fitted line to draw."""
+    """Return whether any sample has a fitted line to draw."""
     return any(sample.lines for sample in group.samples)
 
 
@@ -411,9 +416,11 @@ def _slope_label(group: Group, name: str) -> str:
         return as_label(name)
     unit = shown_in(name, number.unit, display_of(group))
     mean = number.mean.chosen
-    slope = write_number(mean.mean, mean.interval, unit.factor, apart=mean.apart).text
-    over = "samples" if number.mean.is_pooled else "spool means"
-    of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
+    slope = write_number(
+        mean.mean, mean.interval, unit.factor, estimate=mean.distinct_estimate
+    ).text
+    mean_of = "samples" if number.mean.is_pooled else "spool means"
+    of = f", mean of {mean.n} {mean_of}" if mean.n > 1 else ""
     return f"{as_label(name)}: {slope} {unit_words(unit.unit)}{of}"
 
 

@@ -118,7 +118,9 @@ def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tupl
         if mean is None:
             cells.append(Cell(DASH, "no number"))
             continue
-        written = write_number(mean.mean, mean.interval, unit.factor, apart=mean.apart)
+        written = write_number(
+            mean.mean, mean.interval, unit.factor, estimate=mean.distinct_estimate
+        )
         cells.append(Cell(written.value, f"{written.interval} n = {mean.n}".strip()))
     return Cell(heading(number.name, unit.unit)), *cells
 
@@ -130,10 +132,14 @@ def slip_table(group: Group) -> Table | None:
     rows = []
     for sample in group.samples:
         for slip in sample.slips:
-            at = write_number(slip.position, slip.position_interval, across.factor)
+            position = write_number(slip.position, slip.position_interval, across.factor)
             lost = write_number(slip.drop, slip.drop_interval, up.factor)
             decision = decision_words(slip.decision)
-            cells = Cell(at.value, at.interval), Cell(lost.value, lost.interval), Cell(decision)
+            cells = (
+                Cell(position.value, position.interval),
+                Cell(lost.value, lost.interval),
+                Cell(decision),
+            )
             rows.append((Cell(sample.test), *cells))
     heads = (
         "Sample",
@@ -173,7 +179,7 @@ class Line:
     reason : a sentence
     subject : test or group, or their number
     effect : on the number that it changes most; empty if unknown
-    details : a row per concern with this cause
+    details : a row per issue with this cause
     """
 
     head: str
@@ -197,9 +203,9 @@ def cause_lines(causes: Sequence[Cause]) -> list[Line]:
             cause.subject,
             "" if cause.effect is None else cause.effect.text,
             Table(
-                f"{cause.kind} ({len(cause.concerns)})",
+                f"{cause.kind} ({len(cause.issues)})",
                 ("Test", "What", "Why"),
-                tuple(_concern_row(one) for one in cause.concerns),
+                tuple(_issue_row(one) for one in cause.issues),
             ),
         )
         for cause in causes
@@ -210,8 +216,8 @@ def note_table(campaign: Campaign) -> Table | None:
     """Return the table of notes without consequences, a row per kind; None without notes."""
     rows = tuple(
         (
-            Cell(note.concerns[0].reason, tip=note.code),
-            Cell(str(len(note.concerns))),
+            Cell(note.issues[0].reason, tip=note.code),
+            Cell(str(len(note.issues))),
             Cell(note.subject),
         )
         for note in find_notes(campaign)
@@ -220,10 +226,10 @@ def note_table(campaign: Campaign) -> Table | None:
     return Table("Notes without consequences", heads, rows) if rows else None
 
 
-def _concern_row(concern: Issue) -> tuple[Cell, ...]:
-    subject = concern.test or ", ".join(concern.tests) or "the whole group"
-    why = Cell(concern.reason, tip=concern.code)
-    return Cell(subject, concern.group), Cell(concern.what or DASH), why
+def _issue_row(issue: Issue) -> tuple[Cell, ...]:
+    subject = issue.test or ", ".join(issue.tests) or "the whole group"
+    why = Cell(issue.reason, tip=issue.code)
+    return Cell(subject, issue.group), Cell(issue.what or DASH), why
 
 
 def method_tables(campaign: Campaign) -> list[Table]:

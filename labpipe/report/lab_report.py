@@ -156,13 +156,13 @@ def _protocols(campaign: Campaign) -> str:
     return ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
 
 
-def _limit_rows(blocks: Sequence[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
+def _limit_rows(blocks: Sequence[KeyBlock], max_rows: int) -> list[tuple[KeyBlock, int]]:
     """Limit the number of groups of each block that are shown at first."""
     blocks_with_counts = []
     for block in blocks:
-        count = min(len(block.rows), max(most, 0))
+        count = min(len(block.rows), max(max_rows, 0))
         blocks_with_counts.append((block, count))
-        most -= count
+        max_rows -= count
     return blocks_with_counts
 
 

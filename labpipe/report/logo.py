@@ -49,7 +49,7 @@ def _picture_format(path: Path, content: bytes) -> str:
 
     try:
         with Image.open(BytesIO(content), formats=tuple(_KINDS)) as picture:
-            kind, pixels = str(picture.format), picture.width * picture.height
+            picture_format, pixels = str(picture.format), picture.width * picture.height
             if pixels > max_pixels:
                 raise _logo_error(path, f"a picture of {picture.width} x {picture.height} points")
             picture.load()
@@ -57,7 +57,7 @@ def _picture_format(path: Path, content: bytes) -> str:
         raise _logo_error(path, "a file of another format") from error
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise _logo_error(path, f"a damaged picture ({error})") from error
-    return kind
+    return picture_format
 
 
 def _logo_error(path: Path, content: str) -> UsageError:

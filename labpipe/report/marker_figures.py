@@ -93,14 +93,14 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     About six frames, the first at rest.
     """
     n_steps = 5
-    way, word = _tip_path(result, shape)
-    if np.isnan(way).all():
+    travel, word = _tip_path(result, shape)
+    if np.isnan(travel).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), word)
     factor = scale(result, "displacement", "m").factor
-    step = _round_step(float(np.nanmax(way)) * factor / n_steps) / factor
-    levels = np.arange(0.0, np.nanmax(way) * (1 + 1e-9), step)
+    step = _round_step(float(np.nanmax(travel)) * factor / n_steps) / factor
+    levels = np.arange(0.0, np.nanmax(travel) * (1 + 1e-9), step)
     # the first frame at a level: later ones may belong to another motion
-    reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
+    reached = [np.flatnonzero(travel >= level - 1e-12) for level in levels]
     frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
     return Steps(frames, levels[: len(frames)], word)
 
@@ -124,10 +124,10 @@ def _tip_path(result: TestResult, shape: Shape) -> tuple[Floats, str]:
         far: Floats = np.linalg.norm(tip - start, axis=1)
         return far, "tip excursion"
     curve = result.curve
-    way: Floats = np.interp(shape.time, curve.time, curve.displacement)
-    way[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
+    travel: Floats = np.interp(shape.time, curve.time, curve.displacement)
+    travel[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-    return way, "tip deflection" if is_clamped else "deflection"
+    return travel, "tip deflection" if is_clamped else "deflection"
 
 
 def _last_tracked(shape: Shape) -> int:
@@ -210,10 +210,10 @@ def _offset_note(result: TestResult, shape: Shape, rig: Rig) -> str:
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
     if not is_clamped or abs(rig.centre_offset) < min_offset or not shape.coefficients.shape[2]:
         return ""
-    way = scale(result, "displacement", "m")
+    across = scale(result, "displacement", "m")
     return (
-        f"Centres of markers are {abs(rig.centre_offset) * way.factor:.3g} {way.unit} beside the"
-        " axis, which is the curve."
+        f"Centres of markers are {abs(rig.centre_offset) * across.factor:.3g} {across.unit} beside "
+        "the axis, which is the curve."
     )
 
 
@@ -231,23 +231,23 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
         write_reason(axes, why_missing(result, "shape"))
         return
     steps, rig = choose_frames(result, shape), rig_of(result)
-    way = scale(result, "displacement", "m")
+    across = scale(result, "displacement", "m")
     if plane == 1:
-        _draw_rollers(axes, shape, steps, rig, way.factor)
+        _draw_rollers(axes, shape, steps, rig, across.factor)
     for frame, colour in zip(steps.frames, step_colours(len(steps.frames)), strict=True):
-        x, up = _fitted_curve(shape, int(frame))[[0, plane]] * way.factor
+        x, up = _fitted_curve(shape, int(frame))[[0, plane]] * across.factor
         axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
         for flag in _LOOKS:
             mine = shape.flags[frame] == flag
             if not mine.any():
                 continue
-            x, up = shape.positions[frame][mine][:, [0, plane]].T * way.factor
+            x, up = shape.positions[frame][mine][:, [0, plane]].T * across.factor
             axes.plot(x, up, color=colour, **_marker_style(flag, colour))
-    axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0, rig)))
-    axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane, rig)))
+    axes.set_xlim(*(end * across.factor for end in _limits(shape, steps, 0, rig)))
+    axes.set_ylim(*(end * across.factor for end in _limits(shape, steps, plane, rig)))
     axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set_xlabel(way.label("x"))
-    axes.set_ylabel(way.label("xyz"[plane]))
+    axes.set_xlabel(across.label("x"))
+    axes.set_ylabel(across.label("xyz"[plane]))
 
 
 def _fitted_curve(shape: Shape, frame: int) -> Floats:
@@ -289,9 +289,9 @@ def _sign_keys(shape: Shape, steps: Steps, rig: Rig) -> list[Artist]:
 
 def _draw_step_key(result: TestResult, axes: Axes, steps: Steps) -> None:
     """Draw the key of the deflections of the tip beside the panel."""
-    way = scale(result, "displacement", "m")
+    across = scale(result, "displacement", "m")
     levels = [
-        line_key(f"{level * way.factor:g} {way.unit}", color=colour, linewidth=1.6)
+        line_key(f"{level * across.factor:g} {across.unit}", color=colour, linewidth=1.6)
         for level, colour in zip(steps.levels, step_colours(len(steps.levels)), strict=True)
     ]
     axes.legend(
@@ -452,7 +452,7 @@ class Rig(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """Distance from the axis of the specimen to the axis of a roller, m."""
+        """Return the distance from the axis of the specimen to the axis of a roller, m."""
         return self.roller_radius + self.section_radius
 
 

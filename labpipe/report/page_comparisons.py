@@ -99,8 +99,8 @@ def _comparison(family: Family, stems: Mapping[str, str]) -> Comparison:
 
 def _group_looks(family: Family) -> Iterator[tuple[Group, str, str]]:
     """Yield each group with its label and the class of its colour."""
-    for at, (group, word) in enumerate(zip(family.groups, family.labels, strict=True)):
-        yield group, word, f"c{at % COLOURS}"
+    for number, (group, word) in enumerate(zip(family.groups, family.labels, strict=True)):
+        yield group, word, f"c{number % COLOURS}"
 
 
 def _curve_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
@@ -132,9 +132,9 @@ def _force_axis(bands: Sequence[Band], factor: float, unit: str) -> Axis:
     """Return an axis with full means, and intervals only as far as the means stay apart."""
     means = axis_over("Force", unit, [factor * band.mean for band in bands])
     edges = [factor * edge for band in bands for edge in (band.lower, band.upper)]
-    whole = axis_over("Force", unit, edges) if any(map(np.size, edges)) else means
+    full_axis = axis_over("Force", unit, edges) if any(map(np.size, edges)) else means
     room = 0.4 * (means.high - means.low)
-    low, high = max(whole.low, means.low - room), min(whole.high, means.high + room)
+    low, high = max(full_axis.low, means.low - room), min(full_axis.high, means.high + room)
     return Axis("Force", unit, min(low, means.low), max(high, means.high))
 
 

@@ -142,7 +142,7 @@ def result_cell(result: Result | None, factor: float, *, is_outlier: bool = Fals
     if result.value is None:
         return Cell(DASH)
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
-    text = with_interval(result.value, result.interval, factor, apart=result.apart)
+    text = with_interval(result.value, result.interval, factor, estimate=result.distinct_estimate)
     return Cell(text, mark=mark)
 
 
@@ -212,7 +212,7 @@ def samples_tables(group: Group, tests: PageTests) -> list[Table]:
         return []
     numbers = [number for number in group.numbers if is_main(number.name)]
     parts = split_pages(numbers, numbers_per_table)
-    return [_samples_table(group, part, tests, at > 0) for at, part in enumerate(parts)]
+    return [_samples_table(group, part, tests, index > 0) for index, part in enumerate(parts)]
 
 
 def _samples_table(
@@ -263,13 +263,14 @@ def budget_drawing(group: Group) -> Markup | None:
     if not bars:
         return None
     named = named_causes([shares for _, _, shares in bars])
-    left, right = (
+    left_room, right_room = (
         max(room, letter_width * max(len(bar[which]) for bar in bars) + 6)
         for which, room in text_widths
     )
-    whole = f"{_BAR_LEFT - left:.0f} 0 {left + _BAR_WIDTH + right:.0f} {len(bars) * bar_height + 4}"
+    width = left_room + _BAR_WIDTH + right_room
+    view_box = f"{_BAR_LEFT - left_room:.0f} 0 {width:.0f} {len(bars) * bar_height + 4}"
     parts = [
-        f'<svg class="budget" role="img" viewBox="{whole}"'
+        f'<svg class="budget" role="img" viewBox="{view_box}"'
         f' aria-label="Shares of the causes of the intervals of {escape(group.name)}.">'
     ]
     for row, (name, half, shares) in enumerate(bars):

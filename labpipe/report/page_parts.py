@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 SCRIPTS: Final = ("page_tables.js", "page_plots.js", "page_decisions.js")
 STYLE: Final = "page_answers.css"
 LOOKS: Final = "page_looks.css"
-_SCHEMA: Final = 1
 _NO_NETWORK: Final = "connect-src 'none'"
 _OWN_SERVER: Final = "connect-src 'self'"
 
@@ -55,10 +54,11 @@ def page_data(campaign: Campaign, *, report: str) -> Markup:
     -------
     JSON in which no text can end the element.
     """
+    schema = 1
     from markupsafe import Markup
 
     data = {
-        "schema": _SCHEMA,
+        "schema": schema,
         "campaign": campaign.name,
         "report": report,
         "labpipe": campaign.labpipe_version,

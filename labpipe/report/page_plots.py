@@ -42,7 +42,7 @@ class Axis:
 
     @property
     def label(self) -> str:
-        """Name and unit, such as ``Force (N)``."""
+        """Return name and unit, such as ``Force (N)``."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
 
@@ -135,13 +135,13 @@ def axis_over(name: str, unit: str, values: Iterable[Floats], *, room: float = 0
     return Axis(name, unit, low - room * span, high + room * span)
 
 
-def ticks(axis: Axis, most: int) -> list[float]:
+def ticks(axis: Axis, max_ticks: int) -> list[float]:
     """Find round values along an axis.
 
     Parameters
     ----------
     axis : with its ends
-    most : at most
+    max_ticks : at most
 
     Examples
     --------
@@ -151,8 +151,8 @@ def ticks(axis: Axis, most: int) -> list[float]:
     nice_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
     flat_span = 1e-12
     span = axis.high - axis.low
-    power = 10.0 ** floor(log10(span / most))
-    step = next(power * step for step in nice_steps if power * step * most >= span)
+    power = 10.0 ** floor(log10(span / max_ticks))
+    step = next(power * step for step in nice_steps if power * step * max_ticks >= span)
     first = int(np.ceil(axis.low / step - flat_span))
     last = int(np.floor(axis.high / step + flat_span))
     return [number * step for number in range(first, last + 1)]
@@ -214,8 +214,8 @@ def _x_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
     values = ticks(axis, max(2, width // 80))
     yield f'<g class="x-axis" transform="translate(0 {TOP + height})">'
     for value, label in zip(values, tick_words(values), strict=True):
-        at = LEFT + width * (value - axis.low) / (axis.high - axis.low)
-        yield f'<g class="tick" transform="translate({at:.1f} 0)">'
+        place = LEFT + width * (value - axis.low) / (axis.high - axis.low)
+        yield f'<g class="tick" transform="translate({place:.1f} 0)">'
         yield f'<path d="M0 0V{-height}"/><text y="14">{label}</text></g>'
     yield f'<text class="label" x="{LEFT + width / 2:.0f}" y="31">{escape(axis.label)}</text></g>'
 
@@ -226,8 +226,8 @@ def _y_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
     values = [] if axis.is_bare else ticks(axis, max(2, height // 46))
     yield f'<g class="y-axis" transform="translate({LEFT} 0)">'
     for value, label in zip(values, tick_words(values), strict=True):
-        at = TOP + height * (axis.high - value) / (axis.high - axis.low)
-        yield f'<g class="tick" transform="translate(0 {at:.1f})">'
+        place = TOP + height * (axis.high - value) / (axis.high - axis.low)
+        yield f'<g class="tick" transform="translate(0 {place:.1f})">'
         yield f'<path d="M0 0H{width}"/><text x="-5" y="4">{label}</text></g>'
     middle = TOP + height / 2
     yield f'<text class="label" transform="translate({13 - LEFT} {middle:.0f}) rotate(-90)">'

@@ -44,7 +44,7 @@ class TestRow:
 
     @property
     def address(self) -> str:
-        """Address of its page, quoted for a link."""
+        """Return the address of its page, quoted for a link."""
         return quote(self.page, errors="replace")
 
 

@@ -102,8 +102,8 @@ def _facts(campaign: Campaign) -> Iterator[str]:
     samples = samples_of(campaign)
     tests = count_of(len(samples), "test")
     rejected = len(campaign.rejected)
-    left = f", {count_of(rejected, 'test')} rejected" if rejected else ""
-    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{left}."
+    rejected_text = f", {count_of(rejected, 'test')} rejected" if rejected else ""
+    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{rejected_text}."
     if samples:
         yield f"Tested {days_words(samples)}; {operators_words(samples)}."
     for instrument_line in instrument_lines(samples):
@@ -180,7 +180,7 @@ def _key_numbers_sheet(campaign: Campaign) -> Sheet:
         bars = [cell for end in ends for cell in _bar_lengths(end)]
         head = (group.name, group.protocol, len(group.samples))
         rows.append((*head, *(cell for end in ends for cell in end), *bars))
-    charts = [_key_chart(keys_of_groups, columns, at) for at in range(len(columns))]
+    charts = [_key_chart(keys_of_groups, columns, number) for number in range(len(columns))]
     question = "What are the key numbers of each group, with their 95 % intervals?"
     drawn = [chart for chart in charts if chart is not None]
     return Sheet("key numbers", heads, rows, 1, question=question, charts=drawn, printed=last)
@@ -219,10 +219,10 @@ def _bar_lengths(ends: _Ends) -> tuple[Value, Value]:
 
 
 def _key_chart(
-    keys_of_groups: Sequence[dict[Column, _Ends]], columns: Sequence[Column], at: int
+    keys_of_groups: Sequence[dict[Column, _Ends]], columns: Sequence[Column], number: int
 ) -> Chart | None:
     """Return the bar chart of a number; None for a single group or negative means."""
-    column = columns[at]
+    column = columns[number]
     means = {
         row: mean.value
         for row, group_keys in enumerate(keys_of_groups)
@@ -230,7 +230,7 @@ def _key_chart(
     }
     if len(means) < 2 or min(means.values()) < 0.0:
         return None
-    up, down = 3 + 3 * at, 3 + 3 * len(columns) + 2 * at
+    up, down = 3 + 3 * number, 3 + 3 * len(columns) + 2 * number
     line = Line(column[0], (min(means), max(means)), 0, up, down, down + 1)
     return Chart(f"{column[0]}, mean and 95 % interval", "", column_head(column), [line], "bars")
 
@@ -262,7 +262,7 @@ def _mean_row(group: Group, number: GroupNumber) -> Row:
     return (
         *head, *_mean_cells(mean.chosen, scale), "log" if mean.chosen.is_log else "linear",
         "samples" if mean.is_pooled else "spool means", mean.over_samples.n, spread(mean.within),
-        spread(mean.between), p_value(mean.spool_p), str(mean.decision),
+        spread(mean.between_spools), p_value(mean.spool_p), str(mean.decision),
         str(mean.chosen.reason or ""), number.name,
     )  # fmt: skip
 
@@ -325,7 +325,7 @@ def _curve_rows(group: Group, band: Band, across: Scale, up: Scale) -> Iterator[
     columns = [(up.factor * getattr(band, name)).tolist() for name in names]
     x = (across.factor * band.displacement).tolist()
     for number, values in zip(numbers_from(), zip(x, *columns, strict=True), strict=False):
-        yield (group.name, *values, band.n, band.over, "" if number else why)
+        yield (group.name, *values, band.n, band.members, "" if number else why)
 
 
 def _curve_charts(

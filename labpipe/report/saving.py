@@ -146,8 +146,8 @@ def _remove_empty_groups(parent: ET.Element) -> None:
     for child in list(parent):
         _remove_empty_groups(child)
         if child.tag == f"{{{_SVG}}}g" and not child.attrib:
-            at = list(parent).index(child)
-            parent[at : at + 1] = list(child)
+            position = list(parent).index(child)
+            parent[position : position + 1] = list(child)
 
 
 def _relative_steps(stroke: str) -> str:

@@ -75,7 +75,7 @@ def answers(campaign: Campaign) -> list[Answer]:
 
 def _answer(field: str, pairs: Sequence[Pair]) -> Answer:
     rows = tuple(answer_cells(pair) for pair in pairs)
-    largest = max(range(len(pairs)), key=lambda at: _rank_of_pair(pairs[at]))
+    largest = max(range(len(pairs)), key=lambda number: _rank_of_pair(pairs[number]))
     verdicts = Counter(pair.differences[0].verdict for pair in pairs)
     if len(pairs) == 1:
         question, verdict = rows[0][0].text, rows[0][1].text
@@ -198,7 +198,11 @@ def _key_cell(group: Group, name: str) -> Cell:
     factor = shown_in(name, number.unit, display_of(group)).factor
     chosen = number.mean.chosen
     source, whose = _interval_source(chosen, number)
-    tip = whose if source.apart is None else f"interval of the {_estimate_text(chosen, factor)}"
+    tip = (
+        whose
+        if source.distinct_estimate is None
+        else f"interval of the {_estimate_text(chosen, factor)}"
+    )
     return Cell(with_interval(chosen.mean, source.interval, factor), tip=tip)
 
 
@@ -262,8 +266,8 @@ def open_decisions(causes: Sequence[Cause], tests: PageTests) -> list[OpenDecisi
 
 
 def _undecided(cause: Cause, tests: PageTests) -> Iterator[PageTest]:
-    for concern in cause.concerns:
-        test = tests.by_name.get(concern.test)
+    for issue in cause.issues:
+        test = tests.by_name.get(issue.test)
         if test is not None and not test.sample.decided:
             yield test
 

@@ -109,11 +109,11 @@ def plot_residuals(result: TestResult, axes: Axes) -> None:
         write_reason(axes, why_missing(result, "clock fit"))
         return
     along = scale(result, "time", "s").factor
-    over = (fit.event_times_force - fit.to_force_time(fit.event_times_motion)) * 1e3
+    residuals = (fit.event_times_force - fit.to_force_time(fit.event_times_motion)) * 1e3
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     axes.errorbar(
         fit.event_times_motion * along,
-        over,
+        residuals,
         yerr=normal_quantile * fit.event_errors * 1e3,
         fmt="o",
         color="C1",
@@ -130,12 +130,12 @@ def _fit_text(fit: ClockFit) -> str:
     """Write offset and drift with half the width of their intervals, and the residual, if any."""
     clock_parameters = 2  # offset and drift
     events = len(fit.event_times_motion)
-    left = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
+    residual_text = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
     if events <= clock_parameters:
-        left = f"{count_of(events, 'event')} for two unknowns: no residual"
+        residual_text = f"{count_of(events, 'event')} for two unknowns: no residual"
     offset = _with_half(fit.offset, fit.offset_interval, 1.0)
     drift = _with_half(fit.drift, fit.drift_interval, 1e6)
-    return f"offset {offset} s,  drift {drift} ppm,  {left};  bars: 95 % of each event"
+    return f"offset {offset} s,  drift {drift} ppm,  {residual_text};  bars: 95 % of each event"
 
 
 def _with_half(value: float, interval: Interval, factor: float) -> str:

@@ -441,7 +441,7 @@ def figure_names(name: str) -> list[str]:
     name : of the wire
     """
     stem = _INVALID_IN_FILE_NAME.sub("-", name)
-    return [f"{stem}.{kind}" for kind in _WIRE_FIGURES]
+    return [f"{stem}.{figure_kind}" for figure_kind in _WIRE_FIGURES]
 
 
 def save_wire_figures(

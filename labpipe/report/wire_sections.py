@@ -109,8 +109,6 @@ def set_log_axes(axes: Axes, across: Floats) -> None:
         label_log_axis(axis)
 
 
-_MAX_SIZE_RATIO = 2.5
-"""Largest over smallest wire of a page up to which all are drawn to the same scale."""
 _INSULATION: dict[str, Any] = {"facecolor": "#dedede", "edgecolor": GREY, "linewidth": 0.6}
 _BORE: dict[str, Any] = {
     "fill": False, "edgecolor": "black", "linewidth": 0.6, "linestyle": (0, (4, 2))
@@ -209,8 +207,8 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
     angle = np.degrees(np.arctan2(y, x))
     half = 180.0 / np.bincount(layout.layer)[layout.layer]
     return [
-        Wedge((0.0, 0.0), outer[at + 1], turn - wide, turn + wide, width=thick, **look)
-        for at, turn, wide, thick, look in zip(
+        Wedge((0.0, 0.0), outer[ring + 1], turn - wide, turn + wide, width=thick, **look)
+        for ring, turn, wide, thick, look in zip(
             layout.layer, angle, half, np.diff(outer)[layout.layer], looks, strict=True
         )
     ]
@@ -271,8 +269,10 @@ def _panel_reaches(tables: Sequence[WireTable]) -> list[float]:
 
 
 def _is_one_scale(tables: Sequence[WireTable]) -> bool:
+    # Largest over smallest wire of a page up to which all are drawn to the same scale.
+    max_size_ratio = 2.5
     radii = [table.layout.wire_radius for table in tables]
-    return max(radii) <= _MAX_SIZE_RATIO * min(radii)
+    return max(radii) <= max_size_ratio * min(radii)
 
 
 def _page_texts(tables: Sequence[WireTable]) -> PageTexts:

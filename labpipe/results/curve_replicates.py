@@ -343,7 +343,7 @@ def _zeroed_at(test: ReducedTest) -> float:
         return test.clocks.to_curve(0.5 * sum(signals.zeroed[name]), clock)
     if name not in signals.lined:
         return float(time[0])
-    first, last = (test.clocks.to_curve(at, clock) for at in signals.lined[name])
+    first, last = (test.clocks.to_curve(end, clock) for end in signals.lined[name])
     return first if first - time[0] < time[-1] - last else last
 
 

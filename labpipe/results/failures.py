@@ -69,8 +69,8 @@ def final_loss(
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
     if not len(f) or not f.max() > 0.0:
-        most = float(f.max()) + 0.0 if len(f) else 0.0
-        return Failure("no_tension", f"the force is nowhere above zero, at most {most:.4g} N")
+        max_force = float(f.max()) + 0.0 if len(f) else 0.0
+        return Failure("no_tension", f"the force is nowhere above zero, at most {max_force:.4g} N")
     peak = float(f.max())
     last = int(np.flatnonzero(f >= rule.force_below * peak)[-1])
     if last == len(f) - 1:
@@ -125,7 +125,7 @@ def _reach(time: Floats, sample: int, within: float) -> int:
 
 
 def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
-    """Go back while the force falls by the share within the time, or at that rate."""
+    """Return the first sample of the loss before `last`, by its share in the time or its rate."""
     lost = rule.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - rule.within))
@@ -256,8 +256,8 @@ def _at_slow_loss(
         ends = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
         step = np.gradient(place, axis=-1)
         more = trace.beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
-        here, there = ends
-        return here + more, there
+        first_end, second_end = ends
+        return first_end + more, second_end
 
     def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
         return numbers(replace(drawn, force=drawn.force + singles("force", drawn.force.shape)))

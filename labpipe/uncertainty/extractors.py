@@ -51,10 +51,11 @@ class Trace:
         if times == 1:
             return self
         count = len(self.time)
-        at = np.arange((count - 1) * times + 1) / times
+        places = np.arange((count - 1) * times + 1) / times
         along = np.arange(count)
         time, displacement, force = (
-            np.interp(at, along, values) for values in (self.time, self.displacement, self.force)
+            np.interp(places, along, values)
+            for values in (self.time, self.displacement, self.force)
         )
         branches = tuple(
             replace(branch, start=times * branch.start, stop=max(times * (branch.stop - 1) + 1, 0))
@@ -98,7 +99,7 @@ class Reading:
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """Function that returns the numbers of curves with noise."""
+        """Return the function that returns the numbers of curves with noise."""
         return self.in_noise or self.numbers
 
 

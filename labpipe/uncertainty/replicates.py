@@ -67,7 +67,7 @@ class Input:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of its draws, in the unit of `moved`."""
+        """Return the standard deviation of its draws, in the unit of `moved`."""
         return float(1.0 / np.sqrt(12.0)) if self.law == "step" else 1.0
 
 
@@ -213,10 +213,10 @@ def smooth_curve(
         if len(y) <= SHORT_RECORD_SAMPLES and not rests:
             smooth[low:high][is_finite] = _polynomials(x, y)
             continue
-        min_samples, most = (
+        min_samples, max_pieces = (
             (min_rest_samples, max_rest_intervals) if rests else (_MIN_INTERVAL_SAMPLES, parts)
         )
-        count = int(np.clip(len(y) // min_samples, 1, most))
+        count = int(np.clip(len(y) // min_samples, 1, max_pieces))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         curve = make_lsq_spline(x, y, _supported_knots(knots, x), _SPLINE_DEGREE)(x)
         is_constant = rests and _is_constant(y, curve, count + _SPLINE_DEGREE)
@@ -256,11 +256,11 @@ def _join_pieces(values: Floats, cut: int) -> None:
     farther apart than their slopes explain, as at a slip, are not changed.
     """
     max_gap_steps = 2.5
-    left, right = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
-    ahead, back = values[cut - 1] + left, values[cut] - right
-    if not abs(ahead - values[cut]) <= max_gap_steps * max(abs(left), abs(right)):
+    step_before, step_after = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
+    ahead, back = values[cut - 1] + step_before, values[cut] - step_after
+    if not abs(ahead - values[cut]) <= max_gap_steps * max(abs(step_before), abs(step_after)):
         return
-    pick = min if left > right else max
+    pick = min if step_before > step_after else max
     values[cut - 1], values[cut] = pick(values[cut - 1], back), pick(values[cut], ahead)
 
 

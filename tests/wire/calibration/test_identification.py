@@ -33,7 +33,7 @@ KNOWN = CalibratedParameter(
     is_open_above=False,
     at_bound="",
     verdict=Identifiability.WELL,
-    words="",
+    explanation="",
 )
 
 
@@ -50,10 +50,10 @@ KNOWN = CalibratedParameter(
         (1.9, {"prior_error": 0.11, "contradicts": True}, Identifiability.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "is_open": True}, Identifiability.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "at_bound": True}, Identifiability.AT_BOUND),
-        (1.9, {"is_apart": True}, Identifiability.WELL),
-        (2.1, {"is_apart": True}, Identifiability.TWO),
-        (1.9, {"is_apart": True, "span_with_others": 4.0}, Identifiability.TWO),
-        (101.0, {"is_apart": True}, Identifiability.NOT),
+        (1.9, {"is_split": True}, Identifiability.WELL),
+        (2.1, {"is_split": True}, Identifiability.TWO),
+        (1.9, {"is_split": True, "span_with_others": 4.0}, Identifiability.TWO),
+        (101.0, {"is_split": True}, Identifiability.NOT),
     ],
 )
 def test_verdicts(span: float, more: dict[str, bool], expected: Identifiability) -> None:

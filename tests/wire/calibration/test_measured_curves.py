@@ -204,7 +204,7 @@ def test_what_a_prediction_lacks(calibration: Calibration) -> None:
     exact = exact_curve("A2", 0.085, has_string=False)(D)
     assert nominal.force == pytest.approx(exact, abs=1e-5)
     levels = NoiseLevels(1.0, 0.0, 0.0, 0.005, 0.0, 100.0)
-    first = replace(calibration.parameters[0], is_open_below=True, words="phi is open")
+    first = replace(calibration.parameters[0], is_open_below=True, explanation="phi is open")
     doubtful = replace(calibration, levels=levels, parameters=(first, *calibration.parameters[1:]))
     notes = predict(doubtful, wire_of("A2"), 0.085, D).notes
     assert [note.code for note in notes] == ["one_sample", "not_identified"]
