@@ -183,7 +183,7 @@ def _measure_repeat(
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
     time, values = _block_means(force.time), _block_means(force.values)
     waves = drift_modes(time - time[0], drift)
-    lags = [lag_of(time, values + wave) for wave in (0.0, *waves)] if waves else []
+    lags = [lag_of(time, values + wave) for wave in (np.zeros_like(time), *waves)] if waves else []
     known = [lag.value for lag in lags if not isinstance(lag, Failure)]
     wander = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
     return Repeat(moved.value, pulled.value, error, wander)
