@@ -8,7 +8,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, median, stretches_of
+from labpipe.records.arrays import Flags, Floats, Ints, median
 from labpipe.signal.turning_points import noise_level, noise_of_differences
 
 _UNUSUAL_RUN_FACTOR = 4.0
@@ -353,35 +353,36 @@ def find_spikes(force: Floats) -> Ints:
     f = force if is_valid.all() else force[is_valid]
     if len(f) < 2 * _SPIKE_WINDOW:
         return np.zeros(0, dtype=np.int64)
-    from scipy.ndimage import median_filter
-
+    half = _SPIKE_WINDOW // 2
     windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
     windows = windows[:: max(1, len(windows) // max_medians)]
     levels = np.median(windows, axis=1)
     # np.median, as `records.arrays.median` is slow for few distinct values.
-    mad = float(np.median(np.abs(windows[:, _SPIKE_WINDOW // 2] - levels)))
+    mad = float(np.median(np.abs(windows[:, half] - levels)))
     far = max(mad_factor * 1.4826 * mad, _MIN_SPIKE * float(np.ptp(levels)))
-    spikes = [np.zeros(0, dtype=np.int64)]
-    for part in _uneven_parts(f, far):
-        off = f[part] - median_filter(f[part], _SPIKE_WINDOW, mode="nearest")
-        for stretch in stretches_of(np.abs(off) > far):
-            run = _peak_of_run(np.arange(*stretch), off)
-            if _returns(f, run + part.start, float(np.abs(off[run]).min())):
-                spikes.append(run + part.start)
-    numbers = np.unique(np.concatenate(spikes))
-    return numbers if is_valid.all() else np.flatnonzero(is_valid)[numbers]
+    uneven = np.flatnonzero(_is_uneven(f, far))
+    around = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
+    off = f[uneven] - np.partition(f[around], half, axis=1)[:, half]
+    numbers, size = uneven[np.abs(off) > far], np.abs(off[np.abs(off) > far])
+    spikes = [numbers[:0]]
+    for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
+        # Without neighbours whose median the spike has shifted.
+        core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
+        if len(core) and _returns(f, numbers[core], float(size[core].min())):
+            spikes.append(numbers[core])
+    found = np.concatenate(spikes)
+    return found if is_valid.all() else np.flatnonzero(is_valid)[found]
 
 
-def _uneven_parts(f: Floats, far: float) -> list[slice]:
-    """Return the parts of a signal in which a sample may deviate by more than `far`."""
-    block = 64
+def _is_uneven(f: Floats, far: float) -> Flags:
+    """Return flags of the samples that may deviate by more than `far` from their neighbours."""
+    block = 8  # more than half a window
     starts = np.arange(0, len(f), block)
     high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
     low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
     highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
     lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
-    parts = stretches_of(highest - lowest > far)
-    return [slice(max(0, block * (first - 1)), block * (stop + 1)) for first, stop in parts]
+    return np.repeat(highest - lowest > far, block)[: len(f)]
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
@@ -400,13 +401,6 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     bridged = force.copy()
     bridged[spikes] = np.interp(spikes, valid, force[valid])
     return bridged
-
-
-def _peak_of_run(run: Ints, off: Floats) -> Ints:
-    """Return the samples of a run without neighbours whose median the spike has shifted."""
-    size = np.abs(off[run])
-    core: Ints = run[size > 0.3 * size.max()]
-    return core
 
 
 def _returns(f: Floats, run: Ints, off: float) -> bool:
