@@ -265,12 +265,12 @@ def fit_bent_axis(
     first = np.nan_to_num(first)
     parts = [
         _fit_chunk(
-            points[chunk_start : chunk_start + size],
+            points[begin : begin + size],
             span,
-            first[chunk_start : chunk_start + size],
+            first[begin : begin + size],
             steps,
         )
-        for chunk_start in range(0, len(points), size)
+        for begin in range(0, len(points), size)
     ]
     curvature, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)

@@ -108,14 +108,11 @@ def fit_stop(
         if np.array_equal(parts, assigned):
             break
         assigned = parts
-        before, between_flags, after = (parts == number for number in range(3))
-        if (
-            min(before.sum(), after.sum()) < min_line_samples
-            or between_flags.sum() < min_level_samples
-        ):
+        before, inner, after = (parts == number for number in range(3))
+        if min(before.sum(), after.sum()) < min_line_samples or inner.sum() < min_level_samples:
             return None
         first, second = (np.polyfit(t[part], y[part], 1) for part in (before, after))
-        slopes, level = (float(first[0]), float(second[0])), float(y[between_flags].mean())
+        slopes, level = (float(first[0]), float(second[0])), float(y[inner].mean())
         if 0.0 in slopes:
             return None
         ends = (level - float(first[1])) / slopes[0], (level - float(second[1])) / slopes[1]
