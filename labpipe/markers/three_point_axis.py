@@ -264,12 +264,7 @@ def fit_bent_axis(
     steps = 3 if start is None else 1
     first = np.nan_to_num(first)
     parts = [
-        _fit_chunk(
-            points[begin : begin + size],
-            span,
-            first[begin : begin + size],
-            steps,
-        )
+        _fit_chunk(points[begin : begin + size], span, first[begin : begin + size], steps)
         for begin in range(0, len(points), size)
     ]
     curvature, tilt, height, residual, freedom = (

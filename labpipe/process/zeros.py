@@ -483,10 +483,7 @@ def _first_slope(path: Floats, force: Floats, all_path: Floats) -> float:
     """Fit the slope of the beginning of a branch, N/m."""
     first_share = 0.05
     is_near = np.abs(path - path[0]) <= first_share * float(np.ptp(all_path))
-    size = max(
-        MIN_SLOPE_SAMPLES,
-        len(is_near) if is_near.all() else int(np.argmin(is_near)),
-    )
+    size = max(MIN_SLOPE_SAMPLES, len(is_near) if is_near.all() else int(np.argmin(is_near)))
     d, f = path[:size] - path[:size].mean(), force[:size]
     return float(d @ f) / max(float(d @ d), 1e-300)
 

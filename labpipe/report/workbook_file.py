@@ -226,13 +226,7 @@ class _WorkbookWriter:
         wrapped = [head in sheet.wrapped for head in sheet.heads]
         for number, row in enumerate(sheet.rows, start=1):
             for i, value in enumerate(row):
-                self._write(
-                    page,
-                    (number, i),
-                    value,
-                    forms[i],
-                    is_wrapped=wrapped[i],
-                )
+                self._write(page, (number, i), value, forms[i], is_wrapped=wrapped[i])
             lines = _row_lines(row, wrapped)
             if lines > 1:
                 page.set_row(number, lines * _LINE_HEIGHT)
@@ -433,10 +427,7 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
         series |= {"line": {"color": colour, "width": 1.5, "dash_type": dash}}
     if line.plus:
         ends = {"minus_values": line.minus, "plus_values": line.plus}
-        bars = {
-            "type": "custom",
-            **{k: _cells(sheet, first, last, i) for k, i in ends.items()},
-        }
+        bars = {"type": "custom", **{k: _cells(sheet, first, last, i) for k, i in ends.items()}}
         series["y_error_bars"] = {**bars, "line": {"color": "#333333", "width": 1.0}}
     return series
 

@@ -85,7 +85,7 @@ class _Scan:
         return above
 
     def hinges(self, c: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return sums of h = max(x - place, 0) at each place.
+        """Return sums of h = max(x - c, 0) for each place c.
 
         Returns
         -------
@@ -94,11 +94,7 @@ class _Scan:
         """
         n, sx, sxx, _, _ = self._above(c)
         count, mx, mxx = self.sums[0, -1], *self.spread
-        sh, sxh, shh = (
-            sx - c * n,
-            sxx - c * sx,
-            sxx - 2.0 * c * sx + c * c * n,
-        )
+        sh, sxh, shh = sx - c * n, sxx - c * sx, sxx - 2.0 * c * sx + c * c * n
         cross = sxh - mx * sh
         norms = shh - sh * sh / count - cross * cross / mxx
         return sh, cross, np.where(norms > 1e-14 * count, norms, 0.0)
@@ -497,10 +493,7 @@ class TwoSegments(_TwoLines):
         slips = marked_slips(test, read)  # one bends both
         one, other = (output.name for output in self.outputs[:2])
         numbers = ((first, slips), (second, slips), (place, slips + fit.doubts_of_break))
-        sides = (
-            (one, 1, (max(start, 0.0), bend)),
-            (other, 2, (max(bend, 0.0), stop)),
-        )
+        sides = ((one, 1, (max(start, 0.0), bend)), (other, 2, (max(bend, 0.0), stop)))
         return Computed(
             tuple(
                 self.number(number, self.method, output=output, during=during, doubts=doubts)
