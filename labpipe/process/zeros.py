@@ -239,7 +239,7 @@ def _rest_force(signals: Signals, curve: Curve, share: float) -> Iterator[Findin
 def _displacement_jump(
     signal_name: str, curve: Curve, frozen_ends: list[float]
 ) -> Iterator[Finding]:
-    """Doubt jumps of the displacement that no break explains."""
+    """Report jumps of the displacement that no break explains."""
     break_share = 0.3  # fall of the force at a break, share of the largest force
     largest = float(np.nanmax(np.abs(curve.force)))
     jumps = _jumps(curve, curve.displacement, frozen_ends)
@@ -257,7 +257,7 @@ def _displacement_jump(
 
 
 def _force_jump(signal_name: str, curve: Curve, frozen_ends: list[float]) -> Iterator[Finding]:
-    """Doubt jumps of the force that no slip or break explains."""
+    """Report jumps of the force that no slip or break explains."""
     first = curve.branches[0]
     sense = sense_of_loading(curve.force[first.start : first.stop])
     jumps = _jumps(curve, curve.force, frozen_ends)
@@ -334,7 +334,7 @@ def _drift(signal_name: str, curve: Curve, share: float) -> Iterator[Finding]:
 def check_break(
     signal_name: str, curve: Curve, failure: FailurePoint | Failure | None, limits: Limits = LIMITS
 ) -> Iterator[Finding]:
-    """Doubt a force below zero after the specimen broke.
+    """Report a force below zero after the specimen broke.
 
     Parameters
     ----------
