@@ -225,17 +225,12 @@ def _join_at_cut(values: Floats, cut: int, join_samples: int) -> None:
     values[cut : cut + join_samples] += (gap - np.clip(gap, -step, step)) * ramp
 
 
-def _extrapolated(wanted_times: Floats, time: Floats, values: Floats) -> Floats:
+def _extrapolated(wanted: Floats, time: Floats, values: Floats) -> Floats:
     """Interpolate values, with linear extrapolation at both ends."""
-    interpolated = np.interp(wanted_times, time, values)
-    for pair, is_outside in (
-        (slice(2), wanted_times < time[0]),
-        (slice(-2, None), wanted_times > time[-1]),
-    ):
+    interpolated = np.interp(wanted, time, values)
+    for pair, outside in ((slice(2), wanted < time[0]), (slice(-2, None), wanted > time[-1])):
         (before, after), (low, high) = time[pair], values[pair]
-        interpolated[is_outside] = low + (high - low) / (after - before) * (
-            wanted_times[is_outside] - before
-        )
+        interpolated[outside] = low + (high - low) / (after - before) * (wanted[outside] - before)
     return interpolated
 
 

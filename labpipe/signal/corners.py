@@ -167,18 +167,14 @@ def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats
     return time.mean(axis=1), values.mean(axis=1)
 
 
-def _design(time: Floats, corner_time: float) -> Floats:
+def _design(time: Floats, corner: float) -> Floats:
     return np.column_stack(
-        [
-            np.ones_like(time),
-            np.minimum(time - corner_time, 0.0),
-            np.maximum(time - corner_time, 0.0),
-        ]
+        [np.ones_like(time), np.minimum(time - corner, 0.0), np.maximum(time - corner, 0.0)]
     )
 
 
-def _joint_fit(time: Floats, values: Floats, corner_time: float) -> tuple[Floats, float]:
-    design = _design(time, corner_time)
+def _joint_fit(time: Floats, values: Floats, corner: float) -> tuple[Floats, float]:
+    design = _design(time, corner)
     coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
     misfit = values - design @ coefficients
     return coefficients, float(misfit @ misfit)
