@@ -316,7 +316,7 @@ def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
 
     Parameters
     ----------
-    fit, smooth, drawn, hinges : as `why_no_bend` takes them
+    fit, smooth, drawn, hinges : as for `why_no_bend`
 
     Returns
     -------
