@@ -105,15 +105,12 @@ def _stranded(test: MechanicalTest) -> StrandedWire | BundleModel:
     wire = test.wire
     if not isinstance(wire, StrandedWire | BundleModel) or test.slack is not None:
         message = (
-            f"wire={type(wire).__name__}, slack={test.slack}: allowed are a StrandedWire or a "
+            f"wire={type(wire).__name__}, slack={test.slack}: expected a StrandedWire or a "
             f"BundleModel, and None"
         )
         raise ValueError(message)
     if not 1.0 / MAX_SCATTER <= wire.factor <= MAX_SCATTER:
-        message = (
-            f"factor={wire.factor!r}: allowed are numbers from {1.0 / MAX_SCATTER:g} to "
-            f"{MAX_SCATTER:g}"
-        )
+        message = f"factor={wire.factor!r}: must be from {1.0 / MAX_SCATTER:g} to {MAX_SCATTER:g}"
         raise ValueError(message)
     return wire
 

@@ -336,15 +336,9 @@ class LawShapes:
         moved = _centres(self.loaded, sine, cosine) - self.still
         along = -line.integral(sine[..., None] * turns)
         across = line.integral(cosine[..., None] * turns)
-        marker_indices = line.markers
-        along = (
-            along[:, marker_indices]
-            - height * cosine[:, marker_indices, None] * turns[:, marker_indices]
-        )
-        across = (
-            across[:, marker_indices]
-            - height * sine[:, marker_indices, None] * turns[:, marker_indices]
-        )
+        markers = line.markers
+        along = along[:, markers] - height * cosine[:, markers, None] * turns[:, markers]
+        across = across[:, markers] - height * sine[:, markers, None] * turns[:, markers]
         return moved, np.concatenate([along, across], axis=1)
 
     def _directions(self, compliance: Floats) -> tuple[Floats, Floats]:
@@ -356,9 +350,9 @@ class LawShapes:
 def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
     """Return the marker centres, shape (n, 2 markers): x of all, then y."""
     line, height = loaded.line, loaded.centre_offset
-    marker_indices = line.markers
-    x = line.integral(cosine)[:, marker_indices] - height * sine[:, marker_indices]
-    y = line.integral(sine)[:, marker_indices] + height * cosine[:, marker_indices]
+    markers = line.markers
+    x = line.integral(cosine)[:, markers] - height * sine[:, markers]
+    y = line.integral(sine)[:, markers] + height * cosine[:, markers]
     return np.concatenate([x, y], axis=1)
 
 

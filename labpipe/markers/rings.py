@@ -86,47 +86,43 @@ def ring_centres(repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]) 
 
 def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.uint8]]:
     seen = in_sight(positions)
-    is_complete = seen.all(axis=1)
+    complete = seen.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
     origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
-    centre[is_complete] = positions[is_complete].mean(axis=1)
-    for pattern in np.unique(seen[~is_complete], axis=0):
+    centre[complete] = positions[complete].mean(axis=1)
+    for pattern in np.unique(seen[~complete], axis=0):
         frames = np.flatnonzero((seen == pattern).all(axis=1))
         if pattern.any():
             centre[frames] = _centre_from_visible(
-                positions, pattern, frames, np.flatnonzero(is_complete)
+                positions, pattern, frames, np.flatnonzero(complete)
             )
         origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, origin
 
 
-def _centre_from_visible(
-    positions: Floats, pattern: Flags, frames: Ints, complete_frames: Ints
-) -> Floats:
+def _centre_from_visible(positions: Floats, pattern: Flags, frames: Ints, complete: Ints) -> Floats:
     """Return centres in `frames`, where only the markers of `pattern` are in sight."""
     visible = positions[:, pattern]
     middle = visible[frames].mean(axis=1)
-    if not len(complete_frames):
+    if not len(complete):
         return np.asarray(middle, dtype=np.float64)
     if pattern.sum() >= 3:
-        nearest = _nearest(complete_frames, frames)
+        nearest = _nearest(complete, frames)
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
         turn = _rotations(template, visible[frames] - middle[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
         return np.asarray(middle + np.einsum("fij,fj->fi", turn, offset), dtype=np.float64)
-    offset = positions[complete_frames].mean(axis=1) - visible[complete_frames].mean(axis=1)
-    carried = np.column_stack([np.interp(frames, complete_frames, axis) for axis in offset.T])
+    offset = positions[complete].mean(axis=1) - visible[complete].mean(axis=1)
+    carried = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
     return np.asarray(middle + carried, dtype=np.float64)
 
 
-def _nearest(complete_frames: Ints, frames: Ints) -> Ints:
-    """Return the frame of `complete_frames` nearest to each of `frames`."""
-    after = np.clip(np.searchsorted(complete_frames, frames), 0, len(complete_frames) - 1)
+def _nearest(complete: Ints, frames: Ints) -> Ints:
+    """Return the frame of `complete` nearest to each of `frames`."""
+    after = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
     before = np.maximum(after - 1, 0)
-    late = np.abs(complete_frames[after] - frames) < np.abs(frames - complete_frames[before])
-    return np.asarray(
-        np.where(late, complete_frames[after], complete_frames[before]), dtype=np.int64
-    )
+    late = np.abs(complete[after] - frames) < np.abs(frames - complete[before])
+    return np.asarray(np.where(late, complete[after], complete[before]), dtype=np.int64)
 
 
 def _rotations(before: Floats, after: Floats) -> Floats:

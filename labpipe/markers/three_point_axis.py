@@ -264,13 +264,8 @@ def fit_bent_axis(
     steps = 3 if start is None else 1
     first = np.nan_to_num(first)
     parts = [
-        _fit_chunk(
-            points[chunk_start : chunk_start + size],
-            span,
-            first[chunk_start : chunk_start + size],
-            steps,
-        )
-        for chunk_start in range(0, len(points), size)
+        _fit_chunk(points[begin : begin + size], span, first[begin : begin + size], steps)
+        for begin in range(0, len(points), size)
     ]
     curvature, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)

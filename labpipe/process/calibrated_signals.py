@@ -161,7 +161,7 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
 def _peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> list[Finding]:
-    """Doubt a channel whose peak is implausible: the unit in the file may be wrong."""
+    """Report a channel whose peak is implausible: the unit in the file may be wrong."""
     if peak_range is None:
         return []
     peak, (lowest, highest) = float(np.nanmax(np.abs(signal.values))), peak_range
@@ -198,7 +198,7 @@ def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
 
 
 def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Note blank samples, and doubt where they are, except at the ends of the record."""
+    """Report blank samples; except at the ends of the record, they are doubtful."""
     # Share of a channel that may be blank before its first and after its last sample.
     max_blank_end_share = 0.02
     missing = np.isnan(signal.values)
@@ -236,7 +236,7 @@ def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
 
 
 def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
-    """Doubt channels while they are saturated or frozen.
+    """Report channels while they are saturated or frozen.
 
     Parameters
     ----------

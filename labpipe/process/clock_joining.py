@@ -336,7 +336,7 @@ def use_stated_clocks(
 def _check_stated_offset(
     force: Signal, fit: ClockFit, motion: Signal, strokes: tuple[Stroke, ...]
 ) -> Iterator[Finding]:
-    """Doubt a stated offset with which the force peaks long before or after the motion turns."""
+    """Report a stated offset with which the force peaks long before or after the motion turns."""
     # s
     smoothing, peak_share = 0.5, 0.3
     # s, and standard errors of the stated offset.

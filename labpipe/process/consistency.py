@@ -96,7 +96,7 @@ def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
 def _check_cycles(
     where: str, curve: Curve, cycles: list[Cycle], largest: float, limits: Limits
 ) -> Iterator[Finding]:
-    """Doubt changes of scale or level that are the same over a whole cycle.
+    """Report changes of scale or level that are the same over a whole cycle.
 
     The instruments cause them: conditioning, hardening, fatigue and permanent set change loading
     and unloading differently. Unloading is also compared alone, because a first loading differs
@@ -159,7 +159,7 @@ def _instrument_change(
 
 
 def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
-    """Doubt a force that still grows after the motion has turned: it is late, or has jumped."""
+    """Report a force that still grows after the motion has turned: it is late, or has jumped."""
     noise_factor = 8.0
     sense = sense_of_loading(curve.force[curve.branches[0].start : curve.branches[0].stop])
     min_growth = noise_factor * noise_level(curve.force)
@@ -198,7 +198,7 @@ def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> It
 def _check_energy(
     where: str, curve: Curve, cycles: list[Cycle], limits: Limits
 ) -> Iterator[Finding]:
-    """Doubt cycles whose specimen gives back more energy than was put into it."""
+    """Report cycles whose specimen gives back more energy than was put into it."""
     gains = []
     for cycle in cycles:
         forces = _common(*cycle.paths)
@@ -224,7 +224,7 @@ def _check_energy(
 def _check_second_specimen(
     where: str, curve: Curve, cycles: list[Cycle], limits: Limits
 ) -> Iterator[Finding]:
-    """Doubt a record that goes on with another specimen after the first one broke."""
+    """Report a record that goes on with another specimen after the first one broke."""
     unloading_quantile = 0.8  # below it, a broken specimen carries no force on the way back
     for before in cycles:
         later = [branch for branch in curve.branches if branch.start >= before.unloading.stop]
@@ -247,7 +247,7 @@ def _check_second_specimen(
 
 
 def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
-    """Doubt a record with a long sequence of samples that occurs twice: rows were copied."""
+    """Report a record with a long sequence of samples that occurs twice: rows were copied."""
     min_repeated = 40
     max_samples = 200_000  # longer records have not been edited in a spreadsheet
     force, displacement = curve.force, curve.displacement

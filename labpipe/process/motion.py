@@ -217,7 +217,7 @@ def _waits_everywhere(motion: Signal, waits: list[Turn | None]) -> bool:
 def check_turns(
     motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn], *, for_clock: bool = True
 ) -> Iterator[Finding]:
-    """Doubt turning points that were not recorded, or that are rounded.
+    """Report turning points that were not recorded, or that are rounded.
 
     Parameters
     ----------

@@ -169,7 +169,7 @@ def _start(force: Signal, drive: Drive, channel: str) -> Iterator[Finding]:
 
 
 def _rest(force: Signal, drive: Drive, half_width: float) -> Iterator[Finding]:
-    """Doubt a force whose record begins after loading: its zero is not known."""
+    """Report a force whose record begins after loading: its zero is not known."""
     delay = float(force.time[0]) - drive.start
     if delay > half_width:
         message = (

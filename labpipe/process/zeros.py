@@ -199,7 +199,7 @@ def check_zeros(
     if not curve.branches:
         return []
 
-    def frozen_stretch_ends(quantity: str) -> list[float]:
+    def frozen_ends(quantity: str) -> list[float]:
         return [
             clocks.to_curve(doubt.during[1], doubt.clock)
             for doubt in findings.doubts
@@ -207,9 +207,9 @@ def check_zeros(
         ]
 
     new_findings = list(
-        _displacement_jump(signals.displacement, curve, frozen_stretch_ends("displacement"))
+        _displacement_jump(signals.displacement, curve, frozen_ends("displacement"))
     )
-    jump = list(_force_jump(signals.force, curve, frozen_stretch_ends("force")))
+    jump = list(_force_jump(signals.force, curve, frozen_ends("force")))
     new_findings += _rest_force(signals, curve, limits.rest_force)
     return [*new_findings, *(jump or _drift(signals.force, curve, limits.rest_force_drift))]
 
@@ -237,12 +237,12 @@ def _rest_force(signals: Signals, curve: Curve, share: float) -> Iterator[Findin
 
 
 def _displacement_jump(
-    signal_name: str, curve: Curve, frozen_stretch_ends: list[float]
+    signal_name: str, curve: Curve, frozen_ends: list[float]
 ) -> Iterator[Finding]:
-    """Doubt jumps of the displacement that no break explains."""
+    """Report jumps of the displacement that no break explains."""
     break_share = 0.3  # fall of the force at a break, share of the largest force
     largest = float(np.nanmax(np.abs(curve.force)))
-    jumps = _jumps(curve, curve.displacement, frozen_stretch_ends)
+    jumps = _jumps(curve, curve.displacement, frozen_ends)
     falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
     if not jumps or (len(jumps) == 1 and falls[0] > break_share * largest):
         return
@@ -256,13 +256,11 @@ def _displacement_jump(
     yield doubtful("zero_jump", signal_name, message, "displacement", "force")
 
 
-def _force_jump(
-    signal_name: str, curve: Curve, frozen_stretch_ends: list[float]
-) -> Iterator[Finding]:
-    """Doubt jumps of the force that no slip or break explains."""
+def _force_jump(signal_name: str, curve: Curve, frozen_ends: list[float]) -> Iterator[Finding]:
+    """Report jumps of the force that no slip or break explains."""
     first = curve.branches[0]
     sense = sense_of_loading(curve.force[first.start : first.stop])
-    jumps = _jumps(curve, curve.force, frozen_stretch_ends)
+    jumps = _jumps(curve, curve.force, frozen_ends)
     zero_jumps = [jump for jump in jumps if not _is_from_specimen(curve, jump[0], sense * jump[1])]
     max_jumps = 2  # more jumps are of the specimen
     if len(jumps) > max_jumps or not zero_jumps:
@@ -276,16 +274,12 @@ def _force_jump(
     yield doubtful("zero_jump", signal_name, message, "force", during=during)
 
 
-def _jumps(
-    curve: Curve, values: Floats, frozen_stretch_ends: list[float]
-) -> tuple[tuple[int, float], ...]:
+def _jumps(curve: Curve, values: Floats, frozen_ends: list[float]) -> tuple[tuple[int, float], ...]:
     """Find jumps of a level, except at the end of a frozen stretch."""
     return tuple(
         (sample, size)
         for sample, size in level_jumps(curve.time, values)
-        if not any(
-            curve.time[sample - 1] <= end <= curve.time[sample] for end in frozen_stretch_ends
-        )
+        if not any(curve.time[sample - 1] <= end <= curve.time[sample] for end in frozen_ends)
     )
 
 
@@ -293,10 +287,8 @@ def _is_from_specimen(curve: Curve, sample: int, force_increase: float) -> bool:
     """Check whether a jump may be a break, a slip, or the effect of a turn."""
     # Samples beside a turn, where a steep fall belongs to the specimen.
     turn_reach = 3
-    turn_samples = [
-        turn_sample for branch in curve.branches for turn_sample in (branch.start, branch.stop)
-    ]
-    if any(abs(sample - turn_sample) <= turn_reach for turn_sample in turn_samples):
+    turn_samples = [turn for branch in curve.branches for turn in (branch.start, branch.stop)]
+    if any(abs(sample - turn) <= turn_reach for turn in turn_samples):
         return True
     inside = [branch for branch in curve.branches if branch.start <= sample < branch.stop]
     is_loading = bool(inside) and inside[0].direction is Direction.LOADING
@@ -342,7 +334,7 @@ def _drift(signal_name: str, curve: Curve, share: float) -> Iterator[Finding]:
 def check_break(
     signal_name: str, curve: Curve, failure: FailurePoint | Failure | None, limits: Limits = LIMITS
 ) -> Iterator[Finding]:
-    """Doubt a force below zero after the specimen broke.
+    """Report a force below zero after the specimen broke.
 
     Parameters
     ----------
@@ -359,10 +351,8 @@ def check_break(
     sense = sense_of_loading(curve.force[: failure.sample + 1])
     if len(after) < min_tail_samples:
         return
-    level, max_force = (
-        sense * median(after[len(after) // 2 :]),
-        float(np.nanmax(np.abs(curve.force))),
-    )
+    level = sense * median(after[len(after) // 2 :])
+    max_force = float(np.nanmax(np.abs(curve.force)))
     error = noise_level(curve.force) * sqrt(2.0 / len(after))
     if level > -max(limits.rest_force_drift * max_force, REST_ERROR_FACTOR * error):
         return
@@ -492,11 +482,8 @@ def _record(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> _
 def _first_slope(path: Floats, force: Floats, all_path: Floats) -> float:
     """Fit the slope of the beginning of a branch, N/m."""
     first_share = 0.05
-    is_near_start = np.abs(path - path[0]) <= first_share * float(np.ptp(all_path))
-    size = max(
-        MIN_SLOPE_SAMPLES,
-        len(is_near_start) if is_near_start.all() else int(np.argmin(is_near_start)),
-    )
+    is_near = np.abs(path - path[0]) <= first_share * float(np.ptp(all_path))
+    size = max(MIN_SLOPE_SAMPLES, len(is_near) if is_near.all() else int(np.argmin(is_near)))
     d, f = path[:size] - path[:size].mean(), force[:size]
     return float(d @ f) / max(float(d @ d), 1e-300)
 

@@ -90,17 +90,17 @@ def _step_faults(outline: Outline) -> Faults:
 
 def _marker_step_faults(outline: Outline, step: Entry, before: list[str]) -> Faults:
     tag = step.tag
-    key_path: KeyPath = ("steps", step.number, "step")
+    place: KeyPath = ("steps", step.number, "step")
     if not outline.has_markers:
-        yield Fault(key_path, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
+        yield Fault(place, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
     elif not outline.block("markers"):
-        yield Fault(key_path, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
+        yield Fault(place, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
     if tag in before:
-        yield Fault(key_path, f"{tag!r} once", "a second one", "Remove one of them.")
+        yield Fault(place, f"{tag!r} once", "a second one", "Remove one of them.")
     needed = STEPS[tag].after
     if needed and needed not in before:
         remedy = f"Put the step {needed!r} before it."
-        yield Fault(key_path, f"{needed!r} before {tag!r}", "no such step before", remedy)
+        yield Fault(place, f"{needed!r} before {tag!r}", "no such step before", remedy)
 
 
 def _from_speed_faults(outline: Outline, step: Entry) -> Faults:
@@ -147,19 +147,17 @@ def _span_faults(outline: Outline, step: Entry) -> Faults:
 
 
 def _align_faults(outline: Outline) -> Faults:
-    align, key_path = outline.block("align"), ("align", "method")
+    align, place = outline.block("align"), ("align", "method")
     if outline.joins_clocks and align.get("channel") is not None:
         sources = [channel.name for channel in outline.channels]
         yield from _channel_faults(align, ("align", "channel"), sources)
     if align.get("method") != "turning-points":
         return
     if not outline.has_markers:
-        yield Fault(
-            key_path, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS
-        )
+        yield Fault(place, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
     elif not outline.has_clamp:
         remedy = "Name the rigid body at the clamp in 'markers.clamp'."
-        yield Fault(key_path, "a clamp whose motion has the turning points", "none", remedy)
+        yield Fault(place, "a clamp whose motion has the turning points", "none", remedy)
 
 
 def _curve_faults(outline: Outline) -> Faults:

@@ -489,10 +489,8 @@ def _second_component(line: str, index: int, place: str, path: Path) -> float:
 
 def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_Block]) -> None:
     """Refuse deflections without forces, and vice versa."""
-    deflection_times, force_times = (
-        [block.time for block in deflections],
-        [block.time for block in forces],
-    )
+    deflection_times = [block.time for block in deflections]
+    force_times = [block.time for block in forces]
     unpaired = next((block for block in deflections if block.time not in force_times), None)
     unpaired = unpaired or next(
         (block for block in forces if block.time not in deflection_times), None

@@ -273,10 +273,7 @@ def _is_scaled(family: Family) -> bool:
 def _looks(family: Family) -> list[Look]:
     """Give each group a colour and a dash that also differ in grey."""
     colours = style_colours()
-    return [
-        Look(colours[number % len(colours)], _DASHES[number])
-        for number in range(len(family.groups))
-    ]
+    return [Look(colours[i % len(colours)], _DASHES[i]) for i in range(len(family.groups))]
 
 
 def _keys(family: Family) -> list[Artist]:

@@ -185,10 +185,8 @@ def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
     if len(places) and finite.any():
         height = np.interp(places, first.displacement[finite], first.force[finite])
         yield _dot_line("slip", places, height, drawn, test)
-    displacement, force = (
-        value_of(sample, "failure_displacement"),
-        value_of(sample, "failure_force"),
-    )
+    displacement = value_of(sample, "failure_displacement")
+    force = value_of(sample, "failure_force")
     if displacement is not None and force is not None:
         yield _dot_line("failure", np.array([displacement]), np.array([force]), drawn, test)
 

@@ -302,10 +302,8 @@ def _force_factor(sample: Sample) -> float:
 
 
 def _mark_failure(sample: Sample, axes: Axes, across: float, up: float, *, size: float) -> None:
-    displacement, force = (
-        value_of(sample, "failure_displacement"),
-        value_of(sample, "failure_force"),
-    )
+    displacement = value_of(sample, "failure_displacement")
+    force = value_of(sample, "failure_force")
     if displacement is not None and force is not None:
         axes.plot(displacement * across, force * up, "x", color=RED, markersize=size, zorder=5)
 

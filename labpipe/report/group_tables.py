@@ -132,11 +132,11 @@ def slip_table(group: Group) -> Table | None:
     rows = []
     for sample in group.samples:
         for slip in sample.slips:
-            position = write_number(slip.position, slip.position_interval, across.factor)
+            place = write_number(slip.position, slip.position_interval, across.factor)
             lost = write_number(slip.drop, slip.drop_interval, up.factor)
             decision = decision_words(slip.decision)
             cells = (
-                Cell(position.value, position.interval),
+                Cell(place.value, place.interval),
                 Cell(lost.value, lost.interval),
                 Cell(decision),
             )

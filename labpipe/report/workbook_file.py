@@ -220,19 +220,13 @@ class _WorkbookWriter:
         if is_first:
             page.activate()
         widths = _column_widths(sheet)
-        for index, width in enumerate(widths):
-            page.set_column(index, index, width)
+        for i, width in enumerate(widths):
+            page.set_column(i, i, width)
         forms = [column_place(column) for column in zip(*sheet.rows, strict=True)]
         wrapped = [head in sheet.wrapped for head in sheet.heads]
         for number, row in enumerate(sheet.rows, start=1):
-            for index, value in enumerate(row):
-                self._write(
-                    page,
-                    (number, index),
-                    value,
-                    forms[index],
-                    is_wrapped=wrapped[index],
-                )
+            for i, value in enumerate(row):
+                self._write(page, (number, i), value, forms[i], is_wrapped=wrapped[i])
             lines = _row_lines(row, wrapped)
             if lines > 1:
                 page.set_row(number, lines * _LINE_HEIGHT)
@@ -267,8 +261,8 @@ class _WorkbookWriter:
     def _make_table(self, page: Any, sheet: Sheet) -> None:
         heads = unique_heads(sheet.heads)
         if not sheet.rows:
-            for index, head in enumerate(heads):
-                _write_text(page, 0, index, head, self.head)
+            for i, head in enumerate(heads):
+                _write_text(page, 0, i, head, self.head)
             return
         columns = [{"header": head, "header_format": self.head} for head in heads]
         look = {"columns": columns, "style": "Table Style Light 1"}
@@ -377,9 +371,9 @@ def _column_widths(sheet: Sheet) -> list[int]:
     """Return the width of each column: of its longest text; headings are wrapped."""
     widths = [max(8, *map(len, head.split(" "))) + _FILTER_WIDTH for head in sheet.heads]
     for row in sheet.rows:
-        for index, value in enumerate(row):
+        for i, value in enumerate(row):
             if isinstance(value, str):
-                widths[index] = max(widths[index], len(value) + 1)
+                widths[i] = max(widths[i], len(value) + 1)
     max_widths = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
     return [min(pair) for pair in zip(widths, max_widths, strict=True)]
 
@@ -433,10 +427,7 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
         series |= {"line": {"color": colour, "width": 1.5, "dash_type": dash}}
     if line.plus:
         ends = {"minus_values": line.minus, "plus_values": line.plus}
-        bars = {
-            "type": "custom",
-            **{k: _cells(sheet, first, last, index) for k, index in ends.items()},
-        }
+        bars = {"type": "custom", **{k: _cells(sheet, first, last, i) for k, i in ends.items()}}
         series["y_error_bars"] = {**bars, "line": {"color": "#333333", "width": 1.0}}
     return series
 

@@ -97,14 +97,12 @@ class ThroughZero:
         """Return the displacement at zero force, m, shape (...), from curves (..., n)."""
         weights = polynomial_weights(self.time, degree=2).T
         level, slope, bend = np.moveaxis(force[..., self.near] @ weights, -1, 0)
-        zero_time = np.zeros_like(level)
+        zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
-            step = ratio(
-                level + zero_time * (slope + zero_time * bend), slope + 2.0 * zero_time * bend
-            )
-            zero_time = np.clip(zero_time - step, self.time[0], self.time[-1])
+            step = ratio(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
+            zero = np.clip(zero - step, self.time[0], self.time[-1])
         place, speed, curve = np.moveaxis(displacement[..., self.near] @ weights, -1, 0)
-        value: Floats = place + zero_time * (speed + zero_time * curve)
+        value: Floats = place + zero * (speed + zero * curve)
         return value
 
 
@@ -163,11 +161,9 @@ class FollowedToZero:
         ----------
         displacement, force : shape (..., n), m, N, of the branch
         """
-        zero_time = (
-            _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
-        )
+        zero = _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
         d = displacement[..., self.near]
-        ahead = zero_time - self.near_time.mean()
+        ahead = zero - self.near_time.mean()
         value: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
         return value
 
@@ -192,17 +188,17 @@ class FollowedToZero:
         foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
         middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
         falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
-        zero_times = np.where(falls, middle - ratio(level, slope), time[end])
+        zeros = np.where(falls, middle - ratio(level, slope), time[end])
         part = slice(
             *np.searchsorted(
-                time, [zero_times.min() - _TIME_BEFORE_ZERO, zero_times.max() + _TIME_BEFORE_ZERO]
+                time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
             )
         )
-        t, start = time[part], zero_times[:, np.newaxis] - _TIME_BEFORE_ZERO
-        near = (t >= start) & (t <= zero_times[:, np.newaxis])
+        t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
+        near = (t >= start) & (t <= zeros[:, np.newaxis])
         middle, level, slope = line_in(near, t, d[:, part])
         ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
-        return np.where(ended, level + slope * (zero_times - middle), np.nan)
+        return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
 Unloaded: TypeAlias = ThroughZero | AtRest | FollowedToZero

@@ -109,7 +109,7 @@ class Kind(ABC):
 
         Parameters
         ----------
-        outcome, method, errors, during, doubts, part, remark : as `Number` has them
+        outcome, method, errors, during, doubts, part, remark : as for `Number`
         output : place in `outputs`
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}

@@ -141,7 +141,7 @@ class Tangents:
 
         Parameters
         ----------
-        force, displacement : as `slope_at_end` takes them
+        force, displacement : as for `slope_at_end`
         initial : shape (...), N/m, slope at the start of each curve
         slope_below : share of `initial`
 
@@ -179,7 +179,7 @@ class Tangents:
 
         Parameters
         ----------
-        force, displacement : as `slope_at_end` takes them
+        force, displacement : as for `slope_at_end`
         onset : shape (...), m, the onset
         slope : shape (...), N/m, of the tangent there
 

@@ -222,7 +222,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        decide, values : as `labpipe.uncertainty.intervals.measure` takes them
+        decide, values : as for `labpipe.uncertainty.intervals.measure`
 
         Returns
         -------
@@ -284,7 +284,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        quantity : as `Doubt` has it
+        quantity : as for `Doubt`
         during : s, on the clock of the curve; None for the whole record
 
         Returns

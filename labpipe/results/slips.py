@@ -151,15 +151,13 @@ def _fit_within(
         return None  # longer than the longest slip
     allowed = drops[costs <= costs.min() + max_excess_variances * variance]
     is_whole = np.all(drops % 1.0 == 0.0, axis=1)
-    whole_drops = drops[
-        is_whole & (costs <= costs[is_whole].min() + max_excess_variances * variance)
-    ]
+    whole = drops[is_whole & (costs <= costs[is_whole].min() + max_excess_variances * variance)]
     explained = without - float(costs.min())
     if explained <= 0.0:
         return None  # a step of a converter
     if not _is_clear(pull, window, explained / variance if variance > 0.0 else np.inf):
         return None
-    drop = _measure_drop(pull, window, (best, allowed, whole_drops))
+    drop = _measure_drop(pull, window, (best, allowed, whole))
     return drop if drop is not None and _is_rare(pull, window, drop) else None
 
 

@@ -507,7 +507,7 @@ def unloading_slope(
 
     Returns
     -------
-    The samples, or a failure as `window_slope` has it.
+    The samples, or a failure as for `window_slope`.
     """
     turn = turn_at(time, displacement, turn_time=part.start_time, first=part.start, stop=part.stop)
     start, branch = float(turn.of(displacement)), slice(part.start, part.stop)

@@ -73,11 +73,9 @@ class _Scan:
     def squares_at(self, breaks: Floats) -> Floats:
         """Return the smallest sum of squares for given breaks, shape of `breaks`."""
         _, _, _, sr, sxr = self._above(breaks)
-        _, _, hinge_squares = self.hinges(breaks)
+        _, _, norms = self.hinges(breaks)
         shr = sxr - breaks * sr
-        gain = np.where(
-            hinge_squares > 0.0, shr * shr / np.where(hinge_squares > 0.0, hinge_squares, 1.0), 0.0
-        )
+        gain = np.where(norms > 0.0, shr * shr / np.where(norms > 0.0, norms, 1.0), 0.0)
         rest: Floats = float(self.r @ self.r) - gain
         return rest
 
@@ -86,24 +84,20 @@ class _Scan:
         above: Floats = self.sums[:, -1:] - self.sums[:, np.searchsorted(self.x, places, "right")]
         return above
 
-    def hinges(self, places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return sums of h = max(x - place, 0) at each place.
+    def hinges(self, c: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return sums of h = max(x - c, 0) for each place c.
 
         Returns
         -------
         Sum of h; sum of h (x - mean x); sum of squares of h less its straight line, 0 within
         rounding.
         """
-        n, sx, sxx, _, _ = self._above(places)
+        n, sx, sxx, _, _ = self._above(c)
         count, mx, mxx = self.sums[0, -1], *self.spread
-        sh, sxh, shh = (
-            sx - places * n,
-            sxx - places * sx,
-            sxx - 2.0 * places * sx + places * places * n,
-        )
+        sh, sxh, shh = sx - c * n, sxx - c * sx, sxx - 2.0 * c * sx + c * c * n
         cross = sxh - mx * sh
-        hinge_squares = shh - sh * sh / count - cross * cross / mxx
-        return sh, cross, np.where(hinge_squares > 1e-14 * count, hinge_squares, 0.0)
+        norms = shh - sh * sh / count - cross * cross / mxx
+        return sh, cross, np.where(norms > 1e-14 * count, norms, 0.0)
 
     @property
     def spread(self) -> tuple[float, float]:
@@ -227,11 +221,11 @@ class Hinges:
         scan, (mean, spread) = self.scan, self.scan.spread
         inside = scan.x[_MIN_SEGMENT_SAMPLES - 1], scan.x[-_MIN_SEGMENT_SAMPLES]
         breaks = np.clip(self._best(y) + self.moved, *inside)
-        sh, cross, hinge_squares = scan.hinges(breaks)
+        sh, cross, norms = scan.hinges(breaks)
         level, along = y.mean(axis=1), y @ (scan.x - mean)
         product = np.einsum("rn,rn->r", y, np.maximum(scan.x - breaks[:, None], 0.0))
-        hinge_squares = np.where(hinge_squares > 0.0, hinge_squares, np.nan)
-        bend = (product - sh * level - cross * along / spread) / hinge_squares
+        norms = np.where(norms > 0.0, norms, np.nan)
+        bend = (product - sh * level - cross * along / spread) / norms
         slope = (along - bend * cross) / spread
         level += slope * (breaks - mean) - bend * sh / y.shape[1]
         scale = 2.0 / (scan.d[-1] - scan.d[0])
@@ -255,15 +249,13 @@ class Hinges:
         is_empty = np.diff(starts, append=len(x)) == 0
         beyond = []
         for values in (y, y * x):
-            stretch_sums = np.add.reduceat(values, starts, axis=1)
-            stretch_sums[:, is_empty] = (
-                0.0  # `reduceat` returns the first sample of an empty stretch
-            )
-            beyond.append(np.cumsum(stretch_sums[:, :0:-1], axis=1)[:, ::-1])
-        sh, cross, hinge_squares = self.scan.hinges(places)
+            sums = np.add.reduceat(values, starts, axis=1)
+            sums[:, is_empty] = 0.0  # `reduceat` returns the first sample of an empty stretch
+            beyond.append(np.cumsum(sums[:, :0:-1], axis=1)[:, ::-1])
+        sh, cross, norms = self.scan.hinges(places)
         product = beyond[1] - places * beyond[0]
         product -= np.outer(y.mean(axis=1), sh) + np.outer(y @ (x - mean), cross / spread)
-        gain = product**2 / np.where(hinge_squares > 0.0, hinge_squares, np.inf)
+        gain = product**2 / np.where(norms > 0.0, norms, np.inf)
         top = np.clip(np.argmax(gain, axis=1), 1, len(places) - 2)
         gain_before, top_gain, gain_behind = np.take_along_axis(
             gain, top[:, None] + [-1, 0, 1], axis=1
@@ -324,7 +316,7 @@ def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
 
     Parameters
     ----------
-    fit, smooth, drawn, hinges : as `why_no_bend` takes them
+    fit, smooth, drawn, hinges : as for `why_no_bend`
 
     Returns
     -------
@@ -428,10 +420,7 @@ class _TwoLines(Window):
             if isinstance(reading, Reading):
                 smooth = Segments(*reading.numbers(test.replicates.smooth))
         drawn = Segments(
-            *(
-                smooth_number + number.off
-                for smooth_number, number in zip(smooth, numbers, strict=True)
-            )
+            *(value + number.off for value, number in zip(smooth, numbers, strict=True))
         )
         hinges = places[1]
         return why_none(measured, smooth, drawn, hinges) or _TwoLineFit(numbers, hinges)
@@ -500,14 +489,11 @@ class TwoSegments(_TwoLines):
             return self.not_available(fit, self.method)
         place, first, second, _ = fit.numbers
         start, stop = read = fit.hinges.ends
-        break_point, during = place.value, test.while_loading(*read)
+        bend, during = place.value, test.while_loading(*read)
         slips = marked_slips(test, read)  # one bends both
         one, other = (output.name for output in self.outputs[:2])
         numbers = ((first, slips), (second, slips), (place, slips + fit.doubts_of_break))
-        sides = (
-            (one, 1, (max(start, 0.0), break_point)),
-            (other, 2, (max(break_point, 0.0), stop)),
-        )
+        sides = ((one, 1, (max(start, 0.0), bend)), (other, 2, (max(bend, 0.0), stop)))
         return Computed(
             tuple(
                 self.number(number, self.method, output=output, during=during, doubts=doubts)

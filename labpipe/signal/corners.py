@@ -108,14 +108,11 @@ def fit_stop(
         if np.array_equal(parts, assigned):
             break
         assigned = parts
-        before, between_flags, after = (parts == number for number in range(3))
-        if (
-            min(before.sum(), after.sum()) < min_line_samples
-            or between_flags.sum() < min_level_samples
-        ):
+        before, inner, after = (parts == number for number in range(3))
+        if min(before.sum(), after.sum()) < min_line_samples or inner.sum() < min_level_samples:
             return None
         first, second = (np.polyfit(t[part], y[part], 1) for part in (before, after))
-        slopes, level = (float(first[0]), float(second[0])), float(y[between_flags].mean())
+        slopes, level = (float(first[0]), float(second[0])), float(y[inner].mean())
         if 0.0 in slopes:
             return None
         ends = (level - float(first[1])) / slopes[0], (level - float(second[1])) / slopes[1]
@@ -170,18 +167,14 @@ def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats
     return time.mean(axis=1), values.mean(axis=1)
 
 
-def _design(time: Floats, corner_time: float) -> Floats:
+def _design(time: Floats, corner: float) -> Floats:
     return np.column_stack(
-        [
-            np.ones_like(time),
-            np.minimum(time - corner_time, 0.0),
-            np.maximum(time - corner_time, 0.0),
-        ]
+        [np.ones_like(time), np.minimum(time - corner, 0.0), np.maximum(time - corner, 0.0)]
     )
 
 
-def _joint_fit(time: Floats, values: Floats, corner_time: float) -> tuple[Floats, float]:
-    design = _design(time, corner_time)
+def _joint_fit(time: Floats, values: Floats, corner: float) -> tuple[Floats, float]:
+    design = _design(time, corner)
     coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
     misfit = values - design @ coefficients
     return coefficients, float(misfit @ misfit)

@@ -161,10 +161,8 @@ def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
     least = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * noise_level(v))
     level_jumps = []
     for sample in np.flatnonzero(np.abs(steps) > least).tolist():
-        before, after = (
-            speeds[max(sample - neighbours, 0) : sample],
-            speeds[sample + 1 : sample + 1 + neighbours],
-        )
+        before = speeds[max(sample - neighbours, 0) : sample]
+        after = speeds[sample + 1 : sample + 1 + neighbours]
         if min(len(before), len(after)) < neighbours:
             continue
         if speeds[sample] > jump_speed_factor * float(np.concatenate([before, after]).max()):

@@ -214,17 +214,15 @@ def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
       or not;
     - ``cannot tell`` otherwise.
     """
-    difference_tests = holm([difference.p for difference in differences])
+    unlike = holm([difference.p for difference in differences])
     alike = holm([difference.p_equivalent for difference in differences])
     return [
         _judged(family, difference, *corrected)
-        for difference, *corrected in zip(differences, difference_tests, alike, strict=True)
+        for difference, *corrected in zip(differences, unlike, alike, strict=True)
     ]
 
 
-def _judged(
-    family: str, difference: Difference, difference_test: Corrected, alike: Corrected
-) -> Difference:
+def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corrected) -> Difference:
     """Return a comparison with its verdict."""
     max_log_ratio = 20.0  # keeps the ends of an interval finite
     contrast = difference.contrast
@@ -232,14 +230,14 @@ def _judged(
         reason = difference.difference.reason
         why = reason.message if reason else "there is no interval"
         return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, why=why)
-    outside = (1.0 - LEVEL) / difference_test.divisor
+    outside = (1.0 - LEVEL) / unlike.divisor
     half = half_of(contrast, outside)
     ends = Interval(contrast.difference - half, contrast.difference + half, 1.0 - outside)
     if contrast.is_log:
         ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
-    is_different, is_alike = difference_test.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
+    is_different, is_alike = unlike.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
-    why = f"p = {_shortly(difference_test.p)}{_corrected(difference_test.tests)}"
+    why = f"p = {_shortly(unlike.p)}{_corrected(unlike.tests)}"
     if is_alike:
         verdict, p = Verdict.EQUIVALENT, _shortly(alike.p)
         real = "a real difference, but " if is_different else ""
@@ -250,12 +248,7 @@ def _judged(
             beyond = f"not shown to be within {_relative(difference)}"
             why = f"the interval holds zero, {beyond}{_needed(contrast, outside)}"
     return replace(
-        difference,
-        family=family,
-        tests=difference_test.tests,
-        interval=ends,
-        verdict=verdict,
-        why=why,
+        difference, family=family, tests=unlike.tests, interval=ends, verdict=verdict, why=why
     )
 
 

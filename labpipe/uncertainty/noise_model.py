@@ -424,12 +424,10 @@ def _no_noise(longest: int) -> Noise:
     return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
 
 
-def _polynomials(width: int, n_columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
+def _polynomials(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
     """Return orthonormal polynomials over a piece, shape (width, columns)."""
     min_samples_per_column = 8
-    return _legendre(
-        width, int(np.clip(width // min_samples_per_column, min(2, n_columns), n_columns))
-    )
+    return _legendre(width, int(np.clip(width // min_samples_per_column, min(2, columns), columns)))
 
 
 def _legendre(width: int, columns: int) -> Floats:

@@ -200,22 +200,18 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     grid = np.linspace(start, stop, _KINK_GRID_POINTS)
     wanted = np.interp(grid, displacement, force)
     breaks = grid[10:-10]
-    misfits = np.array(
-        [_two_lines(grid, wanted, break_point)[1] for break_point in breaks.tolist()]
-    )
+    misfits = np.array([_two_lines(grid, wanted, place)[1] for place in breaks.tolist()])
     best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
     below, middle, above = misfits[best - 1 : best + 2]
     shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
-    break_point = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
-    (level, first, change), _ = _two_lines(grid, wanted, break_point)
-    return KinkTruth(
-        break_point, float(level + first * break_point), float(first), float(first + change)
-    )
+    place = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
+    (level, first, change), _ = _two_lines(grid, wanted, place)
+    return KinkTruth(place, float(level + first * place), float(first), float(first + change))
 
 
-def _two_lines(grid: Floats, wanted: Floats, break_point: float) -> tuple[Floats, float]:
+def _two_lines(grid: Floats, wanted: Floats, place: float) -> tuple[Floats, float]:
     """Return level, slope and change of slope of the best pair of lines, and the sum of squares."""
-    basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - break_point, 0.0)])
+    basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - place, 0.0)])
     roots = _roots()
     coefficients = np.linalg.lstsq(roots[:, None] * basis, roots * wanted, rcond=None)[0]
     return coefficients, float(np.sum((roots * (basis @ coefficients - wanted)) ** 2))

@@ -142,36 +142,36 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
 
 def _branch(half: HalfBundle, begin: BentHalf, goal: float, *, turns: bool) -> Iterator[BentHalf]:
     """Solve up to a displacement; on unloading stop at zero force."""
-    test, bent_half = half.test, begin
+    test, state = half.test, begin
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for wanted in (begin.displacement + share * (goal - begin.displacement)).tolist():
         if turns:
-            curvature_after_release = half.free(bent_half.plays)
+            curvature_after_release = half.free(state.plays)
             if curvature_after_release.displacement >= wanted - _MIN_DISPLACEMENT_STEP:
                 yield curvature_after_release
                 return
-        bent_half = _reach(half, bent_half, wanted, begin.displacement, turns=turns)
-        yield bent_half
+        state = _reach(half, state, wanted, begin.displacement, turns=turns)
+        yield state
 
 
 def _reach(
-    half: HalfBundle, bent_half: BentHalf, wanted: float, turned_at: float, *, turns: bool
+    half: HalfBundle, state: BentHalf, wanted: float, turned_at: float, *, turns: bool
 ) -> BentHalf:
     """Solve at a displacement, with halved steps where Newton's method fails."""
     while True:
         ahead = wanted
         while (
-            solved := half.settle(bent_half, ahead, half.friction(ahead - turned_at, turns))
+            solved := half.settle(state, ahead, half.friction(ahead - turned_at, turns))
         ) is None:
-            ahead = 0.5 * (bent_half.displacement + ahead)
-            if abs(ahead - bent_half.displacement) < _MIN_DISPLACEMENT_STEP:
+            ahead = 0.5 * (state.displacement + ahead)
+            if abs(ahead - state.displacement) < _MIN_DISPLACEMENT_STEP:
                 message = (
-                    f"displacement={wanted!r}: no equilibrium beyond {bent_half.displacement:.6g} m"
+                    f"displacement={wanted!r}: no equilibrium beyond {state.displacement:.6g} m"
                 )
                 raise ValueError(message)
         if ahead == wanted:
             return solved
-        bent_half = solved
+        state = solved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,17 +252,15 @@ class HalfBundle:
         travel = touch.y + self.test.reach * (1.0 - float(np.cos(touch.angle)))
         return BentHalf(travel, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
 
-    def settle(self, bent_half: BentHalf, wanted: float, friction: float) -> BentHalf | None:
+    def settle(self, state: BentHalf, wanted: float, friction: float) -> BentHalf | None:
         """Solve for moments, roller force and contact by Newton's method; None if it fails."""
         max_iterations = 40
         tolerance = 1e-9
         max_turn = 0.3
-        _, fy = _direction(self._touch_of(bent_half).angle, friction)
-        unknowns = np.concatenate(
-            [bent_half.moment, [0.5 * bent_half.force / fy, bent_half.contact]]
-        )
+        _, fy = _direction(self._touch_of(state).angle, friction)
+        unknowns = np.concatenate([state.moment, [0.5 * state.force / fy, state.contact]])
         for _ in range(max_iterations):
-            residual, jacobian, turns = self._linearise(unknowns, bent_half.plays, wanted, friction)
+            residual, jacobian, turns = self._linearise(unknowns, state.plays, wanted, friction)
             change = -np.linalg.solve(jacobian, residual)
             largest = float(np.max(np.abs(turns @ change[:-2])))
             change *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
@@ -271,7 +269,7 @@ class HalfBundle:
                 return None
             moment = unknowns[:-2]
             if np.max(np.abs(change[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
-                return self._bent(unknowns, bent_half.plays, wanted, friction)
+                return self._bent(unknowns, state.plays, wanted, friction)
         return None
 
     def _bent(self, unknowns: Floats, plays: Floats, wanted: float, friction: float) -> BentHalf:

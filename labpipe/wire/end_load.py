@@ -333,10 +333,10 @@ def _nodes_of(polygon: Polygon, panel: Ints, width: Floats) -> tuple[Floats, Flo
 def _at_clamp(polygon: Polygon, moment: Floats) -> tuple[Floats, Floats]:
     """Return curvature and complementary energy at moments."""
     panel = np.searchsorted(polygon.moment[1:-1], moment, side="right")
-    moment_change = moment - polygon.moment[panel]
+    change = moment - polygon.moment[panel]
     slope, curvature = polygon.compliance[panel], polygon.curvature[panel]
-    return curvature + slope * moment_change, polygon.energy[panel] + moment_change * (
-        curvature + slope * moment_change / 2.0
+    return curvature + slope * change, polygon.energy[panel] + change * (
+        curvature + slope * change / 2.0
     )
 
 

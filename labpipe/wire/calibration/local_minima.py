@@ -316,10 +316,8 @@ def _low_points(line: list[Fit]) -> Iterator[Fit]:
 
 def _hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
     """Return how far the line rises above two minima between them."""
-    fits_between = [
-        fit.objective for fit in line if _strength(one) < _strength(fit) < _strength(other)
-    ]
-    return max(fits_between, default=-np.inf) - max(one.objective, other.objective)
+    heights = [fit.objective for fit in line if _strength(one) < _strength(fit) < _strength(other)]
+    return max(heights, default=-np.inf) - max(one.objective, other.objective)
 
 
 def local_minimum_of(

@@ -115,7 +115,7 @@ def test_words(approved: Approve) -> None:
     lines.append(describe_parameter(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
     names = ("a", "b", "radial_force")
     for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
-        lines.append(separability(names, matrix, "three").words.partition(" (singular")[0])
+        lines.append(separability(names, matrix, "three").explanation.partition(" (singular")[0])
     for name, values in (
         ("radial_friction", (0.0465123, 1e-5, 100.0)),
         ("insulation_modulus", (9.571e8, 1e11)),
