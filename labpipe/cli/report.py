@@ -73,7 +73,7 @@ def _report_context(options: argparse.Namespace) -> ReportContext:
             "",
             expected=f"one or more of {', '.join(FORMATS)}",
             found=", ".join(map(repr, unknown)),
-            remedy=f"Nearest: {nearest(unknown[0], list(FORMATS), most=1)[0]}.",
+            remedy=f"Nearest: {nearest(unknown[0], list(FORMATS), limit=1)[0]}.",
         )
         raise UsageError(message)
     return ReportContext(letterhead_of(options), wanted, options.pages)

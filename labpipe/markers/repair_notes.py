@@ -89,9 +89,9 @@ def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
 
 
 def _stretch_notes(
-    take: Take, mask: Flags, names: list[str], kind: tuple[str, Severity, str]
+    take: Take, mask: Flags, names: list[str], note_kind: tuple[str, Severity, str]
 ) -> Iterator[QualityNote]:
-    code, severity, text = kind
+    code, severity, text = note_kind
     for column, name in enumerate(names):
         stretches = stretches_of(mask[:, column])
         if len(stretches) <= _MAX_NOTES:
@@ -118,8 +118,8 @@ def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
             if is_unlabelled(take.names[column]):
                 span = take.span(start, stop)
                 track, other = measured[:, label], measured[start:stop, column]
-                apart = _distance_text(track, other, start, stop)
-                message = f"{text}, {span}; merged{apart}"
+                distance_text = _distance_text(track, other, start, stop)
+                message = f"{text}, {span}; merged{distance_text}"
                 where = f"{take.names[label]}, {span}"
                 yield QualityNote("unlabelled_merged", Severity.WARNING, where, message)
             else:

@@ -61,10 +61,8 @@ from labpipe.readers.workbooks import is_workbook
 from labpipe.records.arrays import Floats
 from labpipe.units import si_factor, whole_number
 
-__all__ = ["MIN_CURVE_POINTS", "CurveColumn", "read_curve"]
+__all__ = ["CurveColumn", "read_curve"]
 
-MIN_CURVE_POINTS = 3
-"""Points of a curve."""
 _SEPARATORS = ("\t", ";", ",", " ")
 _ENCODINGS = ("utf-8", "latin-1")
 _NOT_FINITE = frozenset({"nan", "inf", "infinity"})
@@ -110,7 +108,9 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         raise unreadable(
             path, head_of(table), "two columns", place, "Name another one for the force."
         )
-    factors = [unit_factor(table, at, column) for at, column in zip(columns, wanted, strict=True)]
+    factors = [
+        unit_factor(table, index, column) for index, column in zip(columns, wanted, strict=True)
+    ]
     points = _points(table, columns)
     across, up = (
         column.sign * factor * np.array([_number(point[i], path) for point in points])
@@ -189,14 +189,15 @@ def _is_not_finite(text: str) -> bool:
 
 def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
     """Return the two cells of each row with values, with one decimal sign."""
+    min_curve_points = 3  # points of a curve
     points = []
     for row in table.rows:
         blank = Cell("", row[0].place.partition(",")[0])
-        point = [row[at] if at < len(row) else blank for at in columns]
+        point = [row[index] if index < len(row) else blank for index in columns]
         if any(cell.text for cell in point):
             points.append(point)
-    if len(points) < MIN_CURVE_POINTS:
-        expected, remedy = f"at least {MIN_CURVE_POINTS} points", "Give more points of the curve."
+    if len(points) < min_curve_points:
+        expected, remedy = f"at least {min_curve_points} points", "Give more points of the curve."
         raise unreadable(table.path, "", expected, f"{len(points)}", remedy)
     texts = [cell for point in points for cell in point]
     if any("." in cell.text for cell in texts):
@@ -221,23 +222,23 @@ def _number(cell: Cell, path: Path) -> float:
 
 def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Floats) -> None:
     """Refuse a curve that turns back or has two forces at one deflection."""
-    for number, (before, here) in enumerate(pairwise(deflection.tolist()), start=1):
-        if here <= before:
+    for number, (previous, current) in enumerate(pairwise(deflection.tolist()), start=1):
+        if current <= previous:
             remedy = "Keep the first loading only, its points in order, each deflection once."
             if deflection[-1] < deflection[0]:
                 remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
-            expected = f"a deflection above the one before ({1e3 * before:.6g} mm)"
-            found = f"{1e3 * here:.6g} mm"
+            expected = f"a deflection above the one before ({1e3 * previous:.6g} mm)"
+            found = f"{1e3 * current:.6g} mm"
             raise unreadable(path, points[number][0].place, expected, found, remedy)
 
 
 def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> None:
     """Refuse a curve whose largest force is negative."""
-    at = int(np.argmax(np.abs(force)))
-    if force[at] <= 0.0:
-        expected, found = "a largest force above zero", f"{force[at]:.6g} N"
+    peak = int(np.argmax(np.abs(force)))
+    if force[peak] <= 0.0:
+        expected, found = "a largest force above zero", f"{force[peak]:.6g} N"
         remedy = "If the file counts downwards, write 'sign: -1' for the force."
-        raise unreadable(path, points[at][1].place, expected, found, remedy)
+        raise unreadable(path, points[peak][1].place, expected, found, remedy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,9 +330,9 @@ def _no_column(table: CurveTable, wanted: CurveColumn, name: str) -> ReadError:
         remedy = f"Number it in the plan, such as {wanted.what}: {{column: 1, unit: mm}}."
         expected = f"a row of names above the numbers, with a column {name!r}"
         return unreadable(table.path, place, expected, "numbers alone", remedy)
-    known = [cell.text for cell in table.names if cell.text]
-    found = ", ".join(repr(name) for name in nearest(name, known))
-    return unreadable(table.path, place, f"a column {name!r}", found, remedy)
+    column_names = [cell.text for cell in table.names if cell.text]
+    nearest_names = ", ".join(repr(name) for name in nearest(name, column_names))
+    return unreadable(table.path, place, f"a column {name!r}", nearest_names, remedy)
 
 
 def _example(wanted: CurveColumn) -> str:
@@ -359,13 +360,13 @@ def _is_convertible(unit: str, si_unit: str) -> bool:
     return bool(unit)
 
 
-def unit_factor(table: CurveTable, at: int, wanted: CurveColumn) -> float:
+def unit_factor(table: CurveTable, index: int, wanted: CurveColumn) -> float:
     """Return the factor from the unit of a column to SI.
 
     Parameters
     ----------
     table : cells of the file
-    at : number of the column, counted from 0
+    index : number of the column, counted from 0
     wanted : the column, with its unit if the plan states it
 
     Raises
@@ -373,9 +374,9 @@ def unit_factor(table: CurveTable, at: int, wanted: CurveColumn) -> float:
     ReadError
         If the unit is not stated, is of another dimension, or plan and heading differ.
     """
-    head = table.names[at].text if at < len(table.names) else ""
-    stated = _split_unit(head, wanted.si_unit)[1] or table.units[at]
-    place = f"{head_of(table)}, column {at + 1}"
+    head = table.names[index].text if index < len(table.names) else ""
+    stated = _split_unit(head, wanted.si_unit)[1] or table.units[index]
+    place = f"{head_of(table)}, column {index + 1}"
     unit = wanted.unit or stated
     if not unit:
         expected = f"a unit of the {wanted.what}"
@@ -474,26 +475,31 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
         yield _Block(quantity, set_name, time, filled[0] + 1, values)
 
 
-def _second_component(line: str, at: int, place: str, path: Path) -> float:
+def _second_component(line: str, index: int, place: str, path: Path) -> float:
     """Return the second component. Exponents of very small ones may lack the letter."""
     cells = line.split()
     try:
-        if len(cells) == at + 2:
-            return float(cells[at])
+        if len(cells) == index + 2:
+            return float(cells[index])
     except ValueError:
         pass
-    expected = f"{at + 2} numbers"
+    expected = f"{index + 2} numbers"
     raise unreadable(path, place, expected, repr(line.strip()[:60]), _RUN_AGAIN)
 
 
 def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_Block]) -> None:
     """Refuse deflections without forces, and vice versa."""
-    at, of = [block.time for block in deflections], [block.time for block in forces]
-    alone = next((block for block in deflections if block.time not in of), None)
-    alone = alone or next((block for block in forces if block.time not in at), None)
-    if alone is not None:
-        expected = f"displacements and total force at time {alone.time}"
-        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _RUN_AGAIN)
-    if at != of:
-        found = f"{len(at)} and {len(of)} in another order"
+    deflection_times = [block.time for block in deflections]
+    force_times = [block.time for block in forces]
+    unpaired = next((block for block in deflections if block.time not in force_times), None)
+    unpaired = unpaired or next(
+        (block for block in forces if block.time not in deflection_times), None
+    )
+    if unpaired is not None:
+        expected = f"displacements and total force at time {unpaired.time}"
+        raise unreadable(
+            path, f"line {unpaired.line}", expected, f"only {unpaired.quantity}", _RUN_AGAIN
+        )
+    if deflection_times != force_times:
+        found = f"{len(deflection_times)} and {len(force_times)} in another order"
         raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)

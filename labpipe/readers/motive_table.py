@@ -16,10 +16,6 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import whole_number
 
-_MAX_TIME_DEVIATION = 0.6e-3
-"""Deviation in s of the time column from frame / rate: 1.23 rounds to whole milliseconds."""
-
-
 Columns = Mapping[int, Floats]
 """Values by column number in the file, shape (frames,); NaN where blank."""
 Cells = Sequence[str]
@@ -164,6 +160,8 @@ def _time(
     header: Header, columns: Columns, frames: Floats
 ) -> tuple[Floats, float, list[QualityNote]]:
     """Return frame / export rate if the time column agrees with it, else the time column."""
+    # Deviation in s of the time column from frame / rate: 1.23 rounds to whole milliseconds.
+    max_time_deviation = 0.6e-3
     # Deviation in s of a time column that is not rounded to milliseconds.
     rounding = 2e-6
     written = None if header.time_column is None else columns[header.time_column]
@@ -174,14 +172,14 @@ def _time(
     time = frames / header.rate
     if written is None or not len(time):
         return time, header.rate, []
-    apart = np.abs(written - time)
-    if not np.isfinite(apart).all() or apart.max() > _MAX_TIME_DEVIATION:
-        worst = float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan
+    deviation = np.abs(written - time)
+    if not np.isfinite(deviation).all() or deviation.max() > max_time_deviation:
+        worst = float(np.nanmax(deviation)) if np.isfinite(deviation).any() else np.nan
         message = f"the column of times is up to {1e3 * worst:.4g} ms off frame / rate: kept"
         return written, header.rate, [_note("time_column_differs", message)]
-    if apart.max() > rounding:
+    if deviation.max() > rounding:
         message = "the column of times is rounded to milliseconds"
-        message += f" (up to {1e3 * apart.max():.3g} ms off): frame / rate is used"
+        message += f" (up to {1e3 * deviation.max():.3g} ms off): frame / rate is used"
         return time, header.rate, [_note("time_rounded", message, Severity.INFO)]
     return time, header.rate, []
 
@@ -242,10 +240,10 @@ def _rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Float
 
     degrees = _stack_columns(columns, angles)
     rotation = np.full((len(degrees), 4), np.nan)
-    known = np.isfinite(degrees).all(axis=1)
-    if known.any():
-        turned = Rotation.from_euler(order, degrees[known], degrees=True)
-        rotation[known] = turned.as_quat()
+    is_known = np.isfinite(degrees).all(axis=1)
+    if is_known.any():
+        turned = Rotation.from_euler(order, degrees[is_known], degrees=True)
+        rotation[is_known] = turned.as_quat()
     return rotation
 
 
@@ -260,11 +258,13 @@ def _euler_order(about: Mapping[str, str]) -> str:
 
 
 def _euler_note(bodies: Sequence[Group], header: Header) -> list[QualityNote]:
-    kind = header.about.get("Rotation Type", "")
+    convention = header.about.get("Rotation Type", "")
     turned = [body.name for body in bodies if _has_euler(body, header.about)]
     if not turned:
         return []
-    message = f"Euler angles of type '{kind}' in degrees were converted to quaternions as intrinsic"
+    message = (
+        f"Euler angles of type '{convention}' in degrees were converted to quaternions as intrinsic"
+    )
     message += " rotations: no real file has confirmed that convention"
     return [QualityNote("rotation_from_euler", Severity.WARNING, ", ".join(turned), message)]
 
@@ -276,9 +276,9 @@ def _left_out_notes(groups: Sequence[Group]) -> list[QualityNote]:
     if fitted:
         message = f"{fitted} Rigid Body Marker are fitted positions, not measurements: left out"
         notes.append(QualityNote("fitted_markers", Severity.INFO, "markers", message))
-    others = {kind: n for kind, n in count.items() if kind not in {"Marker", "Rigid Body"}}
+    others = {asset: n for asset, n in count.items() if asset not in {"Marker", "Rigid Body"}}
     if others:
-        message = "left out: " + ", ".join(f"{n} of type {kind}" for kind, n in others.items())
+        message = "left out: " + ", ".join(f"{n} of type {asset}" for asset, n in others.items())
         notes.append(QualityNote("columns_left_out", Severity.INFO, "columns", message))
     return notes
 
@@ -415,9 +415,11 @@ def _key_values(cells: Cells) -> dict[str, str]:
     """Return the values of line 1 by key; unquoted commas within values are restored."""
     pairs = dict(zip(cells[::2], cells[1::2], strict=False))
     if "Length Units" not in pairs and "Length Units" in cells:
-        known = [i for i, cell in enumerate(cells) if cell in _KEYS]
-        ends = [*known[1:], len(cells)]
-        pairs = {cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(known, ends, strict=True)}
+        key_columns = [i for i, cell in enumerate(cells) if cell in _KEYS]
+        ends = [*key_columns[1:], len(cells)]
+        pairs = {
+            cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(key_columns, ends, strict=True)
+        }
     return {key.strip(): value.strip().rstrip(",") for key, value in pairs.items() if key.strip()}
 
 

@@ -108,13 +108,13 @@ def read_head(path: Path, size: int = 65536) -> bytes:
         If the file does not exist, is a folder, a pipe or a device, is not readable, or is empty.
     """
     with reading(path, "a readable file"):
-        kind, head = _special_kind(path), b""
-        if not kind:
+        special, head = _special_kind(path), b""
+        if not special:
             with path.open("rb") as stream:
                 head = stream.read(size)
-    if kind:
-        remedy = "Name one of the files in it." if kind == "a folder" else "Name a plain file."
-        raise unreadable(path, "", "a file", kind, remedy)
+    if special:
+        remedy = "Name one of the files in it." if special == "a folder" else "Name a plain file."
+        raise unreadable(path, "", "a file", special, remedy)
     if not head:
         remedy = "Save or export it again."
         raise unreadable(path, "", "a file with content", "an empty file (0 bytes)", remedy)
@@ -223,13 +223,13 @@ def lines_of(text: str) -> list[str]:
 
 def line_start(data: bytes, lines: int) -> int:
     """Return the offset of the line with this number, counted from 0."""
-    at = 0
+    offset = 0
     for _ in range(lines):
-        end = data.find(b"\n", at)
+        end = data.find(b"\n", offset)
         if end < 0:
             return len(data)
-        at = end + 1
-    return at
+        offset = end + 1
+    return offset
 
 
 def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) -> str:

@@ -310,12 +310,12 @@ def sheet_columns(
     if min(map(len, body), default=width) < width:  # missing cells are blank
         body = [[*row, *[""] * (width - len(row))] for row in body]
     columns = {}
-    for at, name in names.items():
-        cells = list(map(itemgetter(at), body))
-        columns[at], column_notes = _column(cells, name, first, where)
+    for column, name in names.items():
+        cells = list(map(itemgetter(column), body))
+        columns[column], column_notes = _column(cells, name, first, where)
         notes += column_notes
     filled = filled_rows(columns)
-    return {at: values[:filled] for at, values in columns.items()}, notes
+    return {column: values[:filled] for column, values in columns.items()}, notes
 
 
 def _find_summary(
@@ -323,14 +323,15 @@ def _find_summary(
 ) -> tuple[int, list[QualityNote]]:
     """Return the index of the row after the last sample; rows below are text."""
     last, firsts = len(rows), list[str]()
-    for at in range(len(rows) - 1, first, -1):
-        cells = [as_text(rows[at][column]) for column in columns if column < len(rows[at])]
+    for row_number in range(len(rows) - 1, first, -1):
+        row = rows[row_number]
+        cells = [as_text(row[column]) for column in columns if column < len(row)]
         if not any(cells):
             continue
         if not is_summary_row(cells):
             break
         firsts.insert(0, next(filter(None, cells)))
-        last = at
+        last = row_number
     return last, [summary_note(firsts, f"{sheet}, row {last + 1}")] if firsts else []
 
 

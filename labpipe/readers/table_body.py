@@ -111,20 +111,21 @@ def without_summary(body: Body) -> tuple[Body, list[QualityNote]]:
     body : without them; unchanged if all rows are text
     notes : ``summary_rows_left_out``
     """
-    data, at, cut = body.data, len(body.data), len(body.data)
+    data, line_start, cut = body.data, len(body.data), len(body.data)
     holding = range(len(body.names)) if body.others_numeric else body.columns
     firsts: list[str] = []
-    while at > body.start:
-        begin = max(data.rfind(b"\n", body.start, at - 1) + 1, body.start)
-        row = split_line(data[begin:at].decode("utf-8", errors="replace"), body.separator)
+    while line_start > body.start:
+        begin = max(data.rfind(b"\n", body.start, line_start - 1) + 1, body.start)
+        row = split_line(data[begin:line_start].decode("utf-8", errors="replace"), body.separator)
         if any(cell.strip() for cell in row):
             cells = list(cells_of_columns(row, holding))
             if not is_summary_row(cells):
                 break
             firsts.insert(0, next(filter(None, cells)))
             cut = begin
-        at = begin
-    if not firsts or at <= body.start:  # all rows are text: reported when numbers are parsed
+        line_start = begin
+    # If all rows are text, this is reported when numbers are parsed.
+    if not firsts or line_start <= body.start:
         return body, []
     line = body.first_line + data.count(b"\n", body.start, cut)
     note = summary_note(firsts, f"line {line}")

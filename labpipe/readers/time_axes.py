@@ -16,8 +16,6 @@ _LONG_STEP_FACTOR = 1.5
 _MIN_JITTER = 0.05
 """Relative deviation of regular steps from their median that is reported as jitter."""
 
-_MAX_NOMINAL_DEVIATION = 0.002
-"""Relative deviation up to which the mean step has a round nominal value."""
 
 TIME_VARIABLE = "time_variable"
 """Code of the note on a time axis whose long steps may be intended."""
@@ -212,10 +210,12 @@ def _jitter_note(regular: Floats, median: float, where: str) -> list[QualityNote
 
 def _nominal_note(step: float, count: int, where: str) -> list[QualityNote]:
     """Compare the mean step with the nearest round step, or step of a round rate."""
+    # Relative deviation up to which the mean step has a round nominal value.
+    max_nominal_deviation = 0.002
     round_steps = (float(f"{step:.1e}"), 1.0 / float(f"{1.0 / step:.1e}"))
     nominal = min(round_steps, key=lambda round_step: abs(step - round_step))
     drift = (step - nominal) * count
-    if abs(drift) <= 0.5 * nominal or abs(step - nominal) > _MAX_NOMINAL_DEVIATION * nominal:
+    if abs(drift) <= 0.5 * nominal or abs(step - nominal) > max_nominal_deviation * nominal:
         return []
     message = (
         f"mean step {1e3 * step:.6g} ms where {1e3 * nominal:.3g} ms is nominal:"

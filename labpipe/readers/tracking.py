@@ -11,10 +11,6 @@ from labpipe.records.arrays import Flags, Floats, stretches_of
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks
 
-_MIN_FROZEN_STEPS = 10
-"""Successive unchanged steps from which a pose counts as frozen, not as at rest."""
-
-
 _UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
 
 
@@ -27,7 +23,7 @@ class Run:
 
     @property
     def length(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return self.last - self.first + 1
 
 
@@ -140,11 +136,13 @@ def _gap_notes(objects: dict[str, Floats], code: str) -> list[QualityNote]:
 
 
 def _frozen_notes(objects: dict[str, Floats]) -> list[QualityNote]:
+    # Successive unchanged steps from which a pose counts as frozen, not as at rest.
+    min_frozen_steps = 10
     notes = []
     for name, track in objects.items():
         still = unchanged(track)
         stretches = runs(still)
-        if longest(stretches) < _MIN_FROZEN_STEPS:
+        if longest(stretches) < min_frozen_steps:
             continue
         message = f"position unchanged to the last digit in {int(still.sum())} of"
         message += f" {len(still)} steps, up to {longest(stretches)} in a row:"

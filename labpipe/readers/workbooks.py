@@ -39,8 +39,6 @@ from labpipe.readers.workbooks import cells_of
 pickle.dump(cells_of(pathlib.Path(sys.argv[1])), sys.stdout.buffer, protocol=5)
 """
 _REFUSED = "labpipe.errors.ReadError: "
-_CHILD_BYTES = 4 << 30
-"""Memory limit of a child process; the largest sheet of an old workbook needs 1 GB."""
 _CHILD_SECONDS = 120.0
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 MAX_CELLS: Final = 10_000_000
@@ -171,12 +169,14 @@ def _read_in_child(path: Path) -> Sheets:
 
     A wrong place or length in it can exhaust the memory, which kills the process.
     """
+    # Memory limit of a child process; the largest sheet of an old workbook needs 1 GB.
+    memory_limit = 4 << 30
     import os
     import pickle
     import subprocess
     import sys
 
-    command = [sys.executable, "-c", _CHILD, str(path), str(_CHILD_BYTES)]
+    command = [sys.executable, "-c", _CHILD, str(path), str(memory_limit)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     try:
         child = subprocess.run(
@@ -310,12 +310,15 @@ def _extent(parts: zipfile.ZipFile, name: str) -> _SheetExtent | None:
 def _refuse_others(path: Path) -> None:
     with zipfile.ZipFile(path) as parts:
         names = parts.namelist()
-    found = next((kind for name, kind in _OTHER_FORMATS.items() if name in names), None)
+    format_name = next((text for name, text in _OTHER_FORMATS.items() if name in names), None)
     remedy = "Save it as xlsx in the spreadsheet program."
-    if found is None and not any(name.startswith("xl/") for name in names):
-        found, remedy = "a zip archive of something else", "Unpack it, and name the export in it."
-    if found is not None:
-        raise unreadable(path, "", "an xlsx workbook", found, remedy)
+    if format_name is None and not any(name.startswith("xl/") for name in names):
+        format_name, remedy = (
+            "a zip archive of something else",
+            "Unpack it, and name the export in it.",
+        )
+    if format_name is not None:
+        raise unreadable(path, "", "an xlsx workbook", format_name, remedy)
 
 
 def _number(letters: str) -> int:

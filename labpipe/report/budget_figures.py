@@ -42,9 +42,7 @@ _ROW_MM = 6.0
 """Height of a bar with its gap."""
 _FRAME_MM = 26.0
 """Height of axis and heading."""
-MOST_BARS = 20
-_MIN_LABELLED_SHARE = 0.10
-"""Smallest share of a bar that has room for its number."""
+MAX_BARS = 20
 SMALLER = "causes under 2 % in every bar"
 COLOURS_OF_CAUSES: Mapping[str, str] = {
     SCATTER: "#4d4d4d",
@@ -151,6 +149,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes : to draw on; causes that all tests of a rig share are hatched
     of : the quantity that is divided into shares
     """
+    min_labelled_share = 0.10  # smallest share of a bar that has room for its number
     bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
@@ -165,7 +164,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
         for cause, share in shares.items():
             corner = 100 * start, height - bar_height / 2
             axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_bar_style(cause)))
-            if share >= _MIN_LABELLED_SHARE:
+            if share >= min_labelled_share:
                 _write_share(axes, 100 * (start + share / 2), height, share, cause)
             start += share
         axes.text(1.01, height, bar.text, transform=beside, va="center")
@@ -179,7 +178,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes.set_xlabel(f"Share of the {of} (%)")
 
 
-def _write_share(axes: Axes, at: float, height: float, share: float, cause: str) -> None:
+def _write_share(axes: Axes, middle: float, height: float, share: float, cause: str) -> None:
     """Write a share on its colour; on hatching, on a patch of plain colour."""
     dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
@@ -189,7 +188,7 @@ def _write_share(axes: Axes, at: float, height: float, share: float, cause: str)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
     is_hatched = cause_names.IS_COMMON.get(cause, False)
     label = axes.text(
-        at, height, f"{100 * share:.0f}", ha="center", va="center",
+        middle, height, f"{100 * share:.0f}", ha="center", va="center",
         color="white" if is_dark else "black",
         bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip

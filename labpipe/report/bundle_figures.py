@@ -55,7 +55,7 @@ _NOTES = (
 
 
 def has_bundles(campaign: Campaign) -> bool:
-    """Tell whether any sample of a campaign is a harness bundle."""
+    """Return whether any sample of a campaign is a harness bundle."""
     return any(
         sample.specimen.bundle is not None for group in campaign.groups for sample in group.samples
     )

@@ -110,9 +110,9 @@ def _label_end(shape: BentShape, axes: Axes) -> None:
     ends = [line[-1] for line in map(_finite_rows, _lines(shape)) if len(line)]
     if not ends:
         return
-    at = DEFLECTION.factor * np.max(ends, axis=0)
+    end_place = DEFLECTION.factor * np.max(ends, axis=0)
     axes.annotate(
-        length_words(shape.deflection), (float(at[0]), float(at[1])), (5, 0),
+        length_words(shape.deflection), (float(end_place[0]), float(end_place[1])), (5, 0),
         textcoords="offset points", va="center",
     )  # fmt: skip
 
@@ -223,7 +223,7 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
 
     Notes
     -----
-    Every point is drawn faint; a line shows the means of at least `N_MEANS` blocks of neighbouring
+    Every point is drawn faint; a line shows the means of at least `N_BLOCKS` blocks of neighbouring
     points, if there are as many points.
     """
     looks = _sample_looks(calibration)
@@ -261,7 +261,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
         there is one
     """
     if not parameter.profiles:
-        write_reason(axes, typeset(parameter.words), line_length=30)
+        write_reason(axes, typeset(parameter.explanation), line_length=30)
         return
     axis = DISPLAYS[parameter.name]
     low, high = panel_range(parameter)

@@ -52,8 +52,8 @@ def tables_of(report: CalibrationReport) -> list[Sheet]:
 
     Returns
     -------
-    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source),
-    those of external curves, ``curves``, ``forces`` and ``notes``.
+    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the
+    dissertation), those of external curves, ``curves``, ``forces`` and ``notes``.
     """
     calibration = report.calibration
     return [

@@ -41,7 +41,7 @@ class Pair:
 
     @property
     def field(self) -> str:
-        """The one field in which they differ; empty for several or none."""
+        """Return the one field in which they differ; empty for several or none."""
         return self.differences[0].question
 
 
@@ -60,7 +60,7 @@ class Family:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Value of the field of each group."""
+        """Return the value of the field of each group."""
         return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 
@@ -96,9 +96,11 @@ def families(campaign: Campaign) -> list[Family]:
     for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
         linked = {(pair.first.name, pair.second.name): pair for pair in pairs}
         groups = {one.name: one for pair in linked.values() for one in (pair.first, pair.second)}
-        whole = [groups[key] for key in _sort_names(groups, name)]
+        sorted_groups = [groups[key] for key in _sort_names(groups, name)]
         families += [
-            Family(name, part) for clique in _cliques(whole, set(linked)) for part in _parts(clique)
+            Family(name, part)
+            for clique in _cliques(sorted_groups, set(linked))
+            for part in _parts(clique)
         ]
     return families
 
@@ -111,8 +113,8 @@ def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[
     """Collect large sets of linked groups greedily, so that each linked pair is in one of them."""
     both = linked | {(two, one) for one, two in linked}
     covered: set[tuple[str, str]] = set()
-    for at, first in enumerate(groups):
-        for second in groups[at + 1 :]:
+    for number, first in enumerate(groups):
+        for second in groups[number + 1 :]:
             if (first.name, second.name) not in both - covered:
                 continue
             members = [first, second]
@@ -253,7 +255,7 @@ def _difference_words(difference: Difference, display: Mapping[str, str]) -> str
         display_unit = shown_in(difference.name, difference.unit, display)
         shift = difference.difference
         number = write_number(
-            shift.mean, difference.interval, display_unit.factor, apart=shift.apart
+            shift.mean, difference.interval, display_unit.factor, estimate=shift.distinct_estimate
         )
         unit = f" {unit_words(display_unit.unit)}".rstrip()
     else:

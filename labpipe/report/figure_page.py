@@ -167,8 +167,8 @@ def _key_columns(lengths: Sequence[float], room: float) -> int:
     widths = [handle_mm + length for length in lengths]
     if sum(widths) <= room:
         return max(len(widths), 1)
-    most = max(int(room / max(widths)), 1)
-    return math.ceil(len(widths) / math.ceil(len(widths) / most))
+    max_columns = max(int(room / max(widths)), 1)
+    return math.ceil(len(widths) / math.ceil(len(widths) / max_columns))
 
 
 def finish_layout(page: Figure) -> None:
@@ -236,8 +236,8 @@ def _fit_texts(page: Figure) -> None:
             text.set_text(fitted)
 
 
-def _shorten_lines(text: str, most: int) -> str:
-    return "\n".join(shortened(line, most) for line in printable(text).split("\n"))
+def _shorten_lines(text: str, max_length: int) -> str:
+    return "\n".join(shortened(line, max_length) for line in printable(text).split("\n"))
 
 
 def _axis_objects(page: Figure) -> Iterator[Axis]:
@@ -345,12 +345,12 @@ def panel_grid(page: Figure, count: int, *, columns: int, sharey: bool = False) 
     return list(panels[:count])
 
 
-def split_pages(items: Sequence[T], most: int) -> list[Sequence[T]]:
+def split_pages(items: Sequence[T], max_items: int) -> list[Sequence[T]]:
     """Split items into pages."""
-    return [items[start : start + most] for start in range(0, len(items), most)]
+    return [items[start : start + max_items] for start in range(0, len(items), max_items)]
 
 
-def require_room(count: int, most: int, what: str) -> None:
+def require_room(count: int, max_count: int, what: str) -> None:
     """Raise an error if a page is empty or overfull.
 
     Raises
@@ -358,6 +358,6 @@ def require_room(count: int, most: int, what: str) -> None:
     ValueError
         With the number and the allowed range.
     """
-    if not 1 <= count <= most:
-        message = f"{what}: expected 1 to {most} on a page, found {count}"
+    if not 1 <= count <= max_count:
+        message = f"{what}: expected 1 to {max_count} on a page, found {count}"
         raise ValueError(message)

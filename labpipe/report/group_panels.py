@@ -48,7 +48,7 @@ _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
 """On the page: for few samples, and for many, with overlapping lines: a test is below 3 kB."""
 _IN_FILES = _Points(120, 80, 120, 6)
 _MAX_OFFSET_SHARE = 0.001
-_BAND_POINTS = 28
+_BAND_OUTLINE_POINTS = 28
 _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
@@ -97,10 +97,10 @@ class _GroupView:
     def colour(self, sample: Sample) -> str:
         """Return the class of a sample's colour: of its spool, or its own for one spool."""
         spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
-        at = spools.index(sample.specimen.spool)
+        number = spools.index(sample.specimen.spool)
         if len(spools) == 1 and len(self.group.samples) <= _MAX_DETAILED_SAMPLES:
-            at = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
-        return f"c{at % COLOURS}"
+            number = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
+        return f"c{number % COLOURS}"
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
@@ -338,9 +338,9 @@ def mean_lines(
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        at = band.displacement[marks] * across
+        mark_places = band.displacement[marks] * across
         ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
-        x = _with_gaps(at, at)
+        x = _with_gaps(mark_places, mark_places)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 

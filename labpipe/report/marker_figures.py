@@ -95,7 +95,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     steps = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
     levels = np.asarray(steps.tick_values(0.0, factor * float(np.nanmax(way)))) / factor
     # the first frame at a level: later ones may belong to another motion
-    reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
+    reached = [np.flatnonzero(travel >= level - 1e-12) for level in levels]
     frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
     return Steps(frames, levels[: len(frames)], word)
 
@@ -116,10 +116,10 @@ def _tip_path(result: TestResult, shape: Shape) -> tuple[Floats, str]:
         far: Floats = np.linalg.norm(tip - start, axis=1)
         return far, "tip excursion"
     curve = result.curve
-    way: Floats = np.interp(shape.time, curve.time, curve.displacement)
-    way[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
+    travel: Floats = np.interp(shape.time, curve.time, curve.displacement)
+    travel[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-    return way, "tip deflection" if is_clamped else "deflection"
+    return travel, "tip deflection" if is_clamped else "deflection"
 
 
 def _last_tracked(shape: Shape) -> int:
@@ -194,10 +194,10 @@ def _offset_note(result: TestResult, shape: Shape, rig: Rig) -> str:
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
     if not is_clamped or abs(rig.centre_offset) < min_offset or not shape.coefficients.shape[2]:
         return ""
-    way = scale(result, "displacement", "m")
+    across = scale(result, "displacement", "m")
     return (
-        f"Centres of markers are {abs(rig.centre_offset) * way.factor:.3g} {way.unit} beside the"
-        " axis, which is the curve."
+        f"Centres of markers are {abs(rig.centre_offset) * across.factor:.3g} {across.unit} beside "
+        "the axis, which is the curve."
     )
 
 
@@ -399,7 +399,7 @@ class Rig(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """Distance from the axis of the specimen to the axis of a roller, m."""
+        """Return the distance from the axis of the specimen to the axis of a roller, m."""
         return self.roller_radius + self.section_radius
 
 

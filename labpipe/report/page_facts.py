@@ -63,12 +63,12 @@ class PageTests:
 
     @cached_property
     def number(self) -> Mapping[str, int]:
-        """Numbers of the tests by source file and name."""
+        """Return the numbers of the tests by source file and name."""
         return {key_of(test.sample): test.number for test in self.every}
 
     @cached_property
     def by_name(self) -> Mapping[str, PageTest]:
-        """Tests by name."""
+        """Return the tests by name."""
         return {test.sample.test: test for test in self.every}
 
     def rejected(self, stem: str) -> list[PageTest]:

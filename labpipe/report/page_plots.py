@@ -40,7 +40,7 @@ class Axis:
 
     @property
     def label(self) -> str:
-        """Name and unit, such as ``Force (N)``."""
+        """Return name and unit, such as ``Force (N)``."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
     def marks(self, most: int) -> list[tuple[float, str]]:

@@ -113,8 +113,8 @@ def _facts(campaign: Campaign) -> Iterator[str]:
     samples = samples_of(campaign)
     tests = count_of(len(samples), "test")
     rejected = len(campaign.rejected)
-    left = f", {count_of(rejected, 'test')} rejected" if rejected else ""
-    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{left}."
+    rejected_text = f", {count_of(rejected, 'test')} rejected" if rejected else ""
+    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{rejected_text}."
     if samples:
         yield f"Tested {days_words(samples)}; {operators_words(samples)}."
     for instrument_line in instrument_lines(samples):

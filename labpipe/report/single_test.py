@@ -119,7 +119,9 @@ def _number_row(result: TestResult, number: Result, why: str) -> tuple[Cell, ...
     unit = shown_in(number.name, number.unit, result.display)
     value = DASH
     if number.value is not None:
-        value = with_interval(number.value, number.interval, unit.factor, apart=number.apart)
+        value = with_interval(
+            number.value, number.interval, unit.factor, estimate=number.distinct_estimate
+        )
     return (
         Cell(heading(number.name, unit.unit), tip=number.name),
         Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),

@@ -59,17 +59,17 @@ def orientation_spread(table: WireTable) -> float | None:
     use = is_bent(table)
     if not use.any():
         return None
-    apart = (table.highest_moment - table.lowest_moment)[use] / table.moment[use]
-    return 100.0 * float(np.max(apart))
+    spread = (table.highest_moment - table.lowest_moment)[use] / table.moment[use]
+    return 100.0 * float(np.max(spread))
 
 
-def shown_rows(table: WireTable, most: int) -> Ints:
+def shown_rows(table: WireTable, max_rows: int) -> Ints:
     """Return the rows of the law that a sheet of limited length shows.
 
     Parameters
     ----------
     table : of the wire
-    most : rows, at least 2
+    max_rows : rows, at least 2
 
     Returns
     -------
@@ -78,10 +78,10 @@ def shown_rows(table: WireTable, most: int) -> Ints:
     """
     count = len(table.curvature)
     use = np.flatnonzero(is_bent(table) & (table.moment > 0.0))
-    if count <= most or not len(use):
+    if count <= max_rows or not len(use):
         return np.arange(count, dtype=np.int64)
     across, up = np.log(table.curvature[use]), np.log(table.moment[use])
-    rows = use[simplify_line(across, up, points=most - 1, tolerance=0.0)]
+    rows = use[simplify_line(across, up, points=max_rows - 1, tolerance=0.0)]
     return np.union1d([0], rows).astype(np.int64)
 
 
@@ -95,8 +95,8 @@ def row_error(table: WireTable, rows: Ints) -> float:
     """
     use = is_bent(table)
     lines = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
-    apart = np.abs(lines - table.moment)[use] / np.abs(table.moment[use])
-    return 100.0 * float(np.max(apart, initial=0.0))
+    error = np.abs(lines - table.moment)[use] / np.abs(table.moment[use])
+    return 100.0 * float(np.max(error, initial=0.0))
 
 
 def summary_record(table: WireTable) -> Record:
@@ -150,8 +150,6 @@ def summary_record(table: WireTable) -> Record:
     }
 
 
-MAX_LAW_ROWS = 12_000
-"""Rows of all laws together: with more, writing takes longer than the model."""
 _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
     ("curvature", "curvature", CURVATURE),
     ("moment", "moment", MOMENT),
@@ -209,7 +207,7 @@ def save_wire_workbook(
 
     Notes
     -----
-    With many wires, the sheet of laws shows some rows of each, `MAX_LAW_ROWS` together but at least
+    With many wires, the sheet of laws shows some rows of each, 12 000 together but at least
     40 of each; the summary gives their number and the error of straight lines between them.
     """
     sheets = list(_sheets(tables, refused or {}, stated or {}))
@@ -219,9 +217,11 @@ def save_wire_workbook(
 def _sheets(
     tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
 ) -> Iterator[Sheet]:
+    # Rows of all laws together: with more, writing takes longer than the model.
+    max_law_rows = 12_000
     min_law_rows = 40  # straight lines between them are within 1 %
-    most = max(MAX_LAW_ROWS // max(len(tables), 1), min_law_rows)
-    law_rows = [shown_rows(table, most) for table in tables]
+    max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
+    law_rows = [shown_rows(table, max_rows) for table in tables]
     laws, places = _laws_sheet(tables, law_rows)
     summary = [
         {"wire": table.name, **summary_record(table)}

@@ -101,12 +101,12 @@ class Sheet(NamedTuple):
 
     @property
     def is_long(self) -> bool:
-        """Whether charts are beside the table and printed instead of it."""
+        """Return whether charts are beside the table and printed instead of it."""
         return len(self.rows) > 80
 
     @property
     def printed_columns(self) -> int:
-        """Number of printed columns."""
+        """Return the number of printed columns."""
         return list(self.heads).index(self.printed) + 1 if self.printed else len(self.heads)
 
 
@@ -247,13 +247,13 @@ class _WorkbookWriter:
         if is_first:
             page.activate()
         widths = _column_widths(sheet)
-        for at, width in enumerate(widths):
-            page.set_column(at, at, width)
+        for i, width in enumerate(widths):
+            page.set_column(i, i, width)
         forms = [column_place(column) for column in zip(*sheet.rows, strict=True)]
         wrapped = [head in sheet.wrapped for head in sheet.heads]
         for number, row in enumerate(sheet.rows, start=1):
-            for at, value in enumerate(row):
-                self._write(page, (number, at), value, forms[at], is_wrapped=wrapped[at])
+            for i, value in enumerate(row):
+                self._write(page, (number, i), value, forms[i], is_wrapped=wrapped[i])
             lines = _row_lines(row, wrapped)
             if lines > 1:
                 page.set_row(number, lines * _LINE_HEIGHT)
@@ -288,8 +288,8 @@ class _WorkbookWriter:
     def _make_table(self, page: Any, sheet: Sheet) -> None:
         heads = unique_heads(sheet.heads)
         if not sheet.rows:
-            for at, head in enumerate(heads):
-                _write_text(page, 0, at, head, self.head)
+            for i, head in enumerate(heads):
+                _write_text(page, 0, i, head, self.head)
             return
         columns = [{"header": head, "header_format": self.head} for head in heads]
         look = {"columns": columns, "style": "Table Style Light 1"}
@@ -337,9 +337,9 @@ def _set_print_area(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[
     width, height = size
     deep = math.ceil(math.ceil(len(sheet.charts) / _CHARTS_ABREAST) * height / _CELL_HEIGHT)
     if sheet.charts and sheet.is_long:
-        left = len(sheet.heads) + 1
+        first_column = len(sheet.heads) + 1
         wide = min(len(sheet.charts), _CHARTS_ABREAST) * width // _CELL_WIDTH
-        page.print_area(1, left, deep, left + wide)
+        page.print_area(1, first_column, deep, first_column + wide)
         page.fit_to_pages(1, 0)
         return
     rows = len(sheet.rows) if sheet.printed_rows is None else sheet.printed_rows
@@ -398,11 +398,11 @@ def _column_widths(sheet: Sheet) -> list[int]:
     """Return the width of each column: of its longest text; headings are wrapped."""
     widths = [max(8, *map(len, head.split(" "))) + _FILTER_WIDTH for head in sheet.heads]
     for row in sheet.rows:
-        for at, value in enumerate(row):
+        for i, value in enumerate(row):
             if isinstance(value, str):
-                widths[at] = max(widths[at], len(value) + 1)
-    most = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
-    return [min(pair) for pair in zip(widths, most, strict=True)]
+                widths[i] = max(widths[i], len(value) + 1)
+    max_widths = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
+    return [min(pair) for pair in zip(widths, max_widths, strict=True)]
 
 
 def _chart(book: Any, name: str, chart: Chart) -> Any:
@@ -454,13 +454,11 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
         series |= {"line": {"color": colour, "width": 1.5, "dash_type": dash}}
     if line.plus:
         ends = {"minus_values": line.minus, "plus_values": line.plus}
-        bars = {"type": "custom", **{k: _cells(sheet, first, last, at) for k, at in ends.items()}}
+        bars = {"type": "custom", **{k: _cells(sheet, first, last, i) for k, i in ends.items()}}
         series["y_error_bars"] = {**bars, "line": {"color": "#333333", "width": 1.0}}
     return series
 
 
-_COLUMN_DIGITS = 5
-"""Digits of the largest number of a column."""
 _MIN_DIGITS = 3
 """Digits of a small number that would have fewer in its column."""
 
@@ -562,17 +560,18 @@ def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
-def truncate_text(text: str, most: int) -> str:
+def truncate_text(text: str, max_length: int) -> str:
     """Truncate a text to a number of UTF-16 units, as Excel counts."""
-    return text.encode("utf-16-le")[: 2 * most].decode("utf-16-le", "ignore")
+    return text.encode("utf-16-le")[: 2 * max_length].decode("utf-16-le", "ignore")
 
 
 def column_place(column: Sequence[Value]) -> int | None:
     """Return the place of the last digit of the plain numbers of a column; None for integers."""
+    column_digits = 5  # digits of the largest number of a column
     plain = [abs(v) for v in column if isinstance(v, float) and math.isfinite(v)]
     if not any(plain):
         return None
-    return place_of(max(plain), None, digits=_COLUMN_DIGITS)
+    return place_of(max(plain), None, digits=column_digits)
 
 
 def format_in_column(value: float, place: int | None) -> str:

@@ -93,7 +93,7 @@ def _match_json(match: CurveMatch) -> dict[str, object]:
         "left_out": match.left_out,
         **_errors_json(errors),
         "force": _numbers(match.reference),
-        "reason": match.words,
+        "reason": match.explanation,
     }
 
 
@@ -168,7 +168,7 @@ def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
         "level": None if interval is None else interval.level,
         "intervals": _intervals(parameter),
         "verdict": str(parameter.verdict),
-        "words": parameter.words,
+        "words": parameter.explanation,
         "profiles": [
             {
                 "value": _numbers(profile.value),
@@ -230,7 +230,7 @@ def _separability_json(separability: Separability) -> dict[str, object]:
         "singular_values": _numbers(separability.singular_values),
         "combinations": [_numbers(row) for row in separability.combinations],
         "identified": dict(separability.are_identified),
-        "words": separability.words,
+        "words": separability.explanation,
     }
 
 

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Samples, Singles
+from labpipe.records.arrays import Floats, Samples
 from labpipe.records.curve import Branch
 from labpipe.records.estimates import Failure
 
@@ -30,8 +30,6 @@ class Trace:
     sizes : m (an area m^2), of specimen and rig by the keys of the protocol
     beyond : time from the last sample before a failure or turn to it, in sampling steps
     steps : parts that each sampling step has been divided into
-    noise : shape (..., n), N, of replicates, noise of the force before all filters; None if it is
-        unknown or filters do nothing
     """
 
     time: Floats
@@ -42,7 +40,6 @@ class Trace:
     sizes: Mapping[str, float] = field(default_factory=dict)
     beyond: float = 0.0
     steps: int = 1
-    noise: Floats | Singles | None = None
 
     def finer(self, times: int) -> Trace:
         """Return the curve with each sampling step divided by linear interpolation.
@@ -54,10 +51,11 @@ class Trace:
         if times == 1:
             return self
         count = len(self.time)
-        at = np.arange((count - 1) * times + 1) / times
+        places = np.arange((count - 1) * times + 1) / times
         along = np.arange(count)
         time, displacement, force = (
-            np.interp(at, along, values) for values in (self.time, self.displacement, self.force)
+            np.interp(places, along, values)
+            for values in (self.time, self.displacement, self.force)
         )
         branches = tuple(
             replace(branch, start=times * branch.start, stop=max(times * (branch.stop - 1) + 1, 0))
@@ -101,7 +99,7 @@ class Reading:
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """Function that returns the numbers of curves with noise."""
+        """Return the function that returns the numbers of curves with noise."""
         return self.in_noise or self.numbers
 
 

@@ -55,22 +55,22 @@ class Measured:
 
     @property
     def estimate(self) -> float:
-        """The value less the mean effect of noise."""
+        """Return the value less the mean effect of noise."""
         return self.value - float(np.nanmean(self.off))
 
     @property
     def error(self) -> float:
-        """Standard uncertainty of the estimate."""
+        """Return the standard uncertainty of the estimate."""
         return float(np.nanstd(self.off))
 
     @property
     def as_estimate(self) -> Estimate:
-        """The value with its standard uncertainty and its interval."""
+        """Return the value with its standard uncertainty and its interval."""
         return Estimate(self.value, self.error, self.n, self.interval)
 
     @property
     def interval(self) -> Interval:
-        """95 % interval, widened to contain the value.
+        """Return the 95 % interval, widened to contain the value.
 
         The largest of many noisy samples and the last one before a break are outside otherwise.
         """
@@ -111,9 +111,9 @@ def measure(
     base = _numbers_of(plain, replicates.smooth)
     drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - base[:, None]
-    between, share = _between_samples(replicates, reading, smooth), 1.0 / np.sqrt(3.0)
-    off = noise - np.outer(between, 0.5 + share * replicates.draws(_BETWEEN))
-    parts, doubts = [(STEP, share * between)], list[tuple[str, Reason]]()
+    sampling_errors, share = _between_samples(replicates, reading, smooth), 1.0 / np.sqrt(3.0)
+    off = noise - np.outer(sampling_errors, 0.5 + share * replicates.draws(_BETWEEN))
+    parts, doubts = [(STEP, share * sampling_errors)], list[tuple[str, Reason]]()
     handed = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         low, high = (smooth.changed(quantity, x) for x in (-1.0, 1.0))
@@ -170,6 +170,9 @@ def _decide_on_smooth(
         return plain
     if len(replicates.smooth.time) == len(replicates.measured.time):
         return reading
+    coarse = decide(replicates.blocks)
+    if isinstance(coarse, Reading):
+        return coarse
     return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
 
 

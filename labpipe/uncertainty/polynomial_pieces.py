@@ -55,9 +55,9 @@ def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
             spent = sum(degrees) + 2 * number - 1
             if count - spent - 2 <= 0:
                 continue
-            left, ends = _best_cuts([squares[degree] for degree in degrees], count)
+            squares_sum, ends = _best_cuts([squares[degree] for degree in degrees], count)
             penalty = spent * np.log(count) / (count - spent - 2)
-            criterion = np.log(max(left, rounding, np.finfo(float).tiny) / count) + penalty
+            criterion = np.log(max(squares_sum, rounding, np.finfo(float).tiny) / count) + penalty
             if criterion < lowest:
                 lowest = criterion
                 best = tuple(map(Piece, (0, *ends), (*ends, count), degrees))
@@ -88,13 +88,13 @@ def _sums_of_squares(values: Floats, degree: int) -> Floats:
         windows = windows - windows.mean(axis=1, keepdims=True)
         explained = windows @ _slopes(length, degree)
         first = np.arange(count - length + 1)
-        left = np.sum(windows**2, axis=1) - np.sum(explained**2, axis=1)
-        sums[first, first + length] = np.maximum(left, 0.0)
+        residual_squares = np.sum(windows**2, axis=1) - np.sum(explained**2, axis=1)
+        sums[first, first + length] = np.maximum(residual_squares, 0.0)
     return sums
 
 
 @lru_cache(maxsize=512)
 def _slopes(count: int, degree: int) -> Floats:
     """Return orthonormal polynomials without the constant, shape (count, degree)."""
-    at = np.linspace(-1.0, 1.0, count)
-    return np.linalg.qr(np.vander(at, degree + 1, increasing=True))[0][:, 1:]
+    places = np.linspace(-1.0, 1.0, count)
+    return np.linalg.qr(np.vander(places, degree + 1, increasing=True))[0][:, 1:]

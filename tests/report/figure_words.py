@@ -12,7 +12,7 @@ from matplotlib.legend import Legend
 
 from labpipe.report.page_tables import Cell, Table
 
-MOST_LINES = 12
+MAX_LINES = 12
 NUMBER = re.compile(r"\d[\d.]* × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|\d+\.\d+|[\d.]+(?= %)|\d{2,}")  # noqa: RUF001
 
 
@@ -48,7 +48,7 @@ def _drawn(axes: Axes) -> Iterator[str]:
     areas = len(axes.collections) + len(axes.patches)
     if lines or areas:
         yield f"  {len(lines)} lines, {areas} areas"
-    for line in lines[:MOST_LINES]:
+    for line in lines[:MAX_LINES]:
         x, y = line.get_data()
         yield f"  {np.size(y)} points: {_ends(x)} | {_ends(y)}"
 

@@ -64,7 +64,7 @@ def test_digits_are_those_that_the_interval_supports(
 
 def test_digits_asked_for_and_an_estimate_that_stands_apart() -> None:
     assert write_number(1.23456, None, digits=3).text == "1.23"
-    number = write_number(51.881, Interval(51.68, 51.86), apart=51.77)
+    number = write_number(51.881, Interval(51.68, 51.86), estimate=51.77)
     assert number.text == "51.881 (estimate 51.770, 51.680 to 51.860)"
 
 

@@ -96,7 +96,7 @@ def _one_of(choices: tuple[str, ...]) -> _Check:
         if value in choices:
             return value
         expected = f"one of {', '.join(map(repr, choices))}"
-        close = nearest(str(value), list(choices), most=1)[0]
+        close = nearest(str(value), list(choices), limit=1)[0]
         raise _error(source, key, expected, _shown(value), f"Nearest: '{close}'.")
 
     return check
@@ -264,7 +264,7 @@ def _check_keys(keys: Mapping[str, object], source: object) -> tuple[dict[str, A
 
 
 def _unknown(value: object, key: str, source: object) -> object:  # noqa: ARG001
-    close = ", ".join(nearest(key, list(_CHECKS), most=3))
+    close = ", ".join(nearest(key, list(_CHECKS), limit=3))
     raise _error(source, key, "a key of a card", "none", f"Nearest: {close}.")
 
 

@@ -21,9 +21,6 @@ from labpipe.readers.text_cells import (
     without_brackets,
 )
 
-MAX_HEADER_LINES = 400
-"""Lines searched for the header; the longest real one has 56."""
-
 _REMEDY = "Export the test again with names and units, or name another dialect."
 _CARD_REMEDY = (
     "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
@@ -52,7 +49,8 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
     ReadError
         If there is no row of names, no required row of units, or no numbers.
     """
-    head = lines[:MAX_HEADER_LINES]
+    max_header_lines = 400  # lines searched for the header; the longest real one has 56
+    head = lines[:max_header_lines]
     if card.names == "listed":
         return _listed_titles(head, card, path)
     for separator in card.separators:
@@ -101,8 +99,8 @@ def header_of_rows(
 
     def fault_with(remedy: str) -> Fault:
         def fault(row: int, expected: str, found: str) -> ReadError:
-            at = filled[max(row, 0)] if filled else 0
-            return unreadable(path, f"{place} {first_line + at}", expected, found, remedy)
+            index = filled[max(row, 0)] if filled else 0
+            return unreadable(path, f"{place} {first_line + index}", expected, found, remedy)
 
         return fault
 
@@ -203,18 +201,18 @@ def join_names(rows: Rows, first: int, card: Card, fault: Fault) -> Rows:
     ReadError
         If the number of names differs from that of columns.
     """
-    at = first - 2
-    if card.name_starts is None or at < 0:
+    index = first - 2
+    if card.name_starts is None or index < 0:
         return rows
-    text = " ".join(rows[at])
+    text = " ".join(rows[index])
     starts = [match.start() for match in card.name_starts.finditer(text)]
     cuts = [0, *(start for start in starts if start), len(text)] if text else []
     names = [text[a:b].strip() for a, b in pairwise(cuts)]
     width = len(rows[first])
     if len(names) != width:
         found = f"{len(names)} in {quoted([text])}" if text else "none"
-        raise fault(at, f"{width} names, one per column", found)
-    return [*rows[:at], names, *rows[at + 1 :]]
+        raise fault(index, f"{width} names, one per column", found)
+    return [*rows[:index], names, *rows[index + 1 :]]
 
 
 def _stripped(row: Sequence[str]) -> tuple[str, ...]:

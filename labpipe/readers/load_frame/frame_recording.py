@@ -368,8 +368,8 @@ def choose_part(tables: Sequence[Table], part: str | None, path: object) -> tupl
     chosen = tuple(table for table in tables if part in {table.part, table.also} - {""})
     if chosen:
         return chosen
-    known = [table.part or table.also for table in tables if table.part or table.also]
-    close = ", ".join(f"'{name}'" for name in nearest(part, known))
+    part_names = [table.part or table.also for table in tables if table.part or table.also]
+    close = ", ".join(f"'{name}'" for name in nearest(part, part_names))
     remedy = f"Nearest: {close}." if close else "Leave `part` out: the export does not name parts."
     raise unreadable(
         path,

@@ -80,28 +80,28 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
         If there is no such card, or the export fits another one or none.
     """
     lab = lab_cards()
-    known = [*shipped_names(), *lab]
+    card_names = [*shipped_names(), *lab]
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
-    _refuse_unknown(allowed, known, path)
+    _refuse_unknown(allowed, card_names, path)
     card = recognise_card(path)
     if card is not None and (not allowed or card.name in allowed):
         return card
     if len(allowed) == 1 and (card is None or card.fallback):
         return lab.get(allowed[0]) or shipped_cards()[allowed[0]]
-    expected = f"an export of the dialect {' or '.join(allowed or known)}"
+    expected = f"an export of the dialect {' or '.join(allowed or card_names)}"
     what = "one that no card recognises" if card is None else f"one of the dialect {card.name}"
     remedy = "Name the right file, or change `dialect` in the protocol."
     raise unreadable(path, "", expected, what, remedy)
 
 
-def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) -> None:
+def _refuse_unknown(allowed: Sequence[str], card_names: Sequence[str], path: Path) -> None:
     for name in allowed:
-        if name not in known:
-            close = ", ".join(nearest(name, list(known), most=3))
+        if name not in card_names:
+            close = ", ".join(nearest(name, list(card_names), limit=3))
             raise unreadable(
                 path,
                 f"dialect '{name}'",
-                f"one of the {len(known)} cards",
+                f"one of the {len(card_names)} cards",
                 "no such card",
                 f"Nearest: {close}. A lab's own cards are in the folder dialects.",
             )

@@ -236,12 +236,12 @@ def read_blocks(text: str, place: Place) -> Export:
 
 def _blocks(text: str) -> Iterator[tuple[int, str]]:
     """Yield blocks with the number of their first line."""
-    at = 0
+    offset = 0
     for gap in _BLANK_LINE.finditer(text):
-        yield text.count("\n", 0, at) + 1, text[at : gap.start() + 1]
-        at = gap.end()
-    if text[at:].strip():
-        yield text.count("\n", 0, at) + 1, text[at:]
+        yield text.count("\n", 0, offset) + 1, text[offset : gap.start() + 1]
+        offset = gap.end()
+    if text[offset:].strip():
+        yield text.count("\n", 0, offset) + 1, text[offset:]
 
 
 def _header_of_block(block: str, first_line: int, place: Place) -> Header | None:
