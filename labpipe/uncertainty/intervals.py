@@ -177,9 +177,10 @@ def _between_samples(
         return drawn, spread
     # A short record does not show whether the curve is smooth: one half of the replicates has a
     # corner wherever the steps allow one.
-    corners = smooth.corners()
-    drawn = drawn + np.outer(corners, replicates.draws(_CORNERS) > 0.0)
-    return drawn, np.copysign(np.hypot(spread, 0.5 * corners), spread)
+    corners, has_corners = smooth.corners(), replicates.draws(_CORNERS) > 0.0
+    interpolated = drawn if reading.between is None else np.zeros_like(drawn)
+    drawn = np.where(has_corners, interpolated + corners[:, None], drawn)
+    return drawn, np.where(corners == 0.0, spread, np.copysign(drawn.std(axis=1), spread))
 
 
 def _decide_on_smooth(
