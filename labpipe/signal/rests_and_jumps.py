@@ -19,23 +19,22 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
 
     Returns
     -------
-    Whether a straight line through the last fiftieth of the stretch (more where its noise requires
-    it, up to a third; at least three samples) runs in the direction of the whole stretch, at
-    half its mean speed or more. False without motion.
+    Whether a straight line through the last samples of the stretch (as few as its noise and its
+    resolution allow, at least three, at most a third) runs in the direction of the whole stretch,
+    at half its mean speed or more. False without motion.
     """
     # Share of the mean speed.
     min_end_speed = 0.5
     # Share of the mean speed.
     max_error = 0.15
-    # Share of the samples; more are used where noise requires it.
-    end_share = 0.02
     travel = float(values[-1] - values[0])
     lasts = float(time[-1] - time[0])
     if len(values) < 3 or travel == 0.0 or not lasts > 0.0:
         return False
-    speed, noise = abs(travel) / lasts, noise_level(values)
-    time_step = median(np.diff(time))
-    size = max(3, int(end_share * len(values)))
+    speed, steps = abs(travel) / lasts, np.abs(np.diff(values))
+    resolution = float(steps[steps > 1e-9 * abs(travel)].min())
+    noise = max(noise_level(values), resolution / sqrt(12.0))
+    time_step, size = median(np.diff(time)), 3
     while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / time_step > max_error * speed:
         size += max(1, size // 4)
     late, high = time[-size:] - time[-size:].mean(), values[-size:]

@@ -41,12 +41,14 @@ class Trace:
     beyond: float = 0.0
     steps: int = 1
 
-    def finer(self, times: int) -> Trace:
+    def finer(self, times: int, *, has_corners: bool = False) -> Trace:
         """Return the curve with each sampling step divided by linear interpolation.
 
         Parameters
         ----------
         times : parts per step, at least 1
+        has_corners : whether the steps before and after each step are extended to where they
+            meet in it, instead
         """
         if times == 1:
             return self
@@ -57,6 +59,9 @@ class Trace:
             np.interp(places, along, values)
             for values in (self.time, self.displacement, self.force)
         )
+        if has_corners:
+            displacement = displacement + _beyond_chords(self.displacement, times)
+            force = force + _beyond_chords(self.force, times)
         branches = tuple(
             replace(branch, start=times * branch.start, stop=max(times * (branch.stop - 1) + 1, 0))
             for branch in self.branches
@@ -71,6 +76,22 @@ class Trace:
             failed_at=failed,
             steps=times * self.steps,
         )
+
+
+def _beyond_chords(values: Floats, times: int) -> Floats:
+    """Return what the lines of the neighbouring steps add to each divided step, up to a corner.
+
+    Zero in a step that is not between its neighbours, and in the first and the last one.
+    """
+    beyond = np.zeros((len(values) - 1, times))
+    steps = np.diff(values)
+    if len(steps) >= 3:
+        share = np.arange(times) / times
+        before, after = steps[:-2] - steps[1:-1], steps[1:-1] - steps[2:]
+        lines = np.stack([np.outer(before, share), np.outer(after, 1.0 - share)])
+        nearer = np.where(before > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
+        beyond[1:-1] = np.where((before * after > 0.0)[:, None], nearer, 0.0)
+    return np.append(beyond.ravel(), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -83,10 +83,13 @@ def _processes(longest: int, count: int) -> _Processes:
     # White noise below correlated noise, as shares of the spectrum at frequency zero.
     white_floors = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
     prior_power = -0.4
+    # Longest correlation time, as a share of the longest branch. A record of fewer than a dozen
+    # pieces does not exclude a longer one.
+    longest_share = 0.1 if longest < _PIECES_PER_BRANCH * _MIN_PIECE_SAMPLES else 0.05
     # Prior of flicker noise without white noise, relative to white noise. Their crossing is uniform
     # in frequency: the later flicker noise rises above white noise, the smaller its prior.
     flicker_prior = 1.0
-    times = np.geomspace(shortest_time, max(longest / 20, 2.0 * shortest_time), n_times)
+    times = np.geomspace(shortest_time, max(longest_share * longest, 2.0 * shortest_time), n_times)
     a, prior = np.exp(-1.0 / times), (times / times[0]) ** prior_power
     lowest = np.pi / (2.0 * max(count, 1))
     steep = np.repeat(_FLICKER_POWERS, len(_FLICKER_CROSSINGS))
@@ -318,8 +321,8 @@ def _add_rests(
     """Add rests to likelihood, sums of squares and degrees of freedom.
 
     Without rests, waves as long as the record are not observed. Flicker noise is then excluded if
-    pieces do not distinguish it: in records of fewer than a dozen pieces, if it exceeds white noise
-    only below their waves, and if it is as steep as autocorrelated noise.
+    pieces do not distinguish it: if it exceeds white noise only below their waves, and if it is as
+    steep as autocorrelated noise.
     """
     # Flicker noise is judged without rests only where it exceeds white noise at this multiple of
     # the slowest wave of a piece,
@@ -334,7 +337,7 @@ def _add_rests(
         is_seen = (processes.crossing >= slow) & (processes.crossing <= fast)
         # Processes that are white up to the fastest wave of a piece are equal there.
         is_seen |= processes.crossing == _FLICKER_CROSSINGS[0]
-        is_seen &= (processes.steep <= max_flicker_power) & (width > _MIN_PIECE_SAMPLES)
+        is_seen &= processes.steep <= max_flicker_power
         is_seen |= processes.steep == 0.0
         return np.where(is_seen, likelihood, -np.inf), squares, freedom
     return _add_parts(processes, still, seen)
