@@ -93,7 +93,7 @@ def draw_budget(result: TestResult) -> Figure:
     """
     budgeted = [result for result in result.results if result.largest_share is not None]
     numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)]
-    numbers = numbers[:MOST_BARS]
+    numbers = numbers[:MAX_BARS]
     if not numbers:
         reason = "No number of this test has a budget of its interval."
         return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
@@ -258,7 +258,7 @@ def group_bars(group: Group, *, of_means: bool) -> list[Bar]:
         if budget.of_tests:
             shares = budget.of_mean if of_means else budget.of_tests
             bars.append(Bar(_bar_name(number.name), shares, half_width(interval, scale)))
-    return bars[:MOST_BARS]
+    return bars[:MAX_BARS]
 
 
 def draw_group_budgets(group: Group) -> Figure:

@@ -144,7 +144,7 @@ def _match_record(match: CurveMatch | None) -> Record:
         FORCE.label("RMSE"): None if errors is None else FORCE.factor * errors.rmse,
         "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
         "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
-        "reason": "no tests of this wire and length" if match is None else match.words,
+        "reason": "no tests of this wire and length" if match is None else match.explanation,
     }
 
 
@@ -187,7 +187,7 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
         "conflict (standard errors)": None if conflict is None else conflict.size,
         "contradicts": "" if conflict is None else _yes(conflict.contradicts),
         "source of prior or fixed value": (conflict or parameter).source,
-        "in words": typeset(parameter.words),
+        "in words": typeset(parameter.explanation),
         "prior in words": "" if conflict is None else typeset(conflict.message),
     }
 
@@ -313,7 +313,9 @@ def _note_records(report: CalibrationReport) -> list[Record]:
     for told in (report.calibration.friction_separability, report.calibration.separability):
         if told is not None:
             names = ", ".join(told.names)
-            rows.append(("calibration", Severity.INFO, names, typeset(told.words), "told_apart"))
+            rows.append(
+                ("calibration", Severity.INFO, names, typeset(told.explanation), "told_apart")
+            )
     return [
         {"of": of, "kind": kind.value, "where": where, "what": what, "code": code}
         for of, kind, where, what, code in rows

@@ -29,6 +29,8 @@ from labpipe.report.wording import (
     unit_words,
 )
 
+_BAND_POINTS = 28
+"""Points with which a band or a mean is drawn."""
 COLOURS = 8
 """Colours of the page for spools and groups; they repeat after this number."""
 MAX_SLIP_PANELS, MAX_DOT_NUMBERS, MAX_DOT_ROWS = 8, 6, 24
@@ -177,7 +179,7 @@ def _curve_plot(view: _GroupView) -> Plot | None:
     y = _force_axis(view, band)
     title = f"Force against displacement of {count_of(len(group.samples), 'sample')}: {group.name}."
     caption = sentence(band.reason.message) if band.reason else ""
-    keys = _keys(view, lines, f"mean of {band.n} {band.over}")
+    keys = _keys(view, lines, f"mean of {band.n} {band.members}")
     return Plot("curves", view.stem, title, caption, x, y, lines, keys, (660, 240))
 
 
@@ -458,7 +460,7 @@ def _scaled_plot(view: _GroupView) -> Plot | None:
     y = _force_axis(view, band, is_scaled=True)
     title = f"Force over peak force against displacement of {view.group.name}."
     caption = "Force over the peak force of the same sample: the scatter shown is not of strength."
-    keys = _keys(view, lines, f"mean of {band.n} {band.over}")
+    keys = _keys(view, lines, f"mean of {band.n} {band.members}")
     return Plot("scaled", view.stem, title, caption, x, y, lines, keys, _SMALL_PLOT)
 
 

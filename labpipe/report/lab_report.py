@@ -381,7 +381,7 @@ def _key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     scale = shown_in(name, number.unit, display_of(group))
     chosen = number.mean.chosen
     source, tip = _interval_source(chosen, number)
-    if source.apart is not None:
+    if source.distinct_estimate is not None:
         estimate = mean_with_interval(chosen, scale.factor).partition("(")[2].partition(",")[0]
         tip = f"interval of the {estimate}"
     text = with_interval(chosen.mean, source.interval, scale.factor)
@@ -438,7 +438,7 @@ def open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecisi
     """
     decisions = []
     for cause in causes:
-        named = (tests.by_name.get(concern.test) for concern in cause.concerns)
+        named = (tests.by_name.get(concern.test) for concern in cause.issues)
         open_ones = (test for test in named if test is not None and not test.sample.decided)
         undecided = tuple(dict.fromkeys(open_ones))
         if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):

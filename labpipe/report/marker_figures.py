@@ -95,7 +95,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     steps = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
     levels = np.asarray(steps.tick_values(0.0, factor * float(np.nanmax(way)))) / factor
     # the first frame at a level: later ones may belong to another motion
-    reached = [np.flatnonzero(travel >= level - 1e-12) for level in levels]
+    reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
     frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
     return Steps(frames, levels[: len(frames)], word)
 

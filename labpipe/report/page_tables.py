@@ -170,7 +170,7 @@ def result_cell(result: Result | None, factor: float, *, is_outlier: bool = Fals
     if result.value is None:
         return Cell(DASH)
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
-    text = with_interval(result.value, result.interval, factor, apart=result.apart)
+    text = with_interval(result.value, result.interval, factor, estimate=result.distinct_estimate)
     return Cell(text, mark=mark)
 
 
@@ -345,17 +345,17 @@ def cause_table(cause: Cause) -> Table:
             Cell(concern.what or DASH),
             Cell(concern.reason, tip=concern.code),
         )
-        for concern in cause.concerns
+        for concern in cause.issues
     )
-    return Table(f"{cause.kind} ({len(cause.concerns)})", ("Test", "What", "Why"), rows)
+    return Table(f"{cause.kind} ({len(cause.issues)})", ("Test", "What", "Why"), rows)
 
 
 def note_table(campaign: Campaign) -> Table | None:
     """Return the table of notes without consequences, a row per kind; None without notes."""
     rows = tuple(
         (
-            Cell(note.concerns[0].reason, tip=note.code),
-            Cell(str(len(note.concerns))),
+            Cell(note.issues[0].reason, tip=note.code),
+            Cell(str(len(note.issues))),
             Cell(note.subject),
         )
         for note in find_notes(campaign)

@@ -287,7 +287,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
             scale = shown_in(number.name, number.unit, display_of(group))
             within, between = (
                 number_cell(spread, mean.chosen.interval, scale.factor)
-                for spread in (mean.within, mean.between)
+                for spread in (mean.within, mean.between_spools)
             )
             yield _mean_record(group, number, mean.chosen, "all") | {
                 "mean over": "samples" if mean.is_pooled else "spool means",
@@ -409,7 +409,7 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
         columns = {across.label("displacement"): across.factor * band.displacement}
         columns |= {head: up.factor * getattr(band, name) for head, name in force_fields.items()}
         own = array_records({"group": group.name}, columns)
-        own = [row | {"n": band.n, "mean over": band.over} for row in own]
+        own = [row | {"n": band.n, "mean over": band.members} for row in own]
         if own:
             line = Line(group.name, (len(rows), len(rows) + len(own) - 1), 1, 2)
             lines.setdefault(group.protocol, []).append(line)
@@ -549,7 +549,7 @@ def _issues(causes: Iterable[tuple[int | None, Cause]]) -> Iterator[Record]:
     """Yield the issues of each cause with its rank."""
     for rank, cause in causes:
         effect = "" if cause.effect is None else cause.effect.text
-        for concern in cause.concerns:
+        for concern in cause.issues:
             yield {
                 "rank": rank,
                 "kind": str(concern.kind),
