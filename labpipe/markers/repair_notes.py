@@ -93,7 +93,7 @@ def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
 
 
 def _stretch_notes(
-    take: Take, mask: Flags, names: list[str], kind: tuple[str, Severity, str]
+    take: Take, mask: Flags, names: list[str], note_kind: tuple[str, Severity, str]
 ) -> Iterator[QualityNote]:
     code, severity, text = kind
     for name, flags in zip(names, mask.T, strict=True):

@@ -67,7 +67,7 @@ def instruments_of(protocol: Protocol) -> tuple[Instrument, ...]:
 
 
 def check_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
-    """Doubt quantities of instruments whose calibration was overdue.
+    """Report quantities of instruments whose calibration was overdue.
 
     Parameters
     ----------

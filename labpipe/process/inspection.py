@@ -258,9 +258,9 @@ def _marker_lines(facts: dict[str, Any]) -> list[str]:
     if not rows:
         return [head, "  no rigid body and no marker"]
     table = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
-    for name, kind, missing, gaps, unchanged_steps in rows:
+    for name, asset_type, missing, gaps, unchanged_steps in rows:
         numbers = missing, gaps["count"], gaps["longest"], unchanged_steps
-        table.append([name, kind, *map(str, numbers)])
+        table.append([name, asset_type, *map(str, numbers)])
     return [head, *_table(table)]
 
 

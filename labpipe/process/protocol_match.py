@@ -62,7 +62,7 @@ class Fit:
 
     @property
     def weight(self) -> int:
-        """Sum of the weights of all signs."""
+        """Return the sum of the weights of all signs."""
         return sum(sign.weight for sign in self.signs)
 
 
@@ -351,11 +351,11 @@ def _peak_signs(protocol: Protocol, recording: Recording) -> Iterator[Sign]:
         source = protocol.channels.get(channel.name)
         if source is None or source.peak_range is None:
             continue
-        least, most = source.peak_range
+        lowest, highest = source.peak_range
         peak = _largest(np.abs(channel.values))
-        if peak < least or peak > most:
-            text = f"{channel.name} goes to {peak:.3g} {channel.unit}, plausible is {least:.3g} to"
-            yield Sign(f"{text} {most:.3g}", -1)
+        if peak < lowest or peak > highest:
+            text = f"{channel.name} goes to {peak:.3g} {channel.unit}, plausible is {lowest:.3g} to"
+            yield Sign(f"{text} {highest:.3g}", -1)
 
 
 def _size_signs(

@@ -30,12 +30,12 @@ class InspectedExport:
 
     @property
     def name(self) -> str:
-        """Name of the file, as a test sheet writes it."""
+        """Return the name of the file, as a test sheet writes it."""
         return self.path.name
 
     @property
     def reader(self) -> str:
-        """Name of the reader of its format."""
+        """Return the name of the reader of its format."""
         return self.recording.reader
 
 

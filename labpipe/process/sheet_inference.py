@@ -84,17 +84,19 @@ class Neighbours:
 
     tests: dict[Path, tuple[str, str]] = field(default_factory=dict)
 
-    def protocols_beside(self, folder: Path, kind: str | None = None) -> Counter[str]:
+    def protocols_beside(self, folder: Path, specimen_type: str | None = None) -> Counter[str]:
         """Count the protocols of the other tests, of all types or of one.
 
         Parameters
         ----------
         folder : of the test itself
-        kind : type of the specimen; None for all
+        specimen_type : type of the specimen; None for all
         """
         other_tests = (test for where, test in self.tests.items() if where != folder.resolve())
         return Counter(
-            name for other_kind, name in other_tests if kind is None or other_kind == kind
+            name
+            for other_kind, name in other_tests
+            if specimen_type is None or other_kind == specimen_type
         )
 
 
@@ -209,12 +211,12 @@ class _TestInference:
 
     @cached_property
     def stated_files(self) -> dict[str, tuple[str, ...]]:
-        """Exports by role that the user named."""
+        """Return the exports by role that the user named."""
         return {role: file_names(self.stated[role]) for role in ROLES if role in self.stated}
 
     @property
     def _belonging(self) -> list[InspectedExport]:
-        """Exports that belong to this test; all of them without a matching protocol."""
+        """Return the exports that belong to this test; all of them without a matching protocol."""
         unclear = {
             name
             for fit in self.fits
@@ -225,7 +227,7 @@ class _TestInference:
 
     @property
     def kind(self) -> str:
-        """Type of the specimen; empty if it is not known."""
+        """Return the type of the specimen; empty if it is not known."""
         return self.stated.get("type") or _type_of(self.contents.folder)
 
     @cached_property
@@ -244,7 +246,7 @@ class _TestInference:
 
     @property
     def fit(self) -> Fit | None:
-        """The protocol that fits better than all others; None if there are several."""
+        """Return the protocol that fits better than all others; None if there are several."""
         return self.fits[0] if len(self.fits) == 1 else None
 
     def infer(self) -> InferredTest:
@@ -271,7 +273,7 @@ class _TestInference:
 
     @property
     def _files(self) -> dict[str, tuple[str, ...]]:
-        """Exports by role: those on which all candidate protocols agree, or by format."""
+        """Return the exports by role, on which all candidate protocols agree, or by format."""
         if self.fits:
             return {
                 role: names
@@ -402,7 +404,7 @@ def _faults(fits: Iterable[Fit]) -> Iterator[str]:
 
 def _role(reader: str) -> str:
     """Return the role of an export by its format alone."""
-    if reader in {known.name for known in EXPORT_FORMATS if known.has_markers}:
+    if reader in {entry.name for entry in EXPORT_FORMATS if entry.has_markers}:
         return "markers"
     return "frame" if reader == "load-frame" else "force"
 

@@ -74,10 +74,10 @@ def _step_faults(outline: Outline) -> Faults:
     channel_names = [channel.name for channel in outline.channels]
     earlier_tags: list[str] = []
     for step in outline.steps:
-        kind = STEPS.get(step.tag)
-        if kind is not None and kind.on_markers:
+        step_type = STEPS.get(step.tag)
+        if step_type is not None and step_type.on_markers:
             yield from _marker_step_faults(outline, step, earlier_tags)
-        for key in existing_in(kind, "channel") if kind is not None else ("channel",):
+        for key in existing_in(step_type, "channel") if step_type is not None else ("channel",):
             yield from _channel_faults(
                 step.values, ("steps", step.number, key), channel_names, outline
             )
@@ -90,17 +90,17 @@ def _step_faults(outline: Outline) -> Faults:
 
 def _marker_step_faults(outline: Outline, step: Entry, before: list[str]) -> Faults:
     tag = step.tag
-    here: KeyPath = ("steps", step.number, "step")
+    place: KeyPath = ("steps", step.number, "step")
     if not outline.has_markers:
-        yield Fault(here, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
+        yield Fault(place, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
     elif not outline.block("markers"):
-        yield Fault(here, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
+        yield Fault(place, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
     if tag in before:
-        yield Fault(here, f"{tag!r} once", "a second one", "Remove one of them.")
+        yield Fault(place, f"{tag!r} once", "a second one", "Remove one of them.")
     needed = STEPS[tag].after
     if needed and needed not in before:
         remedy = f"Put the step {needed!r} before it."
-        yield Fault(here, f"{needed!r} before {tag!r}", "no such step before", remedy)
+        yield Fault(place, f"{needed!r} before {tag!r}", "no such step before", remedy)
 
 
 def _from_speed_faults(outline: Outline, step: Entry) -> Faults:
@@ -147,17 +147,17 @@ def _span_faults(outline: Outline, step: Entry) -> Faults:
 
 
 def _align_faults(outline: Outline) -> Faults:
-    align, here = outline.block("align"), ("align", "method")
+    align, place = outline.block("align"), ("align", "method")
     if outline.joins_clocks and align.get("channel") is not None:
         sources = [channel.name for channel in outline.channels]
         yield from _channel_faults(align, ("align", "channel"), sources)
     if align.get("method") != "turning-points":
         return
     if not outline.has_markers:
-        yield Fault(here, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
+        yield Fault(place, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
     elif not outline.has_clamp:
         remedy = "Name the rigid body at the clamp in 'markers.clamp'."
-        yield Fault(here, "a clamp whose motion has the turning points", "none", remedy)
+        yield Fault(place, "a clamp whose motion has the turning points", "none", remedy)
 
 
 def _curve_faults(outline: Outline) -> Faults:
@@ -204,17 +204,17 @@ def _result_faults(outline: Outline) -> Faults:
     stiffnesses: list[str] = []
     for entry in outline.results:
         tag, path = entry.tag, ("results", entry.number, "result")
-        kind = RESULTS.get(tag)
-        if kind is None:
+        result_type = RESULTS.get(tag)
+        if result_type is None:
             continue
-        yield from _need_faults(outline, tag, kind.needs, path)
-        settings = {**defaults_of(kind), **entry.values}
-        for key in existing_in(kind, "stiffness"):
+        yield from _need_faults(outline, tag, result_type.needs, path)
+        settings = {**defaults_of(result_type), **entry.values}
+        for key in existing_in(result_type, "stiffness"):
             yield from _of_faults(settings.get(key), (*path[:2], key), stiffnesses)
         names = result_names(tag, entry.values)
         yield from _twice_faults(names, tag, seen, path)
         seen |= dict.fromkeys(names, tag)
-        named_outputs = zip(names, kind.outputs, strict=True)
+        named_outputs = zip(names, result_type.outputs, strict=True)
         stiffnesses += [
             name for name, output in named_outputs if output.unit == "N/m" and output.first is None
         ]

@@ -34,14 +34,14 @@ def one_of(word: str, valid: Iterable[str]) -> str:
     valid : the valid ones
     """
     valid_words = sorted(set(valid))
-    listed = nearest(word, valid_words, most=6)
+    listed = nearest(word, valid_words, limit=6)
     more = ", ..." if len(valid_words) > len(listed) else ""
     return f"{', '.join(repr(valid_word) for valid_word in listed)}{more}"
 
 
 def did_you_mean(word: str, valid: Iterable[str]) -> str:
     """Suggest the most similar valid word; empty if there is none."""
-    best = nearest(word, sorted(set(valid)), most=1)
+    best = nearest(word, sorted(set(valid)), limit=1)
     return f"Did you mean {best[0]!r}?" if best else ""
 
 
@@ -125,8 +125,8 @@ def _fault_of(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
             return _not_one_of((*path, tag), context["tag"], _quoted(context["expected_tags"]))
         case "literal_error":
             valid_words = _quoted(context["expected"])
-            at: At = "key" if line["loc"][-1] == "[key]" else "value"
-            return _not_one_of(path, line["input"], valid_words, at)
+            location: At = "key" if line["loc"][-1] == "[key]" else "value"
+            return _not_one_of(path, line["input"], valid_words, location)
         case other:
             expected = _EXPECTED.get(other, line["msg"])
             remedy = "Fill it in." if line["input"] is None else ""

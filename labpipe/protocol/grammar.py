@@ -102,19 +102,21 @@ class Block(BaseModel):
 
         Of an unknown key, only the key is reported, not its value.
         """
-        between = cls.between(data)
+        cross_faults = cls.between(data)
         within: list[Fault] = []
         try:
             block = handler(data)
         except ValidationError as error:
             within = faults_of(error, data=data, keys=cls.keys())
         else:
-            if not between:
+            if not cross_faults:
                 return block
-        misspelt = {fault.path for fault in between if fault.at == "key"}
+        misspelt = {fault.path for fault in cross_faults if fault.at == "key"}
         within = [fault for fault in within if fault.path not in misspelt]
         places = {fault.path for fault in within}
-        raise raised([*within, *(fault for fault in between if fault.path not in places)], data)
+        raise raised(
+            [*within, *(fault for fault in cross_faults if fault.path not in places)], data
+        )
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -185,7 +187,7 @@ def _annotations_of(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
             written = PlainSerializer(text.written)
             return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
         case WholeNumber():
-            schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
+            schema = {"type": "integer", "minimum": marker.minimum, "maximum": marker.maximum}
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
         case PatternText():
             form = {"type": "string", "pattern": f"^{marker.pattern}$"}

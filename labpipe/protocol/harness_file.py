@@ -47,7 +47,7 @@ _ACCELERATION = QuantityText(Quantity("m/s^2", "m/s^2", "-9.81 m/s^2"))
 
 
 def _vector(text: QuantityText) -> Callable[[object], Vector3]:
-    """What reads three quantities of one kind, along x, y and z."""
+    """Return what reads three quantities of one kind, along x, y and z."""
     example = f"[{text.of.example}, {text.of.example}, {text.of.example}]"
 
     def parse(value: object) -> Vector3:
@@ -133,7 +133,7 @@ TorsionalStiffness: TypeAlias = Annotated[
     float, Quantity("N*m^2", "N*mm^2", "90 N*mm^2", above=0.0)
 ]
 AxialStiffness: TypeAlias = Annotated[float, Quantity("N", "N", "40000 N", above=0.0)]
-Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", least=0.0)]
+Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", minimum=0.0)]
 
 _KINDS = ("wire", "sliders", "bending_stiffness")
 _OWN_KEYS = {
@@ -182,7 +182,7 @@ class SectionBlock(Block):
 
     @property
     def kind(self) -> str:
-        """What the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
+        """Return what the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
         return next(name for name in _KINDS if getattr(self, name) is not None)
 
     @classmethod
@@ -209,7 +209,7 @@ class SectionBlock(Block):
 
 
 def _why(key: str) -> str:
-    """Why a section needs a key."""
+    """Return why a section needs a key."""
     reasons = {
         "diameter": "Add it: the allowed bend radius goes by it.",
         "largest_curvature": "A law needs a range: add the largest curvature that was tested.",

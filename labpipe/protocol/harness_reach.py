@@ -55,8 +55,8 @@ def file_beside(name: str, path: Path) -> Path:
     name : as written
     path : of the harness YAML
     """
-    beside = path.parent / name
-    return beside if beside.exists() else Path(name)
+    neighbour = path.parent / name
+    return neighbour if neighbour.exists() else Path(name)
 
 
 def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
@@ -75,7 +75,7 @@ def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
 
 
 def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
-    """Where the line begins at the start, m, and in which direction it lies.
+    """Return where the line begins at the start, m, and in which direction it lies.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
 
 
 def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
-    """Path of what holds the line: where it is at the start, and the ends of its straight legs.
+    """Return the path of a holder of the line: its start and the ends of its straight legs.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
 
 
 def first_anchor(string: String, place: Vector3) -> Vector3:
-    """Where the anchor of a string is at the start, m: no farther than the string is long.
+    """Return where the anchor of a string is at the start, m: no farther than the string is long.
 
     Parameters
     ----------
@@ -194,10 +194,10 @@ def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
     for number, boundary in enumerate(harness.boundaries):
         if not isinstance(boundary, HELD) or boundary.release is None:
             continue
-        there = boundary.path[0].step if isinstance(boundary, Grip) else boundary.by
-        if there is not None and boundary.release <= there:
+        last_step = boundary.path[0].step if isinstance(boundary, Grip) else boundary.by
+        if last_step is not None and boundary.release <= last_step:
             expected = (
-                f"a step after {there}, at which {boundary.name!r} is where it brings the line"
+                f"a step after {last_step}, at which {boundary.name!r} is where it brings the line"
             )
             remedy = "Let it go later, or bring it there earlier."
             yield Fault(("boundaries", number, "release"), expected, str(boundary.release), remedy)
@@ -247,15 +247,15 @@ def _falling(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
-    """Where each turn is written, the steps from and to which it goes, and by how much, rad."""
+    """Return the place in the file, first and last step, and angle, rad, of each turn."""
     if isinstance(boundary, Clip):
         yield ("turn",), 0, boundary.by or steps, boundary.turn
     elif isinstance(boundary, Grip):
-        at, before = 0, 0.0
+        last_step, before = 0, 0.0
         for number, point in enumerate(boundary.path):
             turn = before if point.turn is None else point.turn
-            yield ("path", number, "turn"), at, point.step, turn - before
-            at, before = point.step, turn
+            yield ("path", number, "turn"), last_step, point.step, turn - before
+            last_step, before = point.step, turn
 
 
 def _height(plane: Plane, position: Vector3) -> float:
@@ -293,7 +293,7 @@ class _HeldPlace:
     last: int
 
     def position(self, step: int) -> Vector3:
-        """Where it is, m; before the first leg and after the last it stays."""
+        """Return the position, m; constant before the first leg and after the last."""
         before = [leg for leg in self.legs if leg.step <= step][-1]
         after = next((leg for leg in self.legs if leg.step > step), before)
         share = (step - before.step) / max(after.step - before.step, 1)

@@ -116,8 +116,8 @@ def parse_name_pattern(text: str) -> NamePattern:
         if name in fields:
             parts.append(f"(?P=f{fields.index(name)})")
             continue
-        kind = _NUMBER if unit else _DAY if name == "date" else _WORD
-        parts.append(f"(?P<f{len(fields)}>{kind})")
+        pattern = _NUMBER if unit else _DAY if name == "date" else _WORD
+        parts.append(f"(?P<f{len(fields)}>{pattern})")
         fields.append(name)
         units |= {name: unit} if unit else {}
     parts.append(re.escape(text[end:]))

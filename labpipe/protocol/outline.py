@@ -102,17 +102,17 @@ class Outline:
 
     @property
     def names(self) -> list[str]:
-        """All channels: those of the sources, then those that the steps add."""
+        """Return all channels: those of the sources, then those that the steps add."""
         return [channel.name for channel in self.channels] + self.made
 
     @property
     def made(self) -> list[str]:
-        """Channels that the steps add, in order."""
+        """Return the channels that the steps add, in order."""
         return [name for step in self.steps for name in step.makes]
 
     @property
     def from_speed(self) -> dict[str, str]:
-        """Channels that are made from crosshead speed, and the force that each is made with."""
+        """Return the channels that are made from crosshead speed, each with its force."""
         return {
             str(step.values.get("channel")): str(step.values.get("force"))
             for step in self.steps
@@ -121,15 +121,15 @@ class Outline:
 
     @property
     def joins_clocks(self) -> bool:
-        """Say whether two clocks are joined."""
+        """Return whether two clocks are joined."""
         return self.block("align").get("method") in ("turning-points", "common-start", "stated")
 
     def is_optional(self, role: str) -> bool:
-        """Say whether a test may lack a source."""
+        """Return whether a source is optional in a test."""
         return str(self.block("sources", role).get("optional")).lower() == "true"
 
     def clock_of(self, channel: str) -> str | None:
-        """Role whose clock a channel is on; None for an unknown channel."""
+        """Return the role whose clock a channel is on; None for an unknown channel."""
         clocks = {channel.name: channel.role for channel in reversed(self.channels)}
         if channel in clocks:
             return clocks[channel]
@@ -138,7 +138,7 @@ class Outline:
         return "markers" if channel in self.made else None
 
     def unit_of(self, channel: str) -> str | None:
-        """SI unit of a channel; None where it is not known."""
+        """Return the SI unit of a channel; None where it is not known."""
         if channel in self.made:
             return "m"
         return next((outline.unit for outline in self.channels if outline.name == channel), None)
@@ -159,7 +159,7 @@ def outline_of(data: Values) -> Outline:
         reader_names = reader if isinstance(reader, list) else [reader]
         readers[role] = [word for word in reader_names if word in READERS]
         if channel_keys(role, source):
-            name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
+            name = role if role in ROLES else nearest(role, list(ROLES), limit=1)[0]
             channels.append(_channel(name, role, ("sources", role), source))
         for name in _block(source, "channels"):
             path = ("sources", role, "channels", name)
@@ -183,7 +183,7 @@ def channel_keys(role: str, source: Values) -> list[str]:
 
     Parameters
     ----------
-    role : what may be said of cameras is no channel's in the role ``markers``
+    role : name of the source; cameras have other keys in the role ``markers``
     source : the block as written
     """
     others = _OF_CAMERAS if role == "markers" else frozenset[str]()
@@ -208,7 +208,7 @@ def _entries(data: Values, key: str, tag: str) -> list[Entry]:
 
 
 def _with_channels(step: Entry, *, has_clamp: bool) -> Entry:
-    """Say which channels a step makes; a frame without a clamp makes none."""
+    """Return a step with the channels that it makes; a frame without a clamp makes none."""
     if step.tag not in STEPS or (step.tag == "specimen-frame" and not has_clamp):
         return step
     names = {"channel": None, **step.values}

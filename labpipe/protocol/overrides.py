@@ -69,7 +69,7 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
 
 
 def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
-    """Where a sheet's own specimen says what the protocol's does, by dotted key of the protocol."""
+    """Return the keys that a sheet's own specimen replaces, by dotted key of the protocol."""
     sizes: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key)
         for key in SHEET_DIMENSIONS
@@ -86,10 +86,10 @@ def _remove_items(merged: Document, removed: Mapping[KeyPath, object]) -> None:
     paths = {*removed, *_shown_first(merged, [item for item in removed.values() if _names(item)])}
     for path in {path[:-1] for path in paths}:
         items: Any = merged.at(path)
-        left = [number for number in range(len(items)) if (*path, number) not in paths]
-        merged.numbers[path] = tuple(left)
-        merged.spots = dict(_shift_spots(merged.spots, path, left))
-        items[:] = [items[number] for number in left]
+        kept = [number for number in range(len(items)) if (*path, number) not in paths]
+        merged.numbers[path] = tuple(kept)
+        merged.spots = dict(_shift_spots(merged.spots, path, kept))
+        items[:] = [items[number] for number in kept]
 
 
 def _shown_first(merged: Document, removed: list[object]) -> Iterator[KeyPath]:
@@ -103,15 +103,15 @@ def _shown_first(merged: Document, removed: list[object]) -> Iterator[KeyPath]:
 
 
 def _shift_spots(
-    spots: Mapping[KeyPath, YamlPosition], path: KeyPath, left: Sequence[int]
+    spots: Mapping[KeyPath, YamlPosition], path: KeyPath, kept: Sequence[int]
 ) -> Iterator[tuple[KeyPath, YamlPosition]]:
     """Yield the positions after items of the list at a path were removed."""
     depth = len(path)
     for old_path, spot in spots.items():
         if old_path[:depth] != path or len(old_path) == depth:
             yield old_path, spot
-        elif old_path[depth] in left:
-            yield (*path, left.index(int(old_path[depth])), *old_path[depth + 1 :]), spot
+        elif old_path[depth] in kept:
+            yield (*path, kept.index(int(old_path[depth])), *old_path[depth + 1 :]), spot
 
 
 def _set_value(
@@ -215,7 +215,7 @@ _OR_FOLLOW = (
 
 
 def are_followed(protocol: Document) -> bool:
-    """Say whether a protocol, as written, lets exports be links out of the folder of the test.
+    """Return whether a protocol allows exports that are links out of the folder of the test.
 
     Parameters
     ----------
@@ -300,20 +300,20 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     return reduced.model_copy(update=update)
 
 
-def absent_faults(protocol: Protocol, whole: Protocol) -> Iterator[Fault]:
+def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
     """Find what a test cannot do without, although its source is optional.
 
     Parameters
     ----------
     protocol : as `without_absent` gives it
-    whole : the same with all its sources
+    full_protocol : the same with all its sources
 
     Returns
     -------
     Faults at the key ``files`` of the test sheet.
     """
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-    for role, source in whole.sources.items():
+    for role, source in full_protocol.sources.items():
         if role in protocol.sources:
             continue
         for name in sorted(set(source.all_channels) & _needed(protocol) - step_channels):
@@ -334,7 +334,7 @@ def _speed_faults(protocol: Protocol, role: str, name: str) -> Iterator[Fault]:
 
 
 def _needed(protocol: Protocol) -> set[str]:
-    """Channels without which there is no curve."""
+    """Return the channels without which there is no curve."""
     names = set()
     if protocol.curve is not None:
         names |= {protocol.curve.force, protocol.curve.displacement}
@@ -346,7 +346,7 @@ def _needed(protocol: Protocol) -> set[str]:
 
 
 def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
-    """Steps that still have a channel; one that is made from speed exists behind its step."""
+    """Return the steps whose channel exists; one made from speed exists after its step."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.on_markers:
             continue
@@ -359,7 +359,7 @@ def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
 
 
 def _is_made_from_speed(protocol: Protocol) -> bool:
-    """Whether the displacement of the curve is made on the clock of the force."""
+    """Return whether the displacement of the curve is made on the clock of the force."""
     if protocol.curve is None or protocol.curve.displacement in protocol.channels:
         return False
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}

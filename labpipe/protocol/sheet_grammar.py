@@ -152,7 +152,7 @@ class SheetBundle(Block):
 
     @property
     def record(self) -> Bundle:
-        """The bundle in the words of the rest of labpipe; lengths in m."""
+        """Return the bundle in the words of the rest of labpipe; lengths in m."""
         wires = (BundleWire(kind, of.number, of.diameter) for kind, of in self.wires.items())
         return Bundle(
             wires=tuple(wires),
@@ -239,7 +239,7 @@ def _number_of(wires: Mapping[str, SheetWires]) -> int:
 
 
 def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
-    """Diameter of every wire, m; nothing where one is not known."""
+    """Return the diameter of every wire, m; nothing where one is not known."""
     stated = [(of.number, of.diameter) for of in wires.values()]
     complete = [(number, diameter) for number, diameter in stated if diameter is not None]
     diameters = [diameter for number, diameter in complete for _ in range(number)]
@@ -275,9 +275,9 @@ def _overlaps(circles: Sequence[Circle], names: Sequence[str]) -> Iterator[Fault
 
 
 def _overlap(one: Circle, other: Circle) -> float:
-    """How deep one circle lies in another, m; 0 within the tolerance."""
-    apart = hypot(one[0] - other[0], one[1] - other[1])
-    depth = (one[2] + other[2]) / 2 - apart
+    """Return how deep one circle lies in another, m; 0 within the tolerance."""
+    distance = hypot(one[0] - other[0], one[1] - other[1])
+    depth = (one[2] + other[2]) / 2 - distance
     return depth if depth > OVERLAP_TOLERANCE * min(one[2], other[2]) else 0.0
 
 
@@ -345,13 +345,13 @@ class SheetSpecimen(Block):
 
     @property
     def dimensions(self) -> dict[str, float]:
-        """Lengths by name, m."""
+        """Return the lengths by name, m."""
         length = {} if self.length is None else {"length": self.length}
         return length | dict(self.__pydantic_extra__)
 
     @property
     def record(self) -> Specimen:
-        """The specimen in the words of the rest of labpipe; lengths in m."""
+        """Return the specimen in the words of the rest of labpipe; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
         named = (self.type, self.spool, self.sample)
         return Specimen(*named, self.dimensions, bundle, self.labels)
@@ -392,7 +392,7 @@ def _misspelt(key: str, keys: list[str]) -> Fault:
 
 
 def _is_no_length(value: object) -> bool:
-    """Whether a value is a word, or no length: a label rather than a dimension."""
+    """Return whether a value is a word, or no length: a label rather than a dimension."""
     try:
         parse_quantity(value, "m")
     except ValueError:

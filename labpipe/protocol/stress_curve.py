@@ -35,13 +35,13 @@ def curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault]
     """
     last, first_slope = (0.0, 0.0), 0.0
     for number, point in enumerate(points):
-        here = (point.strain, point.stress_mpa)
-        if number == 0 and not any(here):
+        current = (point.strain, point.stress_mpa)
+        if number == 0 and not any(current):
             continue
-        if wrong := _step_fault(last, here, first_slope):
+        if wrong := _step_fault(last, current, first_slope):
             return number, wrong
-        first_slope = first_slope or (here[1] - last[1]) / (here[0] - last[0])
-        last = here
+        first_slope = first_slope or (current[1] - last[1]) / (current[0] - last[0])
+        last = current
     if not first_slope:
         return 0, Fault((), "a point beyond zero", "none", "Fill in the table.")
     low, high = FIRST_SLOPES[column]
@@ -54,18 +54,18 @@ def curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault]
 
 
 def _step_fault(
-    last: tuple[float, float], here: tuple[float, float], first_slope: float
+    last: tuple[float, float], current: tuple[float, float], first_slope: float
 ) -> Fault | None:
-    """What is wrong with a point behind another one, both of strain and stress in MPa."""
+    """Return what is wrong with a point behind another one, both of strain and stress in MPa."""
     # Share of the first slope.
     rounding = 1e-6
     remedy = "Put the rows in order and correct them."
-    step, rise = here[0] - last[0], here[1] - last[1]
+    step, rise = current[0] - last[0], current[1] - last[1]
     if step <= 0.0:
-        return Fault((), f"a strain above {last[0]:g}", f"{here[0]:g}", remedy)
+        return Fault((), f"a strain above {last[0]:g}", f"{current[0]:g}", remedy)
     if rise < 0.0 or not (rise or first_slope):
         expected = f"a stress of {last[1]:g} MPa or more, and more than zero"
-        return Fault((), expected, f"{here[1]:g} MPa", remedy)
+        return Fault((), expected, f"{current[1]:g} MPa", remedy)
     if first_slope and rise / step > first_slope * (1.0 + rounding):
         expected = f"a slope up to the first, {first_slope / 1e3:.4g} GPa"
         return Fault((), expected, f"{rise / step / 1e3:.4g} GPa", remedy)
@@ -73,7 +73,7 @@ def _step_fault(
 
 
 def curve_of(points: Sequence[StressPoint]) -> Curve:
-    """Strains and stresses (Pa) beyond zero."""
+    """Return the strains and stresses (Pa) beyond zero."""
     stress = StressPoint.model_fields["stress_mpa"].metadata[0].in_si
     beyond = [point for point in points if point.strain > 0.0]
     return tuple(point.strain for point in beyond), tuple(

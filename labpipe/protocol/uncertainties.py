@@ -16,8 +16,8 @@ from labpipe.protocol.values import Day, Text, parse_day
 from labpipe.records.declarations import Distance, Quantity, Uncertainty
 from labpipe.units import parse_quantity
 
-AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", least=0.0)]
-CoverageFactor = Annotated[float, Quantity("1", "1", "2", least=1.0, most=10.0)]
+AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
+CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=10.0)]
 
 
 class SizeUncertainties(Block):
@@ -34,7 +34,7 @@ class SizeUncertainties(Block):
 
     @property
     def stated(self) -> dict[str, float]:
-        """Those that are given, by key, m (of the area m^2)."""
+        """Return those that are given, by key, m (of the area m^2)."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
@@ -63,7 +63,7 @@ class Certificate(Block):
 
 
 def standard_uncertainty(certificate: Certificate | None) -> float | None:
-    """Of the scale that was calibrated, as a ratio; None where no certificate says one."""
+    """Return the standard uncertainty of the calibrated scale, a ratio; None if not stated."""
     if certificate is None or certificate.uncertainty is None:
         return None
     return certificate.uncertainty / certificate.k
@@ -133,19 +133,19 @@ def length_faults(
     """
     key = "length" if entry.get("support") == "cantilever" else "span"
     block = specimen.get("uncertainty")
-    there = block.get(key) if isinstance(block, Mapping) else None
-    here = entry.get("length_uncertainty")
-    values = _quantity(here, "m"), _quantity(there, "m")
+    given = block.get(key) if isinstance(block, Mapping) else None
+    stated = entry.get("length_uncertainty")
+    values = _quantity(stated, "m"), _quantity(given, "m")
     if None in values or values[0] == values[1]:
         return
     expected = f"the uncertainty of the {key} once"
-    actual = f"{here!r} beside {there!r} in 'specimen.uncertainty.{key}'"
+    actual = f"{stated!r} beside {given!r} in 'specimen.uncertainty.{key}'"
     remedy = f"Write it as 'specimen.uncertainty.{key}' alone."
     yield Fault((*path, "length_uncertainty"), expected, actual, remedy)
 
 
 def _day(value: object) -> date | None:
-    """The day; None for what is none, which is a fault of its own."""
+    """Return the day; None for what is none, which is a fault of its own."""
     try:
         return parse_day(value)
     except PydanticCustomError:
@@ -157,7 +157,7 @@ def _ratio(text: object) -> float | None:
 
 
 def _quantity(text: object, unit: str) -> float | None:
-    """Value in a unit; None for what is none, which is a fault of its own."""
+    """Return the value in a unit; None for what is none, which is a fault of its own."""
     try:
         return parse_quantity(text, unit)
     except ValueError:

@@ -289,9 +289,9 @@ def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
     if isinstance(node, yaml.SequenceNode):
         items = []
         for number, item in enumerate(node.value):
-            here = (*path, number)
-            document.spots[here] = YamlPosition(document.file, _mark(item), _mark(item))
-            items.append(_value(item, here, document))
+            item_path = (*path, number)
+            document.spots[item_path] = YamlPosition(document.file, _mark(item), _mark(item))
+            items.append(_value(item, item_path, document))
         return items
     is_plain = isinstance(node, yaml.ScalarNode) and not node.style
     return None if is_plain and node.value in _NOTHING else node.value
@@ -304,14 +304,14 @@ def _block(node: yaml.MappingNode, path: KeyPath, document: Document) -> dict[st
             fault = Fault(path, "a word as key", shown(key.value), "Write 'key: value'.")
             document.faults.append(place_fault(document.file, _mark(key), fault))
             continue
-        here = (*path, key.value)
+        key_path = (*path, key.value)
         if key.value in block:
-            first = document.spots[here].key[0]
-            fault = Fault(here, "each key once", f"{key.value!r} again (first in line {first})")
+            first = document.spots[key_path].key[0]
+            fault = Fault(key_path, "each key once", f"{key.value!r} again (first in line {first})")
             document.faults.append(place_fault(document.file, _mark(key), fault))
             continue
-        document.spots[here] = YamlPosition(document.file, _mark(key), _mark(value))
-        block[key.value] = _value(value, here, document)
+        document.spots[key_path] = YamlPosition(document.file, _mark(key), _mark(value))
+        block[key.value] = _value(value, key_path, document)
     return block
 
 

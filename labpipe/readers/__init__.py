@@ -37,7 +37,7 @@ class Reader:
 
     @property
     def name(self) -> str:
-        """Name of the format, as in protocols."""
+        """Return the name of the format, as in protocols."""
         return self.format.name
 
     def recognise(self, path: Path) -> bool:

@@ -88,8 +88,8 @@ def load_export(
     paths = unique_names([trace.path for trace in export.traces])
     traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
     if channels is not None:
-        known = [(trace.name, trace.path) for trace in traces]
-        chosen = sorted({find_channel(wanted, known, path) for wanted in channels})
+        known_traces = [(trace.name, trace.path) for trace in traces]
+        chosen = sorted({find_channel(wanted, known_traces, path) for wanted in channels})
         traces = [traces[i] for i in chosen]
     rasters = [raster or "time" for raster, _ in export.axes]
     names = [

@@ -54,7 +54,7 @@ from labpipe.readers.workbooks import is_workbook, open_sheets
 from labpipe.records.arrays import Floats
 from labpipe.units import si_factor, whole_number
 
-__all__ = ["MIN_CURVE_POINTS", "CurveColumn", "read_curve"]
+__all__ = ["CurveColumn", "read_curve"]
 
 MIN_CURVE_POINTS = 3
 """Points of a curve."""

@@ -95,7 +95,7 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
 
 
 @contextmanager
-def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
+def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
     """Open either container; yield its variables and the header text with the day of saving."""
     head = read_head(path, 1024)
     created = head[:116].decode("latin-1").strip(" \0")
@@ -116,7 +116,7 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
         yield nodes, created
 
 
-def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:
+def _from_hdf5(node: Any, file: h5py.File, size: int) -> MatValue:
     import h5py
 
     if not isinstance(node, h5py.Group):
@@ -148,7 +148,7 @@ def _holds_references(item: Any) -> bool:
     return isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is not None
 
 
-def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
+def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
     """Return text, a small array, or a data set that is read on demand."""
     # No deflated data set is larger than 1032 times its file.
     max_deflate_ratio = 1100
@@ -179,7 +179,9 @@ def _is_whole(item: h5py.Dataset) -> bool:
     return bool(item.id.get_num_chunks() >= prod(ceil(every / one) for every, one in sizes))
 
 
-def _find_recording(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str, Node]]:
+def _find_recording(
+    variables: Mapping[str, MatValue], path: Path
+) -> tuple[str, dict[str, MatValue]]:
     """Return the only variable with the fields X and Y, whatever its name."""
     structs = {name: _nested(variables, name) for name in variables}
     structs = {name: item for name, item in structs.items() if {"X", "Y"} <= {*item}}
@@ -191,7 +193,7 @@ def _find_recording(variables: Mapping[str, Node], path: Path) -> tuple[str, dic
     raise unreadable(path, "", expected, found, "Export the recording from ControlDesk as MAT.")
 
 
-def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Export:
+def _parse(name: str, tree: Mapping[str, MatValue], created: str, path: Path) -> Export:
     axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
     general = _nested(tree, "Description", "General")
     written = _text(general, "DateTime") or _text(_nested(tree, "Capture"), "DateTime")
@@ -213,7 +215,7 @@ def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Exp
     )
 
 
-def _structs(tree: Mapping[str, Node], field: str, path: Path) -> list[dict[str, Node]]:
+def _structs(tree: Mapping[str, MatValue], field: str, path: Path) -> list[dict[str, MatValue]]:
     items = tree[field]
     if isinstance(items, list) and all(isinstance(item, dict) and "Data" in item for item in items):
         return items
@@ -221,7 +223,7 @@ def _structs(tree: Mapping[str, Node], field: str, path: Path) -> list[dict[str,
     raise unreadable(path, f"field {field}", expected, "something else", _EXPORT_AGAIN)
 
 
-def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
+def _trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
     port, folder = _text(item, "Name"), _text(item, "Path")
     quoted = _QUOTED.search(port)  # revision 2.0 has the whole quoted path in Name
     full = f"{folder}/{port}" if folder else port
@@ -241,7 +243,7 @@ def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
     )
 
 
-def _loader(item: Mapping[str, Node], what: str, path: Path) -> Callable[[], object]:
+def _loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callable[[], object]:
     """Return a function that loads the samples of an axis or a channel as floats."""
 
     def load() -> object:
@@ -255,7 +257,7 @@ def _loader(item: Mapping[str, Node], what: str, path: Path) -> Callable[[], obj
     return load
 
 
-def _nested(tree: Mapping[str, Node], *keys: str) -> dict[str, Node]:
+def _nested(tree: Mapping[str, MatValue], *keys: str) -> dict[str, MatValue]:
     """Return the nested struct at the keys, empty if there is none."""
     for key in keys:
         below = tree.get(key)
@@ -265,17 +267,17 @@ def _nested(tree: Mapping[str, Node], *keys: str) -> dict[str, Node]:
     return dict(tree)
 
 
-def _text(item: Mapping[str, Node], key: str) -> str:
+def _text(item: Mapping[str, MatValue], key: str) -> str:
     value = item.get(key, "")
     return value if isinstance(value, str) else ""
 
 
-def _number(value: Node) -> float | None:
+def _number(value: MatValue) -> float | None:
     array = np.asarray(value) if value is not None else np.empty(0)
     return float(array.ravel()[0]) if array.size == 1 and array.dtype.kind in "biuf" else None
 
 
-def _revision(tree: Mapping[str, Node], path: Path) -> str:
+def _revision(tree: Mapping[str, MatValue], path: Path) -> str:
     info = _nested(tree, "Info")
     numbers = [_number(info.get(key)) for key in ("RevisionMajor", "RevisionMinor")]
     match = _REVISION.search(_text(_nested(tree, "Description"), "GeneratorVersion"))

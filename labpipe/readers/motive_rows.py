@@ -117,19 +117,19 @@ def parse_rows(text: str, path: Path) -> RowExport:
 
 
 def _read_line(take: _Take, cells: list[str]) -> None:
-    kind = cells[0]
-    if kind == "comment":
+    first_cell = cells[0]
+    if first_cell == "comment":
         take.title = take.title or cells[1]
-    elif kind == "info":
+    elif first_cell == "info":
         take.info[cells[1]] = cells[2]
         take.version = take.info.get("version", take.version)
-    elif kind in {"righthanded", "lefthanded"}:
-        take.handedness = kind
-    elif kind == "frame":
+    elif first_cell in {"righthanded", "lefthanded"}:
+        take.handedness = first_cell
+    elif first_cell == "frame":
         _read_frame(take, cells)
-    elif kind in _BODY_WORDS and _is_integer(cells[1]) and not _is_integer(cells[3]):
+    elif first_cell in _BODY_WORDS and _is_integer(cells[1]) and not _is_integer(cells[3]):
         _read_body(take, cells)
-    elif kind in _BODY_WORDS:
+    elif first_cell in _BODY_WORDS:
         take.bodies[cells[1]] = _Body(cells[1], cells[2], int(cells[3]))
     else:
         message = "unknown row type"

@@ -205,13 +205,13 @@ def lines_of(text: str) -> list[str]:
 
 def line_start(data: bytes, lines: int) -> int:
     """Return the offset of the line with this number, counted from 0."""
-    at = 0
+    offset = 0
     for _ in range(lines):
-        end = data.find(b"\n", at)
+        end = data.find(b"\n", offset)
         if end < 0:
             return len(data)
-        at = end + 1
-    return at
+        offset = end + 1
+    return offset
 
 
 def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) -> str:

@@ -154,8 +154,8 @@ def split_line(line: str, separator: str) -> list[str]:
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a known unit."""
-    known = text in _COMMON_UNITS or text in _NO_DIMENSION
-    return known or any(has_dimension_of(text, unit) for unit in _SI_UNITS)
+    is_known = text in _COMMON_UNITS or text in _NO_DIMENSION
+    return is_known or any(has_dimension_of(text, unit) for unit in _SI_UNITS)
 
 
 def hold_units(cells: Sequence[str]) -> bool:
@@ -183,8 +183,8 @@ def bare_unit(cell: str, brackets: str) -> str | None:
     """Remove the brackets of a unit; None if required ones are missing."""
     if not brackets:
         return cell
-    whole = len(cell) > 1 and cell[0] == brackets[0] and cell[-1] == brackets[1]
-    return cell[1:-1].strip() if whole else None
+    is_in_brackets = len(cell) > 1 and cell[0] == brackets[0] and cell[-1] == brackets[1]
+    return cell[1:-1].strip() if is_in_brackets else None
 
 
 def without_brackets(cell: str) -> str:
@@ -205,8 +205,10 @@ def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
     -------
     Both; None if there is no unit.
     """
-    kinds = [_BRACKETED[brackets]] if brackets else list(_BRACKETED.values())
-    match = next((pattern_match for kind in kinds if (pattern_match := kind.fullmatch(cell))), None)
+    patterns = [_BRACKETED[brackets]] if brackets else list(_BRACKETED.values())
+    match = next(
+        (pattern_match for pattern in patterns if (pattern_match := pattern.fullmatch(cell))), None
+    )
     if match is None and not brackets:
         match = _UNIT_AFTER_MARK.fullmatch(cell)
         match = match if match is not None and is_unit(match[2]) else None

@@ -163,12 +163,14 @@ def _read_in_child(path: Path) -> Sheets:
 
     A wrong place or length in it can exhaust the memory, which kills the process.
     """
+    # Memory limit of a child process; the largest sheet of an old workbook needs 1 GB.
+    memory_limit = 4 << 30
     import os
     import pickle
     import subprocess
     import sys
 
-    command = [sys.executable, "-c", _CHILD, str(path), str(_CHILD_BYTES)]
+    command = [sys.executable, "-c", _CHILD, str(path), str(memory_limit)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     try:
         child = subprocess.run(
@@ -227,12 +229,15 @@ def _size(text: bytes) -> int | None:
 def _refuse_others(path: Path) -> None:
     with zipfile.ZipFile(path) as parts:
         names = parts.namelist()
-    found = next((kind for name, kind in _OTHER_FORMATS.items() if name in names), None)
+    format_name = next((text for name, text in _OTHER_FORMATS.items() if name in names), None)
     remedy = "Save it as xlsx in the spreadsheet program."
-    if found is None and not any(name.startswith("xl/") for name in names):
-        found, remedy = "a zip archive of something else", "Unpack it, and name the export in it."
-    if found is not None:
-        raise unreadable(path, "", "an xlsx workbook", found, remedy)
+    if format_name is None and not any(name.startswith("xl/") for name in names):
+        format_name, remedy = (
+            "a zip archive of something else",
+            "Unpack it, and name the export in it.",
+        )
+    if format_name is not None:
+        raise unreadable(path, "", "an xlsx workbook", format_name, remedy)
 
 
 def column_letters(number: int) -> str:
