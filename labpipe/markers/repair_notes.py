@@ -95,7 +95,7 @@ def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
 def _stretch_notes(
     take: Take, mask: Flags, names: list[str], note_kind: tuple[str, Severity, str]
 ) -> Iterator[QualityNote]:
-    code, severity, text = kind
+    code, severity, text = note_kind
     for name, flags in zip(names, mask.T, strict=True):
         stretches = stretches_of(flags)
         if len(stretches) > _MAX_NOTES:

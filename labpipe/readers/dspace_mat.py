@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     from labpipe.records.recording import Recording
 
-Node = Any
+MatValue = Any
 """A struct array as a list of mappings, text, an array, or None for unused types."""
 
 _MATRIX, _COMPRESSED = 14, 15
@@ -343,7 +343,7 @@ class _Cursor:
         return _Cursor(data, self.order)
 
 
-def parse_mat5(content: bytes) -> dict[str, Node]:
+def parse_mat5(content: bytes) -> dict[str, MatValue]:
     """Read the variables of a MAT file of version 5 (MathWorks, *MAT-File Format*, level 5).
 
     Used instead of scipy.io.loadmat, which crashes the process (segmentation fault, scipy 1.17) on
@@ -367,7 +367,7 @@ def parse_mat5(content: bytes) -> dict[str, Node]:
     header_bytes = 128
     order = ">" if content[126:128] == b"MI" else "<"
     cursor = _Cursor(memoryview(content), order, header_bytes)
-    variables: dict[str, Node] = {}
+    variables: dict[str, MatValue] = {}
     while cursor.at < len(content):
         kind, data = cursor.element()
         if kind == _COMPRESSED:
@@ -378,7 +378,7 @@ def parse_mat5(content: bytes) -> dict[str, Node]:
     return variables
 
 
-def _matrix(cursor: _Cursor) -> tuple[str, Node]:
+def _matrix(cursor: _Cursor) -> tuple[str, MatValue]:
     """Return name and value of one array; an array of no bytes is empty."""
     cell, struct_, object_, char = 1, 2, 3, 4
     complex_flag = 0x0800
@@ -388,7 +388,7 @@ def _matrix(cursor: _Cursor) -> tuple[str, Node]:
     count = int(np.prod([int(n) for n in cursor.numbers()], dtype=object))
     _, name = cursor.element()
     kind = flags & 0xFF
-    value: Node = None
+    value: MatValue = None
     if kind == object_:
         cursor.element()  # its class name
     if kind in {struct_, object_}:
@@ -402,7 +402,7 @@ def _matrix(cursor: _Cursor) -> tuple[str, Node]:
     return bytes(name).decode("latin-1"), value
 
 
-def _part(cursor: _Cursor) -> Node:
+def _part(cursor: _Cursor) -> MatValue:
     kind, data = cursor.element()
     if kind != _MATRIX:
         message = f"type {kind} instead of an array"
@@ -410,7 +410,7 @@ def _part(cursor: _Cursor) -> Node:
     return _matrix(cursor.inside(data))[1]
 
 
-def _struct_array(cursor: _Cursor, count: int) -> list[dict[str, Node]]:
+def _struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
     """Return the elements of a struct array, each with its fields in order."""
     width = int(cursor.numbers()[0])
     _, names = cursor.element()

@@ -201,7 +201,7 @@ def _fault_text(fault: Any, source: object) -> str:
     if fault["type"] == "missing":
         found, remedy = "none", "Add it to the card."
     elif fault["type"] == "extra_forbidden":
-        close = nearest(key, [*Card.model_fields], most=3)
+        close = nearest(key, [*Card.model_fields], limit=3)
         found, remedy = "another one", f"Nearest: {', '.join(close)}."
     elif fault["type"] == "literal_error":
         expected = f"one of {', '.join(map(repr, get_args(Card.model_fields[key].annotation)))}"

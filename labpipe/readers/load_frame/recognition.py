@@ -89,7 +89,7 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     for name in allowed:
         if name not in cards:
-            close = ", ".join(nearest(name, list(cards), most=3))
+            close = ", ".join(nearest(name, list(cards), limit=3))
             remedy = f"Nearest: {close}. A lab's own cards are in the folder dialects."
             expected = f"one of the {len(cards)} cards"
             raise unreadable(path, f"dialect '{name}'", expected, "no such card", remedy)
