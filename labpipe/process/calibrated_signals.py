@@ -157,15 +157,15 @@ def _refused(role: str, place: str, expected: str, found: str, remedy: str) -> P
 def _peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> list[Finding]:
-    """Doubt a channel whose peak is implausible: the unit in the file may be wrong."""
+    """Report a channel whose peak is implausible: the unit in the file may be wrong."""
     if peak_range is None:
         return []
-    peak, (least, most) = float(np.nanmax(np.abs(signal.values))), peak_range
-    if least <= peak <= most:
+    peak, (lowest, highest) = float(np.nanmax(np.abs(signal.values))), peak_range
+    if lowest <= peak <= highest:
         return []
     message = (
-        f"the largest value is {peak:.4g} {signal.unit}, plausible are {least:.4g} to "
-        f"{most:.4g} {signal.unit}: is the unit right, and is it this channel?"
+        f"the largest value is {peak:.4g} {signal.unit}, plausible are {lowest:.4g} to "
+        f"{highest:.4g} {signal.unit}: is the unit right, and is it this channel?"
     )
     return [doubtful("implausible_peak", name, message, quantity)]
 
@@ -177,10 +177,10 @@ def _check_markers(tracks: MarkerTracks, role: str) -> None:
         _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
 
 
-def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
+def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
     """Refuse numbers that are too large to be measurements."""
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
-    if not largest > _LARGEST[kind]:
+    if not largest > _LARGEST[quantity]:
         return
     sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
     place, expected = (
@@ -192,7 +192,7 @@ def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
 
 
 def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Note blank samples, and doubt where they are, except at the ends of the record."""
+    """Report blank samples; except at the ends of the record, they are doubtful."""
     # Share of a channel that may be blank before its first and after its last sample.
     max_blank_end_share = 0.02
     missing = np.isnan(signal.values)
@@ -223,7 +223,7 @@ def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
 
 
 def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
-    """Doubt channels while they are saturated or frozen.
+    """Report channels while they are saturated or frozen.
 
     Parameters
     ----------

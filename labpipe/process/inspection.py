@@ -12,8 +12,8 @@ import numpy as np
 
 from labpipe.readers import recognise_export
 from labpipe.readers.time_axes import SAMPLED_ON_EVENT, TIME_VARIABLE, find_holes
-from labpipe.readers.tracking import blank, longest, runs, unchanged
-from labpipe.records.arrays import Floats, median
+from labpipe.readers.tracking import blank, longest, unchanged
+from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
@@ -174,7 +174,7 @@ def _gaps(track: Floats) -> dict[str, Any]:
 
 def _frozen(track: Floats) -> dict[str, int]:
     still = unchanged(track)
-    return {"steps": int(still.sum()), "longest": longest(runs(still))}
+    return {"steps": int(still.sum()), "longest": longest(still)}
 
 
 def _body(body: RigidBody) -> dict[str, Any]:

@@ -67,7 +67,7 @@ class Processed:
 
     @property
     def n_failed(self) -> int:
-        """Number of results that are not available."""
+        """Return the number of results that are not available."""
         return sum(result.status is Status.FAILED for result in self.result.results)
 
 
@@ -115,8 +115,8 @@ def process_test(
     owned = [FAILURE_FILE, *_outdated_figures(folder, result.run, is_drawn=figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
-        with ThreadPoolExecutor(max_workers=1) as beside:  # compression releases the GIL
-            writing = beside.submit(write_result, result, stage / RESULT_FILE)
+        with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
+            writing = compressor.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
             drawn: tuple[Path, ...] = ()
             if figures:

@@ -107,7 +107,7 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
 def _check_speed(
     motion: Signal, expected: float, first: Branch, deviation: float
 ) -> Iterator[Finding]:
-    """Doubt a speed that differs from that of the rig: a wrong unit, column or test."""
+    """Report a speed that differs from that of the rig: a wrong unit, column or test."""
     part = slice(first.start, first.stop)
     moved = np.nanmax(motion.values[part]) - np.nanmin(motion.values[part])
     speed = float(moved) / max(first.stop_time - first.start_time, 1e-9)
@@ -120,7 +120,7 @@ def _check_speed(
 
 
 def _check_negative(smooth: Floats, least: float, why: str) -> Iterator[Finding]:
-    """Doubt a force whose means over a second fall below the minimum of its load."""
+    """Report a force whose means over a second fall below the minimum of its load."""
     lowest = float(np.nanmin(smooth))
     if lowest < least - 5.0 * noise_level(smooth):
         message = f"the force falls to {lowest:.4g} N, but {why}: the zero is wrong or drifts"
@@ -147,7 +147,7 @@ def _check_length(shape: Shape, expected: float) -> Iterator[Finding]:
 
 
 def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
-    """Doubt a zero whose stretch overlaps the motion.
+    """Report a zero whose stretch overlaps the motion.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
         return
     begins, ends = branches[0].start_time, branches[-1].stop_time
     for name, stretch in signals.zeroed.items():
-        start, stop = (clocks.to_curve(at, signals.raw[name].clock) for at in stretch)
+        start, stop = (clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
         if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
             message = (
                 f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
@@ -211,7 +211,7 @@ def check_mid_span(
 
 
 def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Finding]:
-    """Doubt signals that fall while the specimen is loaded, unless the protocol allows it.
+    """Report signals that fall while the specimen is loaded, unless the protocol allows it.
 
     Parameters
     ----------

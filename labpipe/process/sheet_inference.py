@@ -144,13 +144,13 @@ class Neighbours:
 
     tests: dict[Path, tuple[str, str]] = field(default_factory=dict)
 
-    def protocols_beside(self, folder: Path, kind: str | None = None) -> Counter[str]:
+    def protocols_beside(self, folder: Path, specimen_type: str | None = None) -> Counter[str]:
         """Count the protocols of the other tests, of all types or of one.
 
         Parameters
         ----------
         folder : of the test itself
-        kind : type of the specimen; None for all
+        specimen_type : type of the specimen; None for all
         """
         return Counter(
             protocol

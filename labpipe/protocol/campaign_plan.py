@@ -181,7 +181,7 @@ class ByFolder(Block):
 
     @property
     def pattern(self) -> NamePattern | None:
-        """The pattern of the folders, read."""
+        """Return the pattern of the folders, read."""
         return None if self.name is None else parse_name_pattern(self.name)
 
 
@@ -196,7 +196,7 @@ class ByName(Block):
 
     @property
     def patterns(self) -> dict[str, NamePattern]:
-        """The patterns by role, read."""
+        """Return the patterns by role, read."""
         return {role: parse_name_pattern(text) for role, text in self.exports.items()}
 
     @field_validator("exports")

@@ -69,14 +69,14 @@ def one_of(word: str, valid: Iterable[str]) -> str:
     valid : the valid ones
     """
     valid_words = sorted(set(valid))
-    listed = nearest(word, valid_words, most=6)
+    listed = nearest(word, valid_words, limit=6)
     more = ", ..." if len(valid_words) > len(listed) else ""
     return f"{', '.join(repr(valid_word) for valid_word in listed)}{more}"
 
 
 def did_you_mean(word: str, valid: Iterable[str]) -> str:
     """Suggest the most similar valid word; empty if there is none."""
-    best = nearest(word, sorted(set(valid)), most=1)
+    best = nearest(word, sorted(set(valid)), limit=1)
     return f"Did you mean {best[0]!r}?" if best else ""
 
 

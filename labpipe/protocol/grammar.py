@@ -110,12 +110,14 @@ class Block(BaseModel):
         except ValidationError as error:
             within = faults_of(error, data=data, keys=cls.keys())
         else:
-            if not between:
+            if not cross_faults:
                 return block
-        misspelt = {fault.path for fault in between if fault.at == "key"}
+        misspelt = {fault.path for fault in cross_faults if fault.at == "key"}
         within = [fault for fault in within if fault.path not in misspelt]
         places = {fault.path for fault in within}
-        raise raised([*within, *(fault for fault in between if fault.path not in places)], data)
+        raise raised(
+            [*within, *(fault for fault in cross_faults if fault.path not in places)], data
+        )
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -172,7 +174,7 @@ def _annotations_of(marker: object, markers: tuple[Any, ...]) -> list[Any]:
             written = PlainSerializer(text.written)
             return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
         case WholeNumber():
-            schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
+            schema = {"type": "integer", "minimum": marker.minimum, "maximum": marker.maximum}
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
         case PatternText():
             return [BeforeValidator(partial(parse_word, marker))]

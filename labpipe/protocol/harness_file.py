@@ -112,7 +112,7 @@ TorsionalStiffness: TypeAlias = Annotated[
     float, Quantity("N*m^2", "N*mm^2", "90 N*mm^2", above=0.0)
 ]
 AxialStiffness: TypeAlias = Annotated[float, Quantity("N", "N", "40000 N", above=0.0)]
-Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", least=0.0)]
+Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", minimum=0.0)]
 
 _KINDS = ("wire", "sliders", "bending_stiffness")
 _OWN_KEYS = {
@@ -167,7 +167,7 @@ class SectionBlock(Block):
 
     @property
     def kind(self) -> str:
-        """What the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
+        """Return what the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
         return next(name for name in _KINDS if getattr(self, name) is not None)
 
     @classmethod

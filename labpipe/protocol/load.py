@@ -348,8 +348,8 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
 
 
 def _nearest_in(folder: Path, name: str) -> str:
-    there = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
-    listed = ", ".join(map(repr, nearest(name, there, most=3)))
+    names = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
+    listed = ", ".join(map(repr, nearest(name, names, limit=3)))
     return f"Correct the name, or copy the export there; nearest are {listed or 'no files'}."
 
 

@@ -63,7 +63,7 @@ def with_overrides(protocol: Document, sheet: Document) -> None:
 
 
 def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
-    """Where a sheet's own specimen says what the protocol's does, by dotted key of the protocol."""
+    """Return the keys that a sheet's own specimen replaces, by dotted key of the protocol."""
     sizes: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key)
         for key in SHEET_DIMENSIONS
@@ -181,7 +181,7 @@ _OR_FOLLOW = (
 
 
 def are_followed(protocol: Document) -> bool:
-    """Say whether a protocol, as written, lets exports be links out of the folder of the test.
+    """Return whether a protocol allows exports that are links out of the folder of the test.
 
     Parameters
     ----------
@@ -266,20 +266,20 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     return reduced.model_copy(update=update)
 
 
-def absent_faults(protocol: Protocol, whole: Protocol) -> Iterator[Fault]:
+def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
     """Find what a test cannot do without, although its source is optional.
 
     Parameters
     ----------
     protocol : as `without_absent` gives it
-    whole : the same with all its sources
+    full_protocol : the same with all its sources
 
     Returns
     -------
     Faults at the key ``files`` of the test sheet.
     """
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-    for role, source in whole.sources.items():
+    for role, source in full_protocol.sources.items():
         if role in protocol.sources:
             continue
         for name in sorted(set(source.all_channels) & _needed(protocol) - step_channels):
@@ -300,7 +300,7 @@ def _speed_faults(protocol: Protocol, role: str, name: str) -> Iterator[Fault]:
 
 
 def _needed(protocol: Protocol) -> set[str]:
-    """Channels without which there is no curve."""
+    """Return the channels without which there is no curve."""
     names = set()
     if protocol.curve is not None:
         names |= {protocol.curve.force, protocol.curve.displacement}
@@ -312,7 +312,7 @@ def _needed(protocol: Protocol) -> set[str]:
 
 
 def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
-    """Steps that still have a channel; one that is made from speed exists behind its step."""
+    """Return the steps whose channel exists; one made from speed exists after its step."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.on_markers:
             continue
@@ -325,7 +325,7 @@ def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
 
 
 def _is_made_from_speed(protocol: Protocol) -> bool:
-    """Whether the displacement of the curve is made on the clock of the force."""
+    """Return whether the displacement of the curve is made on the clock of the force."""
     if protocol.curve is None or protocol.curve.displacement in protocol.channels:
         return False
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}

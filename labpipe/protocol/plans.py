@@ -83,7 +83,7 @@ class Comparison(Block):
 Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
 Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
 Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
-Scatter = Annotated[float, Quantity("1", "%", "3 %", least=0.0, most=0.5)]
+Scatter = Annotated[float, Quantity("1", "%", "3 %", minimum=0.0, maximum=0.5)]
 Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
 
 _NEEDS_VALUE = "Add the value that it has, or that the prior lies about."

@@ -126,7 +126,7 @@ def _filled(stated: object) -> object:
     """Put the shipped ranges, and ends of ranges, where some are left out."""
     if not isinstance(stated, Mapping):
         return stated
-    shipped = {kind: {"from": least, "to": most} for kind, (_, least, most) in PLAUSIBLE.items()}
+    shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE.items()}
     ranges = {
         kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
         for kind, ends in stated.items()
@@ -134,8 +134,8 @@ def _filled(stated: object) -> object:
     return shipped | ranges
 
 
-def _schema_of(least: str, most: str) -> dict[str, object]:
-    ends = {"from": {"type": "string", "default": least}, "to": {"type": "string", "default": most}}
+def _schema_of(low: str, high: str) -> dict[str, object]:
+    ends = {"from": {"type": "string", "default": low}, "to": {"type": "string", "default": high}}
     return {"type": "object", "properties": ends, "additionalProperties": False}
 
 
@@ -225,12 +225,12 @@ def _outside(
     unit = PLAUSIBLE[kind][0]
     try:
         size = abs(parse_quantity(text, unit))
-        least, most = (parse_quantity(ends[end], unit) for end in ("from", "to"))
+        low, high = (parse_quantity(ends[end], unit) for end in ("from", "to"))
     except ValueError:
         return
-    if least <= size <= most or least >= most:
+    if low <= size <= high or low >= high:
         return
-    end = "from" if size < least else "to"
+    end = "from" if size < low else "to"
     override = in_test_sheet(f"plausible.{kind}.{end}", text)
     if in_file:
         override = f"'plausible: {{{kind}: {{{end}: {text}}}}}'"

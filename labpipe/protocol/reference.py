@@ -140,9 +140,9 @@ def table_of_notes(notes: Sequence[KindOfNote]) -> str:
 def table_of_ranges() -> str:
     """Write the table of the plausible ranges: kind of dimension, keys that are one, ends."""
     rows = [("kind", "keys that are, or end with", "from", "to")]
-    for kind, (_, least, most) in PLAUSIBLE.items():
+    for kind, (_, lowest, highest) in PLAUSIBLE.items():
         keys = ", ".join(f"`{key}`" for key, of in KEYS.items() if of == kind)
-        rows.append((f"`{kind}`", keys or "other lengths of a specimen", least, most))
+        rows.append((f"`{kind}`", keys or "other lengths of a specimen", lowest, highest))
     return _table(rows)
 
 
@@ -187,7 +187,7 @@ def _meaning(kind: type[Kind]) -> str:
 
 
 def _needs(kind: Any) -> Iterable[str]:
-    """Say in words what of a test a kind of result is read from."""
+    """Describe the data of a test that a kind of result needs."""
     needs: Needs = kind.needs
     descriptions = {
         "the curve": needs.branches,

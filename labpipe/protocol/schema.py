@@ -337,7 +337,7 @@ class Protocol(Block):
 
     @property
     def channels(self) -> dict[str, ChannelSource]:
-        """The channels of all sources by name."""
+        """Return the channels of all sources by name."""
         named = (source.all_channels for source in self.sources.values())
         return {name: channel for channels in named for name, channel in channels.items()}
 

@@ -126,7 +126,7 @@ class SheetBundle(Block):
 
     @property
     def record(self) -> Bundle:
-        """The bundle in the words of the rest of labpipe; lengths in m."""
+        """Return the bundle in the words of the rest of labpipe; lengths in m."""
         wires = (BundleWire(kind, of.number, of.diameter) for kind, of in self.wires.items())
         return Bundle(
             wires=tuple(wires),
@@ -306,13 +306,13 @@ class SheetSpecimen(Block):
 
     @property
     def dimensions(self) -> dict[str, float]:
-        """Lengths by name, m."""
+        """Return the lengths by name, m."""
         length = {} if self.length is None else {"length": self.length}
         return length | dict(self.__pydantic_extra__)
 
     @property
     def record(self) -> Specimen:
-        """The specimen in the words of the rest of labpipe; lengths in m."""
+        """Return the specimen in the words of the rest of labpipe; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
         named = (self.type, self.spool, self.sample)
         return Specimen(*named, self.dimensions, bundle, self.labels)

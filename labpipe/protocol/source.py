@@ -126,38 +126,38 @@ class ChannelSource(Block):
 
     @property
     def key(self) -> str:
-        """Dotted key of the channel, as an override begins: ``sources.frame.channels.force``."""
+        """Return the dotted key of the channel for overrides: ``sources.frame.channels.force``."""
         return self._key
 
     @property
     def target_unit(self) -> str:
-        """SI unit of the channel once calibrated."""
+        """Return the SI unit of the channel once calibrated."""
         return SI_UNITS[self.quantity or self._name]
 
     @property
     def channel_unit(self) -> str | None:
-        """SI unit of the channel before calibration; None where the export must say it."""
+        """Return the SI unit before calibration; None if the export must state it."""
         if self.unit is None:
             return None
         return self.target_unit if self.calibration is None else si_unit_like(self.unit)
 
     @property
     def gain(self) -> float:
-        """Calibration gain, `target_unit` per `channel_unit`; 1 without a calibration."""
+        """Return the gain, `target_unit` per `channel_unit`; 1 without a calibration."""
         if self.calibration is None:
             return 1.0
         return parse_quantity(self.calibration.gain, f"{self.target_unit}/({self.channel_unit})")
 
     @property
     def offset(self) -> float:
-        """Calibration offset, in `target_unit`; 0 without one."""
+        """Return the calibration offset, in `target_unit`; 0 without one."""
         if self.calibration is None or self.calibration.offset is None:
             return 0.0
         return parse_quantity(self.calibration.offset, self.target_unit)
 
     @property
     def gain_uncertainty(self) -> float:
-        """Standard uncertainty of gain and scale as a ratio; 0 where it is not stated."""
+        """Return the standard uncertainty of gain and scale as a ratio; 0 if not stated."""
         if (certified := standard_uncertainty(self.certificate)) is not None:
             return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
@@ -165,15 +165,15 @@ class ChannelSource(Block):
 
     @property
     def peak_range(self) -> tuple[float, float] | None:
-        """Smallest and largest plausible peak, in `target_unit`; None where it is not stated."""
+        """Return the smallest and largest plausible peak, in `target_unit`; None if not stated."""
         if self.plausible_peak is None:
             return None
         ends = self.plausible_peak.start, self.plausible_peak.stop
-        least, most = (parse_quantity(end, self.target_unit) for end in ends)
-        return least, most
+        lowest, highest = (parse_quantity(end, self.target_unit) for end in ends)
+        return lowest, highest
 
     def named(self, name: str, key: str) -> ChannelSource:
-        """Give back the same channel under the name that labpipe uses for it, and its key."""
+        """Return the channel with its name in labpipe and its key."""
         channel = self.model_copy()
         channel._name, channel._key = name, key
         return channel
@@ -210,12 +210,12 @@ class Source(Block):
 
     @property
     def key(self) -> str:
-        """Dotted key of the source, as an override begins: ``sources.frame``."""
+        """Return the dotted key of the source, as an override begins: ``sources.frame``."""
         return f"sources.{self._role}"
 
     @property
     def all_channels(self) -> dict[str, ChannelSource]:
-        """The channels by name, however they were written; empty for marker tracks."""
+        """Return the channels by name, however they were written; empty for marker tracks."""
         key = self.key
         if self.channel is not None:
             stated = {name: getattr(self, name) for name in ChannelSource.model_fields}
@@ -228,12 +228,12 @@ class Source(Block):
 
     @property
     def camera_uncertainty(self) -> float:
-        """Standard uncertainty of the scale of marker tracks, as a ratio; 0 where not stated."""
+        """Return the standard uncertainty of the scale of marker tracks; 0 if not stated."""
         certified = standard_uncertainty(self.certificate)
         return (self.scale_uncertainty or 0.0) if certified is None else certified
 
     def in_role(self, role: str) -> Source:
-        """Give back the same source, knowing its role."""
+        """Return the source with its role."""
         source = self.model_copy()
         source._role = role
         return source

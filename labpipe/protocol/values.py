@@ -68,7 +68,7 @@ _PURE = re.compile(rf"\s*{_NUMBER}\s*(1|%|percent|ppm)?\s*")
 
 
 def number_remedy(number: str, unit: str = "") -> str:
-    """Say how to write a number that has thousands separators or a decimal comma.
+    """Describe how to write a number that has thousands separators or a decimal comma.
 
     Parameters
     ----------
@@ -83,10 +83,10 @@ def number_remedy(number: str, unit: str = "") -> str:
     point = number.replace(",", ".")
     is_decimal = _DECIMAL_COMMA.fullmatch(number) is not None
     if re.fullmatch(_NUMBER, number) is None and (grouped := _GROUPED.fullmatch(number)):
-        whole = number.replace(grouped[1], "").replace(",", ".")
+        plain_number = number.replace(grouped[1], "").replace(",", ".")
         if is_decimal:
-            return f"Write {whole}{behind} or {point}{behind}, as meant."
-        return f"Write it without thousands separators: {whole}{behind}."
+            return f"Write {plain_number}{behind} or {point}{behind}, as meant."
+        return f"Write it without thousands separators: {plain_number}{behind}."
     return f"Write it with a decimal point: {point}{behind}." if is_decimal else ""
 
 
@@ -115,7 +115,7 @@ def unit_remedy(unit: str, si_unit: str) -> str:
 
 
 def quantity_remedy(text: object, si_unit: str, example: str) -> str:
-    """Say how to write a quantity that `parse_quantity` refuses.
+    """Describe how to write a quantity that `parse_quantity` refuses.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class QuantityText:
             remedy = f"Write it such as {self.of.example!r}."
             raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy)
         above = -math.inf if self.of.above is None else self.of.above
-        if not (above < value and self.of.least <= value <= self.of.most):
+        if not (above < value and self.of.minimum <= value <= self.of.maximum):
             raise error_of(expected=f"a {self._meaning} {self._range}", found=text, remedy=_CORRECT)
         return value
 
@@ -208,9 +208,11 @@ class QuantityText:
         low = "that is finite"
         if self.of.above is not None:
             low = f"above {self.written(self.of.above)}"
-        elif math.isfinite(self.of.least):
-            low = f"from {self.written(self.of.least)} up"
-        high = f", at most {self.written(self.of.most)}" if math.isfinite(self.of.most) else ""
+        elif math.isfinite(self.of.minimum):
+            low = f"from {self.written(self.of.minimum)} up"
+        high = (
+            f", at most {self.written(self.of.maximum)}" if math.isfinite(self.of.maximum) else ""
+        )
         return f"{low}{high}"
 
     @property
@@ -244,8 +246,8 @@ def parse_whole(of: WholeNumber, text: object) -> int:
         If it is no whole number, or out of range.
     """
     is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
-    if not is_whole or not of.least <= int(str(text)) <= of.most:
-        expected = f"a whole number from {of.least} to {of.most}"
+    if not is_whole or not of.minimum <= int(str(text)) <= of.maximum:
+        expected = f"a whole number from {of.minimum} to {of.maximum}"
         raise error_of(expected=expected, found=text)
     return int(str(text))
 
@@ -254,7 +256,7 @@ _SPANS: Final = MappingProxyType(
     {
         "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
         "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
-        "branch": QuantityText(Quantity("1", "%", "5 %", least=1e-6, most=1.0)),
+        "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
     }
 )
 _SPAN_WORDS = "a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or '51 samples'"

@@ -24,10 +24,6 @@ Curve = tuple[Numbers, Numbers]
 """Strains and stresses, Pa."""
 _B = TypeVar("_B", bound=Block)
 
-MAX_AREA_DEVIATION = 0.02
-"""Share by which a conductor area may differ from that of the strands' diameters."""
-MAX_MASS_RATIO = 4.0 / 3.0
-"""Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap."""
 _UNITS = {
     "mm": ("_mm", 1e-3),
     "mm^2": ("_mm2", 1e-6),
@@ -54,31 +50,33 @@ class Column:
     Parameters
     ----------
     unit : as shown to people; empty for a pure number
-    least, most : in that unit; they are wider than any wire needs: outside is only a wrong unit or
-        a slip of the hand, and no number inside is too large to work with
+    minimum, maximum : in that unit; they are wider than any wire needs: outside is only a wrong
+        unit or a slip of the hand, and no number inside is too large to work with
     several : whether a cell holds a list
-    whole : whether only whole numbers are allowed
+    is_integer : whether only whole numbers are allowed
     period : after which numbers mean the same again, such as 360 deg
     """
 
     unit: str
-    least: float
-    most: float
+    minimum: float
+    maximum: float
     several: bool = False
-    whole: bool = False
+    is_integer: bool = False
     period: float = math.inf
 
     @property
     def factor(self) -> float:
-        """From the unit to SI."""
+        """Return the factor from the unit to SI."""
         return _UNITS[self.unit][1]
 
     @property
     def allowed(self) -> str:
-        """What a cell may hold, such as ``a number from 0.05 to 200 mm``."""
-        kind = f"{'whole ' * self.whole}number"
-        kind, parted = (f"{kind}s", ", separated by ';'") if self.several else (f"a {kind}", "")
-        return f"{kind} from {self.least:.10g} to {self.most:.10g} {self.unit}".rstrip() + parted
+        """Return what a cell may hold, such as ``a number from 0.05 to 200 mm``."""
+        noun = f"{'whole ' * self.is_integer}number"
+        noun, parted = (f"{noun}s", ", separated by ';'") if self.several else (f"a {noun}", "")
+        return (
+            f"{noun} from {self.minimum:.10g} to {self.maximum:.10g} {self.unit}".rstrip() + parted
+        )
 
     def parse(self, text: object) -> float | Numbers:
         """Read the number, or the numbers, of a cell; they stay in the unit of the column.
@@ -96,24 +94,24 @@ class Column:
         return numbers if self.several else numbers[0]
 
     def _number(self, part: str, cell: str) -> float:
-        fits = _NUMBER.fullmatch(part) and self.least <= float(part) <= self.most
-        if not fits or (self.whole and float(part) % 1.0):
+        fits = _NUMBER.fullmatch(part) and self.minimum <= float(part) <= self.maximum
+        if not fits or (self.is_integer and float(part) % 1.0):
             remedy = _list_remedy(part) if self.several and ";" not in cell else ""
             remedy = remedy or number_remedy(part) or "Correct the cell; is the unit right?"
             raise error_of(expected=self.allowed, found=cell, remedy=remedy)
         value = math.fmod(float(part), self.period)
-        return int(value) if self.whole else value
+        return int(value) if self.is_integer else value
 
     def in_si(self, value: float) -> float:
         """Turn a number of the column into SI; twelve digits, so that 1.4 mm is 0.0014 m."""
-        return value if self.whole else float(f"{value * self.factor:.12g}")
+        return value if self.is_integer else float(f"{value * self.factor:.12g}")
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.parse)
 
 
 def _list_remedy(part: str) -> str:
-    """What to do about commas in a cell that may hold several numbers; empty for none."""
+    """Return what to do about commas in a cell that may hold several numbers; empty for none."""
     listed = ";".join(number.strip() for number in part.split(","))
     if _DECIMAL_COMMA.fullmatch(part):
         return f"Separate numbers by ';': write {listed} for two, {part.replace(',', '.')} for one."
@@ -138,13 +136,15 @@ class WireRow(Block):
 
     wire: Annotated[str, BeforeValidator(_name)]
     wire_diameter_mm: Annotated[float, Column("mm", 0.05, 200.0)]
-    strands: Annotated[int, Column("", 1, 2000, whole=True)]
+    strands: Annotated[int, Column("", 1, 2000, is_integer=True)]
     insulation_thickness_mm: Annotated[float, Column("mm", 0.001, 100.0)]
     lay_angles_deg: Annotated[Numbers, Column("deg", -80.0, 80.0, several=True)] = ()
     conductor_area_mm2: Annotated[float | None, Column("mm^2", 1e-5, 4e4)] = None
     strand_diameter_mm: Annotated[float | None, Column("mm", 0.005, 50.0)] = None
     strand_diameters_mm: Annotated[Numbers, Column("mm", 0.005, 50.0, several=True)] = ()
-    layer_counts: Annotated[tuple[int, ...], Column("", 1, 2000, several=True, whole=True)] = ()
+    layer_counts: Annotated[
+        tuple[int, ...], Column("", 1, 2000, several=True, is_integer=True)
+    ] = ()
     layer_radii_mm: Annotated[Numbers, Column("mm", 0.0, 100.0, several=True)] = ()
     insulation_modulus_mpa: Annotated[float | None, Column("MPa", 0.1, 1e7)] = None
     conductor_modulus_gpa: Annotated[float | None, Column("GPa", 0.1, 1000.0)] = None
@@ -195,18 +195,18 @@ class WireRow(Block):
 
     @property
     def has_mass(self) -> bool:
-        """Whether the sheet says what the wire weighs."""
+        """Return whether the sheet says what the wire weighs."""
         return self.mass_per_length_g_per_m is not None
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Strands of each layer, the core included."""
+        """Return the strands of each layer, the core included."""
         rings = range(1, len(self.lay_angles_deg) + 1)
         return self.layer_counts or (1, *(6 * ring for ring in rings))
 
     @property
     def diameters(self) -> Numbers:
-        """Strand diameter of each layer, mm."""
+        """Return the strand diameter of each layer, mm."""
         if self.strand_diameters_mm:
             return self.strand_diameters_mm
         area = self.conductor_area_mm2 or 0.0
@@ -215,7 +215,7 @@ class WireRow(Block):
 
     @property
     def copper(self) -> float:
-        """Area of all strands, mm^2."""
+        """Return the area of all strands, mm^2."""
         pairs = zip(self.counts, self.diameters, strict=True)
         return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in pairs))
 
@@ -260,6 +260,8 @@ def _layer_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _size_faults(row: WireRow) -> Iterator[Fault]:
+    # Share by which a conductor area may differ from that of the strands' diameters.
+    max_area_deviation = 0.02
     one, per_layer, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
     if one and per_layer:
         actual = "strand_diameter_mm and strand_diameters_mm"
@@ -271,8 +273,8 @@ def _size_faults(row: WireRow) -> Iterator[Fault]:
         expected = "a conductor area or a strand diameter"
         remedy = "Fill in conductor_area_mm2 or strand_diameter_mm."
         yield Fault(("strand_diameter_mm",), expected, "blank cells", remedy)
-    elif area and abs(area / row.copper - 1.0) > MAX_AREA_DEVIATION:
-        expected = f"the {row.copper:.4g} mm^2 of the strands within {MAX_AREA_DEVIATION:.0%}"
+    elif area and abs(area / row.copper - 1.0) > max_area_deviation:
+        expected = f"the {row.copper:.4g} mm^2 of the strands within {max_area_deviation:.0%}"
         remedy = "Correct the area or the strand diameter, or empty one of them."
         yield Fault(("conductor_area_mm2",), expected, f"{area:.4g} mm^2", remedy)
 
@@ -320,6 +322,8 @@ def _room_faults(row: WireRow) -> Iterator[Fault]:
 
 def _mass_faults(row: WireRow) -> Iterator[Fault]:
     """Find a mass that cannot be that of the strands and the wall."""
+    # Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap.
+    max_mass_ratio = 4.0 / 3.0
     stated = row.mass_per_length_g_per_m
     if stated is None:
         return
@@ -329,10 +333,12 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     outer, bore = row.wire_diameter_mm, row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
     conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
     insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
-    whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if 1.0 / MAX_MASS_RATIO <= stated / whole <= MAX_MASS_RATIO:
+    expected_mass = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
+    if 1.0 / max_mass_ratio <= stated / expected_mass <= max_mass_ratio:
         return
-    expected = f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} "
+    expected = (
+        f"within a third of the {expected_mass:.4g} g/m of the section (strands of {conductor:.4g} "
+    )
     expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"
     remedy = "Correct the mass, the sizes or the densities; the unit is g/m, which is kg/km."
     yield Fault(("mass_per_length_g_per_m",), expected, f"{stated:.4g} g/m", remedy)
@@ -393,12 +399,12 @@ _SPEC_DEFAULTS: Final[Mapping[str, Any]] = {
 
 
 def field_of(name: str) -> str:
-    """Field of `WireSpec` that a column fills: its name without the unit."""
+    """Return the field of `WireSpec` that a column fills: its name without the unit."""
     return name.removesuffix(_UNITS[COLUMNS[name].unit][0]) if name in COLUMNS else name
 
 
 def default_words(name: str) -> str:
-    """Say the value that is taken where a column is blank, such as ``tension 0 N``.
+    """Return the value used if a column is blank, such as ``tension 0 N``.
 
     Parameters
     ----------
@@ -412,7 +418,7 @@ def default_words(name: str) -> str:
     return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
 
-def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
+def parse_row(row_type: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
     """Read the texts of a row by column, or find all that is wrong with them.
 
     Parameters
@@ -421,13 +427,13 @@ def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
     texts : by column; a blank cell is an empty text
     """
     try:
-        return kind.model_validate(texts)
+        return row_type.model_validate(texts)
     except ValidationError as error:
-        return faults_of(error, data=texts, keys=kind.keys())
+        return faults_of(error, data=texts, keys=row_type.keys())
 
 
 def column_name(heading: str) -> str:
-    """Name of the column that a heading means: in small letters, blanks as underscores."""
+    """Return the column name of a heading: in small letters, blanks as underscores."""
     return re.sub(r"[\s-]+", "_", heading.casefold())
 
 

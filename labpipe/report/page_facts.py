@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -62,17 +63,36 @@ class PageTests:
 
     @cached_property
     def number(self) -> Mapping[str, int]:
-        """Numbers of the tests by source file and name."""
+        """Return the numbers of the tests by source file and name."""
         return {key_of(test.sample): test.number for test in self.every}
 
     @cached_property
     def by_name(self) -> Mapping[str, PageTest]:
-        """Tests by name."""
+        """Return the tests by name."""
         return {test.sample.test: test for test in self.every}
 
     def rejected(self, stem: str) -> list[PageTest]:
         """Return the rejected tests of a group."""
         return [test for test in self.every if test.state == "rejected" and test.stem == stem]
+
+
+def stems(names: Iterable[str]) -> list[str]:
+    """Turn names of groups into stems of file names: ASCII, lower case, unique.
+
+    Examples
+    --------
+    >>> stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
+    ['a2-wire-cantilever', 'a2-wire-cantilever-2', 'group']
+    """
+    stems: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
+        stem, number = plain, 1
+        while stem in stems:
+            number += 1
+            stem = f"{plain}-{number}"
+        stems.append(stem)
+    return stems
 
 
 def key_of(sample: Sample) -> str:

@@ -11,9 +11,9 @@ from labpipe.records.quality import Severity
 from labpipe.records.result import Instrument, Result, Status, TestResult
 from labpipe.report.figure_page import finish_layout, style
 from labpipe.report.figures import FIGURES
-from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentence, sentences
-from labpipe.report.page_parts import css_string, fill_template, style_hash, style_of
+from labpipe.report.lab_report import css_string, fill_template, style_hash, style_of
+from labpipe.report.page_tables import DASH, Cell, Table
 from labpipe.report.saving import Inline, inline_svg
 from labpipe.report.wording import heading, replace_names, shown_in, unit_words, with_interval
 
@@ -119,7 +119,9 @@ def _number_row(result: TestResult, number: Result, why: str) -> tuple[Cell, ...
     unit = shown_in(number.name, number.unit, result.display)
     value = DASH
     if number.value is not None:
-        value = with_interval(number.value, number.interval, unit.factor, apart=number.apart)
+        value = with_interval(
+            number.value, number.interval, unit.factor, estimate=number.distinct_estimate
+        )
     return (
         Cell(heading(number.name, unit.unit), tip=number.name),
         Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),

@@ -74,12 +74,12 @@ class Material:
 
     @property
     def diameter(self) -> float:
-        """Outer diameter, m."""
+        """Return the outer diameter, m."""
         return self.sections[0](self.best).diameter
 
     @property
     def best(self) -> Mapping[str, float]:
-        """The best inputs."""
+        """Return the best inputs."""
         return self.distributions[0].inputs() if self.distributions else {}
 
 

@@ -113,7 +113,7 @@ def test_a_quantity_written_reads_back_as_the_same_float(
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:
         value = number * si_factor(unit, quantity.of.unit)
-        assert value in (0.0, float("inf")) or value > quantity.of.most
+        assert value in (0.0, float("inf")) or value > quantity.of.maximum
         return
 
     assert quantity.parse(quantity.written(value)) == value
