@@ -185,7 +185,7 @@ def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
     sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
     place, expected = (
         f"{place}, sample {sample + 1}",
-        f"numbers up to {_LARGEST[kind]:g} in SI units",
+        f"numbers up to {_LARGEST[quantity]:g} in SI units",
     )
     remedy = "The file is damaged, or a unit is wrong: export the recording again."
     raise _refused(role, place, expected, f"{largest:.3g}", remedy)

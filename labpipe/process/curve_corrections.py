@@ -186,7 +186,7 @@ def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value:
         return
     travel = float(curve.displacement[top] - curve.displacement[branch.start])
     pull = float(curve.force[top] - curve.force[branch.start])
-    expected = f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N in loading"
+    expected = f"a compliance below that of this test, {1e6 * travel / pull:.4g} um/N in loading"
     found = f"{1e6 * value:.4g} um/N, with which the specimen would get shorter"
     remedy, place = "Check its unit, and the test of the stiff bar.", "curve.compliance"
     raise ProcessingError(error_text(place, "", expected=expected, found=found, remedy=remedy))

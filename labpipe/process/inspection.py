@@ -167,9 +167,10 @@ def _markers(tracks: MarkerTracks) -> dict[str, Any]:
 
 def _gaps(track: Floats) -> dict[str, Any]:
     max_ranges = 100  # the count in the output is of all gaps
-    gaps = runs(blank(track))
-    ranges = [[gap.first, gap.last] for gap in gaps[:max_ranges]]
-    return {"count": len(gaps), "longest": longest(gaps), "ranges": ranges}
+    missing = blank(track)
+    gaps = stretches_of(missing)
+    ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
+    return {"count": len(gaps), "longest": longest(missing), "ranges": ranges}
 
 
 def _frozen(track: Floats) -> dict[str, int]:

@@ -154,8 +154,8 @@ class Neighbours:
         """
         return Counter(
             protocol
-            for other, (other_kind, protocol) in self.tests.items()
-            if other != folder.resolve() and kind in (None, other_kind)
+            for other, (other_type, protocol) in self.tests.items()
+            if other != folder.resolve() and specimen_type in (None, other_type)
         )
 
 

@@ -136,7 +136,7 @@ def readers_in(source: Values) -> list[str]:
 
 def _channels(role: str, source: Values) -> Iterator[Channel]:
     if _channel_keys(role, source):
-        name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
+        name = role if role in ROLES else nearest(role, list(ROLES), limit=1)[0]
         yield Channel(name, role, ("sources", role), source)
     for name in block_in(source, "channels"):
         path = ("sources", role, "channels", name)
@@ -320,7 +320,7 @@ def _marker_step_faults(
     outline: Outline, tag: str, earlier: Sequence[str], here: KeyPath
 ) -> Faults:
     if not outline.has_markers:
-        yield Fault(place, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
+        yield Fault(here, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
     elif not outline.block("markers"):
         yield _lacking(here, "markers", repr(tag))
     if tag in earlier:
@@ -328,7 +328,7 @@ def _marker_step_faults(
     needed = STEPS[tag].after
     if needed and needed not in earlier:
         remedy = f"Put the step {needed!r} before it."
-        yield Fault(place, f"{needed!r} before {tag!r}", "no such step before", remedy)
+        yield Fault(here, f"{needed!r} before {tag!r}", "no such step before", remedy)
 
 
 def _from_speed_faults(outline: Outline, step: Values, here: KeyPath) -> Faults:
@@ -367,7 +367,7 @@ def _align_faults(outline: Outline) -> Faults:
     if align.get("method") != "turning-points":
         return
     if not outline.has_markers:
-        yield Fault(place, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
+        yield Fault(here, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
     elif not outline.has_clamp:
         yield Fault(here, "a clamp whose motion has the turning points", "none", _NAME_CLAMP)
 
@@ -414,7 +414,7 @@ def _result_faults(outline: Outline) -> Faults:
         names = result_names(tag, entry)
         yield from _repeated_faults(names, tag, seen, (*path, "result"))
         seen |= dict.fromkeys(names, tag)
-        named_outputs = zip(names, result_type.outputs, strict=True)
+        named_outputs = zip(names, kind.outputs, strict=True)
         stiffnesses += [
             name for name, output in named_outputs if output.unit == "N/m" and output.first is None
         ]

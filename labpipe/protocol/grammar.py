@@ -103,7 +103,7 @@ class Block(BaseModel):
 
         Of an unknown key, only the key is reported, not its value.
         """
-        between = list(cls.between(data)) if isinstance(data, Mapping) else []
+        cross_faults = list(cls.between(data)) if isinstance(data, Mapping) else []
         within: list[Fault] = []
         try:
             block = handler(data)

@@ -48,7 +48,7 @@ Ranges: TypeAlias = Mapping[str, Mapping[str, str]]
 """Ends of the range of each kind of dimension, ``from`` and ``to``, as written."""
 
 
-AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", least=0.0)]
+AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
 
 
 class SizeUncertainties(Block):

@@ -52,7 +52,7 @@ Names = Annotated[
 """One name, or several of which the first that the export has counts."""
 
 
-CoverageFactor = Annotated[float, Quantity("1", "1", "2", least=1.0, most=10.0)]
+CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=10.0)]
 
 
 class Certificate(Block):
