@@ -196,8 +196,14 @@ def _plot_loadings(
                 color=BAND, alpha=0.55, linewidth=0, zorder=1,
                 label="95 % band of the model, mean sample",
             )  # fmt: skip
-    axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    _set_force_axes(axes)
+
+
+def _set_force_axes(axes: Axes, *, lowest: float = math.inf, headroom: float = 1.0) -> None:
+    """Set axes of force against deflection from zero, or the lowest shown force."""
+    low, high = axes.get_ylim()
+    bottom = min(0.0, low if math.isinf(lowest) else lowest)
+    axes.set(xlim=(0.0, axes.get_xlim()[1]), ylim=(bottom, headroom * high))
     axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
 
 
@@ -486,9 +492,7 @@ def _plot_group(group: ValidationGroup, axes: Axes) -> None:
         0.03, 0.98, agreement_words(group), transform=axes.transAxes, va="top", zorder=6,
         linespacing=1.25,
     )  # fmt: skip
-    axes.set_xlim(left=0.0)
-    axes.set_ylim(min(0.0, _lowest(group)), _HEADROOM * axes.get_ylim()[1])
-    axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
+    _set_force_axes(axes, lowest=_lowest(group), headroom=_HEADROOM)
 
 
 def agreement_words(group: ValidationGroup) -> str:
@@ -680,14 +684,12 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
         look = {**_PREDICTED_LOOK, "alpha": 0.5}
         axes.fill_between(across, *edges, label="95 % band of the model", **look)
     lines = [_draw_comparison(one, number, axes) for number, one in enumerate(panel.comparisons)]
-    axes.set_xlim(left=0.0)
-    room = _HEADROOM + 0.06 * max(0, _key_rows(panel) - _FREE_KEY_ROWS)
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
+    extra_rows = max(0, _key_rows(panel) - _FREE_KEY_ROWS)
+    _set_force_axes(axes, headroom=_HEADROOM + 0.06 * extra_rows)
     words = list(map(match_words, panel.comparisons))
     # not the legend of the panel: the other labels belong into the key of the page
     key = Legend(axes, lines, words, loc="upper left", handlelength=2.2, borderaxespad=0.4)
     axes.add_artist(key)
-    axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
 
 
 def _key_rows(panel: ExternalPanel) -> int:

@@ -18,7 +18,6 @@ from labpipe.report.saving import Inline, inline_svg
 from labpipe.report.wording import heading, replace_names, shown_in, unit_words, with_interval
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 _TEMPLATE = "single_test.html"
@@ -36,6 +35,9 @@ def render_test(result: TestResult, *, report: str = "") -> str:
     -------
     An HTML document that needs no other file, no network and no script.
     """
+    from markupsafe import Markup
+
+    inputs = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
     drawn = [_inline_figure(result, name) for name in result.figures if name in FIGURES]
     classes = {name: look for figure in drawn for name, look in figure.classes.items()}
     footer = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
@@ -49,17 +51,10 @@ def render_test(result: TestResult, *, report: str = "") -> str:
         style_hash=style_hash(looks),
         facts=_facts(result),
         numbers=_numbers(result),
-        figures=[_markup(figure.element) for figure in drawn],
+        figures=[Markup(figure.element) for figure in drawn],  # matplotlib escapes its texts
         notes=_notes(result),
-        exports=_exports(result),
+        exports=Table("Exports", ("Role", "File", "SHA-256"), inputs),
     )
-
-
-def _markup(element: str) -> Markup:
-    """Mark a drawing by matplotlib, whose texts are escaped, as safe."""
-    from markupsafe import Markup
-
-    return Markup(element)
 
 
 def _inline_figure(result: TestResult, name: str) -> Inline:
@@ -151,8 +146,3 @@ def _notes(result: TestResult) -> Table:
         for note in notes
     )
     return Table("Notes", ("Where", "Kind", "Note"), rows)
-
-
-def _exports(result: TestResult) -> Table:
-    rows = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
-    return Table("Exports", ("Role", "File", "SHA-256"), rows)

@@ -148,7 +148,9 @@ def section_figure(tables: Sequence[WireTable]) -> Figure:
     page = new_page(height_mm=rows * (cell_mm + text_mm) + 8.0, width_mm=width)
     panels = panel_grid(page, len(tables), columns=columns)
     unit = stiffness_scale(tables)
-    for table, axes, reach in zip(tables, panels, _panel_reaches(tables), strict=True):
+    radii = [table.layout.wire_radius for table in tables]
+    reaches = [max(radii)] * len(radii) if _is_one_scale(tables) else radii
+    for table, axes, reach in zip(tables, panels, reaches, strict=True):
         plot_section(table, axes, reach=reach, unit=unit)
     scale = ""
     if len(tables) > 1:
@@ -274,12 +276,6 @@ def _draw_bar(axes: Axes, edge: float) -> None:
     level = -1.1 * edge
     axes.plot([-edge, length - edge], [level, level], color="black", solid_capstyle="butt")
     axes.text(length - edge + 0.05 * edge, level, f"{length:g} {LENGTH.unit}", va="center")
-
-
-def _panel_reaches(tables: Sequence[WireTable]) -> list[float]:
-    """Return the half widths of the panels: one for all if the wires have similar sizes."""
-    radii = [table.layout.wire_radius for table in tables]
-    return [max(radii)] * len(radii) if _is_one_scale(tables) else radii
 
 
 def _is_one_scale(tables: Sequence[WireTable]) -> bool:
@@ -524,7 +520,8 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
             drawn = use & is_bent(table)
             left.plot(table.curvature[drawn], secant[drawn], **style, alpha=fade)
             right.plot(table.curvature[use], moment[use], **style, alpha=fade)
-    set_log_axes(left, _shared_range(tables))
+    curvatures = np.concatenate([table.curvature[is_bent(table)] for table in tables])
+    set_log_axes(left, np.array([curvatures.min(), curvatures.max()]))
     left.set_ylabel(unit.label("Secant bending stiffness"))
     right.set_xlim(left=0.0)
     right.set_ylim(bottom=0.0)
@@ -532,12 +529,6 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     left.set_title("secant stiffness", loc="left")
     right.set_title("moment", loc="left")
     return titled(page, "Wires compared  ·  wire model", _RANGES)
-
-
-def _shared_range(tables: Sequence[WireTable]) -> Floats:
-    """Return the smallest and the largest curvature of all wires, 1/m."""
-    curvatures = np.concatenate([table.curvature[is_bent(table)] for table in tables])
-    return np.array([curvatures.min(), curvatures.max()])
 
 
 _INVALID_IN_FILE_NAME = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
