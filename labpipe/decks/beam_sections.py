@@ -162,7 +162,7 @@ def _ansys_comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
     return (
         *facts(table, on_one_line(table.name, 32)),
         "Beyond the last point the stiffness is zero: check the curvatures.",
-        f"BSM1, BSM2: {len(law.curvature) - 1} points and the origin, at most {MOST_POINTS} "
+        f"BSM1, BSM2: {len(law.curvature) - 1} points and the origin, at most {MAX_POINTS} "
         f"allowed;",
         f"the lines between them are within {law.error:.2g} of the wire's moment.",
         "PLASTIC: unloads with the first slope, hardens isotropically on reversal,",

@@ -229,4 +229,4 @@ def sliders_json(table: WireTable) -> str:
         "torsional_stiffness": table.torsional_stiffness,
         "units": _SLIDER_UNITS,
     }
-    return json.dumps(whole, indent=1) + "\n"
+    return json.dumps(document, indent=1) + "\n"

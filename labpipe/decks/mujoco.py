@@ -41,8 +41,6 @@ from labpipe.records.wire import WireTable
 CABLE = "wire"
 """Name of the flex; its vertices are bodies ``wire_2`` to ``wire_<edges>``."""
 
-MIN_EDGES = 3
-
 
 @dataclass(frozen=True, slots=True)
 class _Cable:
@@ -55,7 +53,7 @@ class _Cable:
 
     @property
     def spacing(self) -> float:
-        """Length of an edge, m: the first one is half inside the clamp."""
+        """Return the length of an edge, m: the first one is half inside the clamp."""
         return self.length / (self.edges - 0.5)
 
     @property
@@ -65,7 +63,7 @@ class _Cable:
 
     @property
     def step(self) -> float:
-        """Time step, s."""
+        """Return the time step, s."""
         # more than 40 edges need shorter steps to keep the constraint on their lengths as stiff
         return 0.05 / self.first_frequency * min(1.0, 40 / self.edges)
 

@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from labpipe.decks.mujoco_sliders import (
-    NODES,
+    DEFAULT_NODES,
     RAMP,
     REST,
     Chain,
@@ -35,7 +35,7 @@ _DIGITS = ".7g"
 
 
 def line_deck(
-    line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = NODES
+    line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = DEFAULT_NODES
 ) -> str:
     """Write a line with all that holds, moves and loads it.
 
@@ -82,7 +82,7 @@ def line_deck(
 
 
 def _is_base(held: rod.Held) -> bool:
-    """Whether it clamps the start of the line for good, so that the chain can begin at it."""
+    """Return whether it clamps the start of the line for good, where the chain can begin."""
     return held.node == 0 and held.frame is not None and held.release is None
 
 
@@ -147,28 +147,28 @@ def _equalities(held: Sequence[rod.Held], time: float) -> Iterator[str]:
     """Return constraints without compliance, of a time constant in s."""
     stiff = f'solref="{time:{_DIGITS}} 1" solimp="0.9999 0.99999 1e-6"'
     for boundary in held:
-        kind = "connect" if boundary.frame is None else "weld"
+        constraint = "connect" if boundary.frame is None else "weld"
         names = [quoteattr(f"{word}_{boundary.name}") for word in ("hold", "at", "hold")]
-        yield f"    <{kind} name={names[0]} site1={names[1]} site2={names[2]} {stiff} />"
+        yield f"    <{constraint} name={names[0]} site1={names[1]} site2={names[2]} {stiff} />"
 
 
 def _strings(strings: Sequence[rod.String]) -> Iterator[str]:
     for string in strings:
-        at, anchor = quoteattr(f"at_{string.name}"), quoteattr(f"anchor_{string.name}")
+        node_name, anchor = quoteattr(f"at_{string.name}"), quoteattr(f"anchor_{string.name}")
         yield (
             f'    <spatial name={quoteattr(string.name)} limited="true" '
             f'range="0 {string.length:{_DIGITS}}">'
-            f"<site site={at} /><site site={anchor} /></spatial>"
+            f"<site site={node_name} /><site site={anchor} /></spatial>"
         )
 
 
 def _loads(loads: Sequence[rod.Load]) -> Iterator[str]:
     for load in loads:
-        at = quoteattr(f"at_{load.name}")
+        node_name = quoteattr(f"at_{load.name}")
         for number, axis in enumerate("xyz"):
             gear = _joined(np.eye(6)[number])
             name = quoteattr(f"{load.name}_{axis}")
-            yield f'    <motor name={name} site={at} refsite="space" gear="{gear}" />'
+            yield f'    <motor name={name} site={node_name} refsite="space" gear="{gear}" />'
 
 
 def _chain_bodies(
@@ -184,7 +184,7 @@ def _chain_bodies(
     sites = _sites(line, chain, tied)
     prefix = _unused_prefix([load.name for load in tied])
     name = f"{prefix}_0" if base is None else base.name
-    kind = "><freejoint />" if base is None else ' mocap="true">'
+    base_attributes = "><freejoint />" if base is None else ' mocap="true">'
     place = f'pos="{_joined(line.positions[0])}" quat="{_joined(frames[0])}"'
     yield f"    <body name={quoteattr(name)} {place}{kind}"
     for node in range(last + 1):

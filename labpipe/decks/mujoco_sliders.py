@@ -39,8 +39,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
 
-NODES = 30
-MIN_NODES = 3
+DEFAULT_NODES = 30
 RAMP = 400
 """Steps of the ramp of a load."""
 REST = 600
@@ -72,7 +71,7 @@ class Chain:
 
     @property
     def spacing(self) -> float:
-        """Length of wire that a node stands for, m."""
+        """Return the length of wire that a node stands for, m."""
         return self.length / self.nodes
 
     @property
@@ -83,7 +82,7 @@ class Chain:
 
     @property
     def damping(self) -> float:
-        """Of a hinge, N m s."""
+        """Return the damping of a hinge, N m s."""
         return 0.5 * self.law.first_stiffness / self.spacing * self.unit_time
 
 
@@ -106,7 +105,11 @@ class Hinges:
 
 
 def mujoco_plane_deck(
-    table: WireTable, *, sliders: int = SLIDERS, length: float | None = None, nodes: int = NODES
+    table: WireTable,
+    *,
+    sliders: int = SLIDERS,
+    length: float | None = None,
+    nodes: int = DEFAULT_NODES,
 ) -> str:
     """Write a clamped wire along x that bends in the x-y plane, with hysteresis.
 
@@ -154,7 +157,7 @@ def mujoco_space_deck(
     sliders: int = SLIDERS,
     directions: int = DIRECTIONS,
     length: float | None = None,
-    nodes: int = NODES,
+    nodes: int = DEFAULT_NODES,
 ) -> str:
     """Write a clamped wire along x that bends in every plane and twists, with hysteresis.
 
@@ -195,7 +198,7 @@ def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tu
         nothing = np.zeros(0)
         hinges = Hinges(_axes(chain, chain.law.stiffness), np.zeros((1, 0, 2)), nothing, nothing)
         return hinges, (f"Bending stiffness {chain.law.stiffness:.6g} N m2, constant.", twist)
-    few = in_directions(chain.law, directions, most=8)
+    few = in_directions(chain.law, directions, max_sliders=8)
     axes = _axes(chain, few.stiffness * directions / 2.0)
     tendons = np.array([few.turned_normals(share) for share in TURNS])
     hinges = Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
@@ -231,6 +234,7 @@ def _law(table: WireTable, sliders: int) -> SliderLaw | str:
 
 
 def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
+    min_nodes = 3
     length = table.spec.length if length is None else length
     require_positive("length", length)
     require("nodes", nodes, f"numbers >= {MIN_NODES}", holds=nodes >= MIN_NODES)

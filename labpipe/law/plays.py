@@ -46,19 +46,19 @@ class MomentLaw(Protocol):
 
     @property
     def stiffness(self) -> float:
-        """Bending stiffness EI0 of the first, elastic response, N m^2."""
+        """Return the bending stiffness EI0 of the first, elastic response, N m^2."""
 
     @property
     def half_widths(self) -> Floats:
-        """Half-widths r_j of the plays, N m, shape (plays,), increasing."""
+        """Return the half-widths r_j of the plays, N m, shape (plays,), increasing."""
 
     @property
     def compliances(self) -> Floats:
-        """Compliances c_j that the plays add once they move, 1/(N m^2), shape (plays,)."""
+        """Return the compliances c_j of the plays when they move, 1/(N m^2), shape (plays,)."""
 
     @property
     def largest_moment(self) -> float:
-        """End of the law, N m, either sign; may be infinite."""
+        """Return the end of the law, N m, either sign; may be infinite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class PlayLaw(ArrayRecord):
     stiffness : EI0, N m^2
     half_widths : shape (plays,), N m, positive and increasing
     compliances : shape (plays,), 1/(N m^2), none negative
-    largest_moment : N m, where the law ends
+    largest_moment : N m, end of the range of the law
 
     Raises
     ------

@@ -46,7 +46,7 @@ from labpipe.law.plays import (
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
-MOST_SLIDERS = 64
+MAX_SLIDERS = 64
 """Largest number of sliders of a law."""
 
 
@@ -253,7 +253,7 @@ def within_range(
     """
     if len(curvature) < 2 or len(curvature) != len(moment) or curvature[0] != 0.0:
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
             "from zero"
         )
         raise ValueError(message)
@@ -275,13 +275,14 @@ def _require_concave(x: Floats, y: Floats) -> None:
     max_bridged = 0.01  # of the moment, between the law and its concave hull
     slopes = np.diff(y) / np.diff(x)
     if np.all(slopes > 0.0) and np.any(np.diff(slopes) > 0.0):
-        hull = thin(x, y, most=len(x))
+        hull = thin(x, y, max_points=len(x))
         excess = np.interp(x[1:], hull.curvature, hull.moment) / y[1:] - 1.0
         if np.max(excess) > max_bridged:
-            at = int(np.argmax(excess)) + 1
+            worst = int(np.argmax(excess)) + 1
             message = (
-                f"the law stiffens at curvature={x[at]:.6g} 1/m: its concave hull is "
-                f"{100.0 * excess[at - 1]:.2g} % above it, allowed is {100.0 * max_bridged:.0f} %"
+                f"the law stiffens at curvature={x[worst]:.6g} 1/m: its concave hull is "
+                f"{100.0 * excess[worst - 1]:.2g} % above it; expected at most "
+                f"{100.0 * max_bridged:.0f} %"
             )
             raise ValueError(message)
 

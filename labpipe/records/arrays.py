@@ -34,9 +34,9 @@ class ArrayRecord:
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        kind: Any = type(self)
+        record_type: Any = type(self)
         lengths: dict[int | str, int] = {}
-        for name, dtype, axes in _arrays_of(kind):
+        for name, dtype, axes in _arrays_of(record_type):
             array = np.asarray(getattr(self, name), dtype=dtype).view()
             shape = tuple(self._length(axis, lengths) for axis in axes)
             if not _fits(array, shape) or any(
@@ -49,7 +49,7 @@ class ArrayRecord:
             object.__setattr__(self, name, array)
 
     def _length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
-        """Length of an axis; None where any will do."""
+        """Return the length of an axis; None where any will do."""
         if isinstance(axis, int):
             return axis
         entries = getattr(self, axis, None)
@@ -57,9 +57,9 @@ class ArrayRecord:
 
 
 @cache
-def _arrays_of(kind: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
-    """Name, number type and axes of every array of a record."""
-    hints = get_type_hints(kind, include_extras=True).items()
+def _arrays_of(record_type: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
+    """Return the name, number type and axes of every array of a record."""
+    hints = get_type_hints(record_type, include_extras=True).items()
     parts = ((name, get_args(hint)) for name, hint in hints if get_origin(hint) is Annotated)
     return tuple(
         (name, get_args(get_args(array)[1])[0], tuple(axes)) for name, (array, *axes) in parts
@@ -132,16 +132,16 @@ def part_of(samples: Samples, stretch: slice) -> Samples:
     return samples[stretch]
 
 
-def ratio(over: Floats, under: Floats) -> Floats:
-    """Divide; NaN where the divisor is zero.
+def ratio(numerator: Floats, denominator: Floats) -> Floats:
+    """Return the ratio; NaN where the divisor is zero.
 
     Parameters
     ----------
-    over, under : shape (...), of shapes that go together
+    numerator, denominator : shape (...), of shapes that go together
     """
-    shape = np.broadcast_shapes(np.shape(over), np.shape(under))
+    shape = np.broadcast_shapes(np.shape(numerator), np.shape(denominator))
     quotient: Floats = np.full(shape, np.nan)
-    np.divide(over, under, out=quotient, where=np.not_equal(under, 0.0))
+    np.divide(numerator, denominator, out=quotient, where=np.not_equal(denominator, 0.0))
     return quotient
 
 
@@ -160,22 +160,22 @@ def stretches_of(flags: Flags) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
-def samples_of(at: Ints) -> Samples:
+def samples_of(indices: Ints) -> Samples:
     """Convert sample numbers to a slice if they are consecutive, which avoids copies.
 
     Parameters
     ----------
-    at : shape (m,), ascending
+    indices : shape (m,), ascending
 
     Examples
     --------
     >>> samples_of(np.array([3, 4, 5])), samples_of(np.array([3, 5]))
     (slice(3, 6, None), array([3, 5]))
     """
-    if not len(at):
+    if not len(indices):
         return slice(0, 0)
-    stretch = slice(int(at[0]), int(at[-1]) + 1)
-    return stretch if stretch.stop - stretch.start == len(at) else at
+    stretch = slice(int(indices[0]), int(indices[-1]) + 1)
+    return stretch if stretch.stop - stretch.start == len(indices) else indices
 
 
 def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:

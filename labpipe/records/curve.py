@@ -17,7 +17,7 @@ AT_REST = -1
 """Branch number of samples that belong to no branch: before, after and between movements."""
 
 
-_NORMAL_95 = 1.959963984540054
+NORMAL_95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
 
 
@@ -38,13 +38,13 @@ class Interval:
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
         """Make the normal 95 % interval, value -+ 1.96 error, of a known standard error."""
-        half = _NORMAL_95 * error
+        half = NORMAL_95 * error
         return cls(value - half, value + half)
 
     @property
     def standard_error(self) -> float:
-        """Standard error of a normal 95 % interval, in the unit of its ends."""
-        return (self.upper - self.lower) / (2.0 * _NORMAL_95)
+        """Return the standard error of a normal 95 % interval, in the unit of its ends."""
+        return (self.upper - self.lower) / (2.0 * NORMAL_95)
 
 
 class Direction(StrEnum):
@@ -101,15 +101,15 @@ class ClockFit(ArrayRecord):
     method: str
 
     def to_force_seconds(self, marker_time: float) -> float:
-        """Force-clock time of one marker-clock time, s."""
+        """Return the force-clock time of one marker-clock time, s."""
         return self.offset + (1.0 + self.drift) * marker_time
 
     def to_force_time(self, marker_time: Floats) -> Floats:
-        """Force-clock time of marker-clock times, s."""
+        """Return the force-clock time of marker-clock times, s."""
         return self.offset + (1.0 + self.drift) * marker_time
 
     def to_marker_time(self, force_time: Floats) -> Floats:
-        """Marker-clock time of force-clock times, s."""
+        """Return the marker-clock time of force-clock times, s."""
         return (force_time - self.offset) / (1.0 + self.drift)
 
 
@@ -306,7 +306,7 @@ class BendingCloud(ArrayRecord):
 
     @property
     def noise(self) -> Floats:
-        """Standard error of each curvature, noise and shape together, shape (n, stations), 1/m.
+        """Return the standard errors of noise and shape together, shape (n, stations), 1/m.
 
         The shape counts as a rectangle of the half width that one coefficient more makes.
         """
@@ -318,7 +318,7 @@ class BendingCloud(ArrayRecord):
 class MeasuredLaw(ArrayRecord):
     """The monotone moment-curvature law of the first loading, with 95 % intervals.
 
-    Arrays of shape (n,) unless said otherwise; NaN in the stiffnesses where `is_known` is not.
+    Arrays of shape (n,) unless stated otherwise; NaN in the stiffnesses where `is_known` is not.
 
     Parameters
     ----------

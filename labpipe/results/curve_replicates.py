@@ -28,8 +28,9 @@ from labpipe.records.causes import (
     ZERO_OF_FORCE,
 )
 from labpipe.records.curve import Curve, Direction, SlipDecision
-from labpipe.records.signals import FilterFunction, Signal
+from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from labpipe.results.sample_noise import have_no_effect
 from labpipe.results.slips import add_back
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import (
@@ -63,26 +64,34 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         return None
     measured = traced(test)
     both = test.signals.displacement, test.signals.force
-    starts = _starts(_corners(test), len(curve.time))
+    starts = _starts(_corners(test), curve)
     grid_time = _means(curve.time, starts)
     acts = [_filters_on_grid(test, name, grid_time) for name in both]
     signals = _displacements(test, curve), _forces(test, unfiltered, curve)
     cuts = [int(np.searchsorted(starts, corner)) for corner in _corners(test)]
     records = [
-        _single_samples(curve.time, filtered, _corners(test), starts)
-        if _have_no_effect(act)
-        else _means(raw, starts)
+        _means(filtered if have_no_effect(act) else raw, starts)
         for (filtered, raw), act in zip(signals, acts, strict=True)
     ]
-    grid = replace(
-        _on_grid(measured, starts), time=grid_time, displacement=records[0], force=records[1]
+    blocks = replace(
+        _on_grid(measured, starts),
+        time=grid_time,
+        displacement=_means(curve.displacement, starts),
+        force=_means(curve.force, starts),
     )
+    grid = replace(blocks, displacement=records[0], force=records[1])
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
     inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
-    replicates = draw_replicates(
-        measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
+    return draw_replicates(
+        measured,
+        grid,
+        cuts,
+        (first, second),
+        inputs,
+        seed=test.seed,
+        compliance=test.compliance,
+        blocks=blocks,
     )
-    return replace(replicates, before_filters=None) if _have_no_effect(acts[1]) else replicates
 
 
 def traced(test: ReducedTest) -> Trace:
@@ -130,12 +139,17 @@ def _corners(test: ReducedTest) -> list[int]:
     return sorted({cut for cut in cuts if 0 < cut < len(curve.time)})
 
 
-def _starts(corners: Sequence[int], count: int) -> Ints:
+def _starts(corners: Sequence[int], curve: Curve) -> Ints:
     """Return the first samples of the blocks of a grid, which do not cross corners.
 
     The last block of a piece includes the remainder.
     """
-    block = -(-count // 20_000)
+    # The record may have fewer blocks if the shortest branch still has enough.
+    min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
+    count = len(curve.time)
+    shortest = min(branch.stop - branch.start for branch in curve.branches)
+    block = min(count // min_blocks, shortest // min_branch_blocks)
+    block = max(block, -(-count // max_blocks))
     pieces = pairwise([0, *corners, count])
     starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
     return np.concatenate(starts)
@@ -149,19 +163,18 @@ def _means(values: Floats, starts: Ints) -> Floats:
     return means
 
 
-def _single_samples(time: Floats, values: Floats, corners: Sequence[int], starts: Ints) -> Floats:
-    """Return values of a grid with the noise of single samples.
+def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
+    """Return the samples of a signal at which a new piece begins.
 
-    The largest sample is a single one, and a mean has far less noise. The noise is that of a random
-    sample of each block, as evenly spaced ones would alias hum. The curve is that of the means.
+    Parameters
+    ----------
+    clocks : of the test
+    ends : s on the clock of the curve, of branches, and of the failure
+    signal : the signal
     """
-    if len(starts) == len(values):
-        return values
-    smooth = smooth_curve(time, values, corners, 40)
-    lengths = np.diff(np.append(starts, len(values)))
-    one = starts + np.random.default_rng(0).integers(0, lengths)
-    noise: Floats = (values - smooth)[one]
-    return _means(smooth, starts) + noise
+    at = [clocks.from_curve(end, signal.clock) for end in ends]
+    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    return cuts
 
 
 def _on_grid(trace: Trace, starts: Ints) -> Trace:
@@ -231,12 +244,6 @@ def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterF
         acts.append(act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw)))))
         raw = raw[::stride]
     return acts
-
-
-def _have_no_effect(acts: Sequence[FilterFunction]) -> bool:
-    """Return whether filters do not change a single-sample pulse."""
-    pulse = np.eye(1, 101, 50)[0]
-    return all(np.array_equal(act(pulse), pulse) for act in acts)
 
 
 def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[int]) -> Floats:
@@ -336,7 +343,7 @@ def _zeroed_at(test: ReducedTest) -> float:
         return test.clocks.to_curve(0.5 * sum(signals.zeroed[name]), clock)
     if name not in signals.lined:
         return float(time[0])
-    first, last = (test.clocks.to_curve(at, clock) for at in signals.lined[name])
+    first, last = (test.clocks.to_curve(end, clock) for end in signals.lined[name])
     return first if first - time[0] < time[-1] - last else last
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from labpipe.results.least_squares import (
     slope_of_line,
     zero_of_line,
 )
-from labpipe.results.load_cell_noise import ForceSamples, PeakSamples
 from labpipe.results.reduced_test import (
     NO_LOADING,
     FailurePoint,
@@ -35,10 +34,9 @@ from labpipe.results.reduced_test import (
     blocked_or,
     sense_of_loading,
 )
+from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
-
-MIN_LOOP_SAMPLES = 3
 
 
 def energy_of(displacement: Floats, force: Floats) -> Floats:
@@ -72,7 +70,7 @@ _TIME_BEFORE_ZERO = 1.0
 _MIN_SAMPLES = 8
 
 
-_MIN_FOOT_SAMPLES = 4
+_MIN_ZERO_FOOT_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,19 +90,19 @@ class ThroughZero:
 
     @property
     def n(self) -> int:
-        """Number of samples used for the displacement."""
+        """Return the number of samples used for the displacement."""
         return len(self.time)
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
         """Return the displacement at zero force, m, shape (...), from curves (..., n)."""
         weights = polynomial_weights(self.time, degree=2).T
         level, slope, bend = np.moveaxis(force[..., self.near] @ weights, -1, 0)
-        at = np.zeros_like(level)
+        zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
-            step = ratio(level + at * (slope + at * bend), slope + 2.0 * at * bend)
-            at = np.clip(at - step, self.time[0], self.time[-1])
+            step = ratio(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
+            zero = np.clip(zero - step, self.time[0], self.time[-1])
         place, speed, curve = np.moveaxis(displacement[..., self.near] @ weights, -1, 0)
-        value: Floats = place + at * (speed + at * curve)
+        value: Floats = place + zero * (speed + zero * curve)
         return value
 
 
@@ -153,7 +151,7 @@ class FollowedToZero:
 
     @property
     def n(self) -> int:
-        """Number of samples used for the displacement."""
+        """Return the number of samples used for the displacement."""
         return len(self.near_time)
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
@@ -163,9 +161,9 @@ class FollowedToZero:
         ----------
         displacement, force : shape (..., n), m, N, of the branch
         """
-        at = _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
+        zero = _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
         d = displacement[..., self.near]
-        ahead = at - self.near_time.mean()
+        ahead = zero - self.near_time.mean()
         value: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
         return value
 
@@ -189,16 +187,18 @@ class FollowedToZero:
         numbers = np.arange(stretch.start, stretch.stop)
         foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
         middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
-        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_FOOT_SAMPLES)
-        at = np.where(falls, middle - ratio(level, slope), time[end])
+        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
+        zeros = np.where(falls, middle - ratio(level, slope), time[end])
         part = slice(
-            *np.searchsorted(time, [at.min() - _TIME_BEFORE_ZERO, at.max() + _TIME_BEFORE_ZERO])
+            *np.searchsorted(
+                time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
+            )
         )
-        t, start = time[part], at[:, np.newaxis] - _TIME_BEFORE_ZERO
-        near = (t >= start) & (t <= at[:, np.newaxis])
+        t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
+        near = (t >= start) & (t <= zeros[:, np.newaxis])
         middle, level, slope = line_in(near, t, d[:, part])
         ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
-        return np.where(ended, level + slope * (at - middle), np.nan)
+        return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
 Unloaded: TypeAlias = ThroughZero | AtRest | FollowedToZero
@@ -297,12 +297,12 @@ class _Branch:
         foot = slice(int(far[-1]) if len(far) else 0, last + 1)
         end = float(self.time[last])
         from_end = self.time - end
-        at, slope = np.nan, 0.0
-        if foot.stop - foot.start >= _MIN_FOOT_SAMPLES:
-            at = float(_zero_time(from_end[foot], self.force[foot]))
+        zero_time, slope = np.nan, 0.0
+        if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
+            zero_time = float(_zero_time(from_end[foot], self.force[foot]))
             slope = float(slope_of_line(from_end[foot], self.force[foot]))
-        falls = not np.isnan(at)
-        zero = end + at if falls else end
+        falls = not np.isnan(zero_time)
+        zero = end + zero_time if falls else end
         rest = self.time > zero + 0.2
         has_stopped = falls and slope * (self.time[-1] - zero) < -3.0 * limit
         rests = has_stopped and self._is_slack(rest, limit)
@@ -320,11 +320,11 @@ class _Branch:
         """Return whether force and displacement rest within their noise."""
         if rest.sum() < _MIN_SAMPLES or np.abs(self.force[rest]).max() > 2.0 * limit:
             return False
-        at, values = self.time[rest] - self.time[rest].mean(), self.displacement[rest]
-        slope = float(slope_of_line(at, values))
-        noise = values - values.mean() - slope * at
+        centred_time, values = self.time[rest] - self.time[rest].mean(), self.displacement[rest]
+        slope = float(slope_of_line(centred_time, values))
+        noise = values - values.mean() - slope * centred_time
         still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(self.displacement))
-        return abs(slope) * float(np.ptp(at)) <= still
+        return abs(slope) * float(np.ptp(centred_time)) <= still
 
 
 def _last_flagged(flags: Flags) -> Ints:
@@ -346,7 +346,7 @@ NO_UNLOADING = Failure("partial_cycle", "the cycle has no unloading branch")
 class OfCycle(Kind):
     """A kind of result with one number per cycle of the curve."""
 
-    whole: ClassVar[int] = 0
+    complete_branches: ClassVar[int] = 0
     """Branches of a cycle that must be complete."""
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Range of a cycle that the number depends on, counted in branches: 0.9 is after nine tenths of
@@ -357,7 +357,7 @@ class OfCycle(Kind):
     @property
     @abstractmethod
     def method(self) -> str:
-        """How the number is computed, in words."""
+        """Return how the number is computed, in words."""
 
     @abstractmethod
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
@@ -405,7 +405,7 @@ class OfCycle(Kind):
     ) -> Number:
         number = branches[0].cycle
         outcome = test.measure_one(decider(number), self.plain(test, branches))
-        doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
+        doubts = cut_short(test, branches[: self.complete_branches], self.outputs[0].rests_on)
         doubts += self.doubts(test, number)
         if self.gap:
             doubts += gap_at_peak(test, branches, self.gap)
@@ -433,11 +433,11 @@ def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[R
     """
     curve = test.known_curve
     values = curve.force if what == "force" else curve.displacement
-    over = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
-    if np.isnan(over).all():
+    signed_values = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
+    if np.isnan(signed_values).all():
         return ()
-    top = int(np.nanargmax(over))
-    if not np.isnan(over[max(top - 1, 0) : top + 2]).any():
+    top = int(np.nanargmax(signed_values))
+    if not np.isnan(signed_values[max(top - 1, 0) : top + 2]).any():
         return ()
     message = f"samples beside the largest {what} of the cycle are missing"
     return (Reason("gap_at_peak", message),)
@@ -448,9 +448,9 @@ def _time_of_part(branches: list[Branch], reads: tuple[float, float]) -> Stretch
     if reads[0] >= len(branches):
         return None
     ends = []
-    for at, number in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
+    for position, number in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
         part = branches[min(number, len(branches) - 1)]
-        share = at - number if number < len(branches) else 1.0
+        share = position - number if number < len(branches) else 1.0
         ends.append(part.start_time + share * (part.stop_time - part.start_time))
     return ends[0], ends[1]
 
@@ -476,8 +476,10 @@ def cut_short(
         return ()  # it broke, so the record is complete
     if quantities == ("force",) and _is_past_peak(test, part):
         return ()
-    at = f"{ends:.3f} s" if curve.time_unit == "s" else f"sample {round(ends) + 1}"
-    return (Reason("partial_cycle", f"the record ends at {at}, while still {part.direction}"),)
+    end_text = f"{ends:.3f} s" if curve.time_unit == "s" else f"sample {round(ends) + 1}"
+    return (
+        Reason("partial_cycle", f"the record ends at {end_text}, while still {part.direction}"),
+    )
 
 
 def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
@@ -553,11 +555,11 @@ class Energy(OfCycle):
             is_raised_by_slips=True,
         ),
     )
-    whole: ClassVar = 2
+    complete_branches: ClassVar = 2
 
     @property
     def method(self) -> str:
-        """The same for all cycles."""
+        """Describe the method, which is the same for all cycles."""
         return "integral of force, trapezoids"
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
@@ -581,17 +583,18 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
     -------
     One number, or a failure: ``gap`` if samples are missing, ``too_few_samples``.
     """
+    min_loop_samples = 3
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(force) < MIN_LOOP_SAMPLES:
-        message = f"{len(force)} samples in the cycle, {MIN_LOOP_SAMPLES} are needed"
+    if len(force) < min_loop_samples:
+        message = f"{len(force)} samples in the cycle, {min_loop_samples} are needed"
         return Failure("too_few_samples", message)
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])
-    between = (energy_of(displacement, force) - coarse) / 3.0
-    return Reading(on_part(energy_of, stretch), len(force), between=(float(between),))
+    correction = (energy_of(displacement, force) - coarse) / 3.0
+    return Reading(on_part(energy_of, stretch), len(force), between=(float(correction),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -614,7 +617,7 @@ class ResidualDisplacement(OfCycle):
 
     @property
     def method(self) -> str:
-        """With the limit of the force."""
+        """Describe the method with the limit of the force."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
     def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
@@ -678,17 +681,18 @@ def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
 
 
 def _largest(
-    trace: Trace, name: Literal["force", "displacement"], number: int, steps: float = 1.0
+    test: ReducedTest, trace: Trace, quantity: Quantity, number: int, steps: float = 1.0
 ) -> Reading | Failure:
     """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
     ----------
+    test : with all samples of the quantity
     trace, number : one curve, and a cycle of it
-    name : of the quantity
+    quantity : whose largest sample
     steps : sampling steps of its signal per sample of the curve
     """
-    values: Floats = getattr(trace, name)
+    values: Floats = getattr(trace, quantity)
     sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
     seen = sense * values[stretch]
     if np.isnan(seen).all():
@@ -697,10 +701,22 @@ def _largest(
     reach = _reach_beyond_top(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        over = sense * getattr(trace, name)[..., stretch]
-        return (sense * (np.fmax.reduce(over, axis=-1) + trace.beyond * reach),)
+        signed = sense * getattr(trace, quantity)[..., stretch]
+        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.beyond * reach),)
 
-    return Reading(numbers, int((~np.isnan(seen)).sum()))
+    @cache
+    def samples() -> SampleNoise | None:
+        peak = stretch.start + int(np.nanargmax(seen))
+        return SampleNoise.around(test, trace, quantity, stretch, peak)
+
+    def in_noise(drawn: Trace) -> tuple[Floats]:
+        peak_samples = samples()
+        if peak_samples is None:
+            return numbers(drawn)
+        noise = getattr(drawn, quantity) - values
+        return (numbers(trace)[0] + peak_samples.raised(noise, sense),)
+
+    return Reading(numbers, int((~np.isnan(seen)).sum()), in_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -711,48 +727,18 @@ class PeakForce(OfCycle):
     outputs: ClassVar = (
         Output("peak_force", "N", "Peak force", ("force",), first=1, is_raised_by_slips=True),
     )
-    whole: ClassVar = 1
+    complete_branches: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
     gap: ClassVar = "force"
 
     @property
     def method(self) -> str:
-        """Of all cycles."""
+        """Describe the method of all cycles."""
         return "largest force of the cycle after the filter, in the sense of loading"
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """Use the same samples of the force for all cycles."""
-        samples = cache(partial(ForceSamples.of, test))
-        return lambda number: partial(self.read, test, number=number, samples=samples)
-
-    def read(
-        self,
-        test: ReducedTest,
-        trace: Trace,
-        number: int,
-        samples: Callable[[Trace], ForceSamples | None] | None = None,
-    ) -> Reading | Failure:
-        """Choose the largest sample of the force; with noise, among all its samples."""
-        reading = peak_of(test, trace, number)
-        if isinstance(reading, Failure) or test.force.clock == test.clocks.curve:
-            return reading
-        sense, plain = sense_of(trace, trace.force), reading
-
-        @cache
-        def top() -> PeakSamples | None:
-            stretch = stretch_of_cycle(trace, cycle_of(trace, number))
-            force_samples = samples(trace) if samples is not None else ForceSamples.of(test, trace)
-            return None if force_samples is None else force_samples.of_cycle(trace, stretch, sense)
-
-        def in_noise(drawn: Trace) -> tuple[Floats]:
-            noise = drawn.noise
-            seen = None if noise is None else top()
-            raised = None if noise is None or seen is None else seen.raised(noise)
-            if raised is None:
-                return (plain.numbers(drawn)[0],)
-            return (plain.numbers(trace)[0] + sense * raised,)
-
-        return replace(reading, in_noise=in_noise)
+    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+        """Choose the largest sample of the force."""
+        return peak_of(test, trace, number)
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the largest of all samples of a force on another clock than the curve."""
@@ -761,7 +747,7 @@ class PeakForce(OfCycle):
             return None
         stretch = stretch_of_cycle(curve, branches)
         ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
-        first, last = (test.clocks.from_curve(float(at), signal.clock) for at in ends)
+        first, last = (test.clocks.from_curve(float(end), signal.clock) for end in ends)
         values = signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
         sense = sense_of(curve, curve.force)
         return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
@@ -778,7 +764,7 @@ def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
     curve_step, force_step = (
         float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
     )
-    return _largest(trace, "force", number, max(1.0, curve_step / force_step))
+    return _largest(test, trace, "force", number, max(1.0, curve_step / force_step))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -796,19 +782,18 @@ class PeakDisplacement(OfCycle):
             is_set_by_stroke=True,
         ),
     )
-    whole: ClassVar = 1
+    complete_branches: ClassVar = 1
     reads: ClassVar = (0.9, 1.1)
     gap: ClassVar = "displacement"
 
     @property
     def method(self) -> str:
-        """Of all cycles."""
+        """Describe the method of all cycles."""
         return "largest displacement of the cycle, in the sense of loading"
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
         """Choose the largest sample of the displacement."""
-        del test
-        return _largest(trace, "displacement", number)
+        return _largest(test, trace, "displacement", number)
 
 
 KINDS = (PeakForce, PeakDisplacement, Energy, ResidualDisplacement)

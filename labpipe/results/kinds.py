@@ -18,7 +18,7 @@ import numpy as np
 from labpipe.records.causes import FIT, contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.estimates import Estimate, Failure, add_errors
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
@@ -109,7 +109,7 @@ class Kind(ABC):
 
         Parameters
         ----------
-        outcome, method, errors, during, doubts, part, remark : as `Number` has them
+        outcome, method, errors, during, doubts, part, remark : as for `Number`
         output : place in `outputs`
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -169,7 +169,7 @@ def to_result(test: ReducedTest, number: Number) -> Result:
     budget: tuple[Contribution, ...] = ()
     if isinstance(outcome, Estimate):
         budget = _budget(outcome, number.errors)
-        outcome = widened(outcome, *number.errors.values())
+        outcome = add_errors(outcome, *number.errors.values())
     if isinstance(outcome, Measured):
         rests = ("", *output.rests_on)
         number_doubts = tuple(reason for quantity, reason in outcome.doubts if quantity in rests)
@@ -235,8 +235,8 @@ def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tupl
     inside = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
     if not inside:
         return ()
-    at = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
-    message = f"slipped in the grips at {at}, and the curve stays as measured"
+    positions_text = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
+    message = f"slipped in the grips at {positions_text}, and the curve stays as measured"
     return (Reason("slip_in_window", message),)
 
 

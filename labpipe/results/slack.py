@@ -20,8 +20,6 @@ from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure
 from labpipe.uncertainty.replicates import Input, Replicates
 
-_MIN_REGION_SAMPLES = 8
-
 
 def toe_line(
     displacement: Floats, force: Floats, *, start_share: float, stop_share: float
@@ -55,10 +53,11 @@ def toe_line(
     >>> round(1e3 * float(zero_of_line(d[region], force[region])), 9)
     2.0
     """
+    min_region_samples = 8
     finite = finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    if len(d) < _MIN_REGION_SAMPLES:
-        return Failure("too_few_samples", f"{len(d)} samples, {_MIN_REGION_SAMPLES} are needed")
+    if len(d) < min_region_samples:
+        return Failure("too_few_samples", f"{len(d)} samples, {min_region_samples} are needed")
     top = int(np.argmax(f))
     first, last = (
         _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
@@ -66,9 +65,9 @@ def toe_line(
     if first == 0:
         message = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
         return Failure("not_reached", message)
-    if last - first < _MIN_REGION_SAMPLES:
+    if last - first < min_region_samples:
         message = (
-            f"{max(last - first, 0)} samples in the linear region, {_MIN_REGION_SAMPLES} are needed"
+            f"{max(last - first, 0)} samples in the linear region, {min_region_samples} are needed"
         )
         return Failure("too_few_samples", message)
     region = slice(first, last)
@@ -129,11 +128,13 @@ def counted_from_taut(
     it does to the curve. So a zero of the displacement that is in both is in no number behind.
     What makes the slack doubtful goes with it.
     """
-    alone = measure(replace(replicates, inputs=()), slack)
-    if isinstance(alone, Failure):
-        message = f"expected a slack that was measured, found {alone.message}"
+    without_inputs = measure(replace(replicates, inputs=()), slack)
+    if isinstance(without_inputs, Failure):
+        message = f"expected a slack that was measured, found {without_inputs.message}"
         raise ValueError(message)
-    draws = np.where(np.isnan(alone[0].off), np.nanmean(alone[0].off), alone[0].off)
+    draws = np.where(
+        np.isnan(without_inputs[0].off), np.nanmean(without_inputs[0].off), without_inputs[0].off
+    )
     error = float(np.std(draws))
     inputs = tuple(
         _with_slack(replicate, replicates.smooth, slack) for replicate in replicates.inputs
@@ -147,7 +148,7 @@ def counted_from_taut(
 
 
 def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
-    """An input with what it does to the slack."""
+    """Return an input with its effect on the slack."""
     base = slack(smooth)
     if isinstance(base, Failure):
         return quantity

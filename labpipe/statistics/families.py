@@ -52,13 +52,13 @@ def holm(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
     >>> [each.p for each in holm([0.04, 0.01, 0.03])]
     [0.06, 0.03, 0.06]
     """
-    tested = sorted((at for at, p in enumerate(chances) if not isnan(p)), key=chances.__getitem__)
+    tested = sorted((i for i, p in enumerate(chances) if not isnan(p)), key=chances.__getitem__)
     corrected = [Corrected(nan, max(1, len(tested)), len(tested))] * len(chances)
     largest, divisor, goes_on = 0.0, max(1, len(tested)), True
-    for rank, at in enumerate(tested):
+    for rank, i in enumerate(tested):
         remaining = len(tested) - rank
-        largest = max(largest, min(1.0, remaining * chances[at]))
+        largest = max(largest, min(1.0, remaining * chances[i]))
         divisor = remaining if goes_on else divisor
         goes_on = goes_on and largest < level
-        corrected[at] = Corrected(largest, divisor, len(tested))
+        corrected[i] = Corrected(largest, divisor, len(tested))
     return corrected

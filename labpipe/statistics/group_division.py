@@ -13,10 +13,6 @@ from dataclasses import dataclass
 from labpipe.records.group import Sample
 from labpipe.statistics.group_fields import BORE, NOT_SAID, fields_of, size_words
 
-MIN_SIZE_STEP = 0.05
-"""Smallest step between sizes, as a share. Nominal sizes differ by more (6 % in R 40 of ISO 3, the
-finest series in use); measured sizes of single specimens by less."""
-
 _OF_BUNDLES = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
 """In order: a field that divides no further than those before it is not named."""
 
@@ -45,7 +41,7 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
     Returns
     -------
     In their first order. A dimension divides between adjacent sizes that differ by more than
-    `MIN_SIZE_STEP`, so that individually measured specimens stay together. A field divides unless
+    5 %, so that individually measured specimens stay together. A field divides unless
     each test has its own value: such a label names specimens and is not a treatment. Spools do not
     divide; means are nested in them. A field that only repeats the division of others is not named.
 
@@ -95,10 +91,13 @@ def _names_tests(texts: Sequence[str]) -> bool:
 
 def _sizes(sizes: Sequence[float | None]) -> list[str]:
     """Return the text of each size: the mean of its cluster, in mm."""
+    # Smallest step between sizes, as a share. Nominal sizes differ by more (6 % in R 40 of ISO 3,
+    # the finest series in use); measured sizes of single specimens by less.
+    min_size_step = 0.05
     distinct = sorted({size for size in sizes if size is not None})
     together: list[list[float]] = []
     for size in distinct:
-        if together and size <= (1.0 + MIN_SIZE_STEP) * together[-1][-1]:
+        if together and size <= (1.0 + min_size_step) * together[-1][-1]:
             together[-1].append(size)
         else:
             together.append([size])

@@ -13,7 +13,7 @@ TYPE, SPOOL = "type", "spool"
 BORE = "conduit_bore"
 OF_SECTION = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
 """Sizes of the cross-section; of a conduit they come with its name."""
-NOT_SAID = "not said"
+NOT_SAID = "not stated"
 """Text for a field that the test sheets of a group do not state."""
 
 

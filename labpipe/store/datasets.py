@@ -26,7 +26,7 @@ from labpipe.errors import StoreError, error_text
 from labpipe.records.arrays import Ints
 from labpipe.store import layout
 from labpipe.store.hdf5_objects import (
-    LEVEL,
+    COMPRESSION_LEVEL,
     get_text,
     has_attribute,
     is_empty,
@@ -97,7 +97,7 @@ def _pack_chunk(block: NDArray[Any], rows: int) -> bytes:
     missing = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
     block = np.concatenate([block, missing]) if len(missing) else np.ascontiguousarray(block)
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
-    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, LEVEL)
+    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, COMPRESSION_LEVEL)
     return deflated + fletcher32(deflated).to_bytes(4, "little")
 
 
@@ -167,14 +167,14 @@ class Target:
         """Return a subgroup, creating it if needed."""
         return Target(self.group.require_group(name), self.pool, self.written, self.packed)
 
-    def array(self, name: str, values: NDArray[Any], kind: Field, unit: str = "") -> Any:
+    def array(self, name: str, values: NDArray[Any], spec: Field, unit: str = "") -> Any:
         """Write an array of numbers as a chunked dataset with its unit and axes.
 
         Parameters
         ----------
         name : of the dataset, unused in this group
         values : any shape and number type; axis 0 is divided into chunks
-        kind : axes and unit, which become attributes
+        spec : axes and unit, which become attributes
         unit : used if the layout does not define the unit
 
         Returns
@@ -187,34 +187,34 @@ class Target:
         """
         chunk = chunk_shape(values.shape, values.dtype.itemsize)
         dataset = make_dataset(self.group, name, values, chunk)
-        set_text(dataset, "unit", kind.unit or unit)
-        set_text(dataset, "axes", ", ".join(kind.axes))
+        set_text(dataset, "unit", spec.unit or unit)
+        set_text(dataset, "axes", ", ".join(spec.axes))
         for number, deflated in enumerate(_chunks_of(values, chunk[0], self.pool, self.packed)):
             corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
             dataset.id.write_direct_chunk(corner, deflated)
         self.written[dataset.name] = values
-        self.datasets[name] = dataset, kind
+        self.datasets[name] = dataset, spec
         return dataset
 
     def strings(self, name: str, texts: tuple[str, ...], axis: str) -> None:
         """Write a dataset of strings."""
         self.array(name, string_array(texts), Field((axis,), layout.TEXT))
 
-    def columns(self, kind: Table, rows: Sequence[Sequence[Any]], unit: str = "") -> None:
+    def columns(self, table: Table, rows: Sequence[Sequence[Any]], unit: str = "") -> None:
         """Write a table into this group.
 
         Parameters
         ----------
-        kind : its columns
+        table : its columns
         rows : any number, with a cell per column
         unit : of the columns whose unit the layout does not define
         """
-        for index, (column, field_) in enumerate(kind.columns.items()):
+        for index, (column, field_) in enumerate(table.columns.items()):
             cells = [row[index] for row in rows]
             is_text = field_.dtype == "text"
             values = string_array(tuple(cells)) if is_text else np.array(cells, field_.dtype)
             self.array(column, values, field_, unit)
-        self.scaled({kind.axis: kind.scale})
+        self.scaled({table.axis: table.scale})
 
     def scaled(self, scales: Mapping[str, str]) -> None:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
@@ -225,13 +225,14 @@ class Target:
             with the labels of `layout.COORDINATES` or numbers from 0
         """
         opened_scales: dict[str, Any] = {}
-        for name, (dataset, kind) in list(self.datasets.items()):
+        for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
                 continue  # a scale has no scales
-            for place, axis in enumerate(kind.axes):
+            for place, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                again = kind.axes[:place].count(axis)
-                unique = f"{scale}_{again + 1}" if again else scale  # xarray requires unique names
+                n_before = spec.axes[:place].count(axis)
+                # xarray requires unique names
+                unique = f"{scale}_{n_before + 1}" if n_before else scale
                 if unique not in opened_scales:
                     opened_scales[unique] = self._scale(unique, scale, axis, dataset.shape[place])
                 self.attach(dataset, place, opened_scales[unique])
@@ -241,8 +242,8 @@ class Target:
         if name in self.group:
             return self.group[name]
         if name != scale:
-            same, kind = self.datasets[scale]
-            return self.array(name, self.written[same.name], kind)
+            same, spec = self.datasets[scale]
+            return self.array(name, self.written[same.name], spec)
         labels = layout.COORDINATES.get(axis)
         if labels is not None:
             return self.array(name, string_array(labels), Field((axis,), layout.TEXT))
@@ -263,8 +264,8 @@ class Target:
 
     def fields(self, record: object, kinds: Any) -> None:
         """Write the fields of a record that are arrays, according to the layout."""
-        for name, kind in kinds.items():
-            self.array(name, getattr(record, name), kind)
+        for name, spec in kinds.items():
+            self.array(name, getattr(record, name), spec)
 
     def texts(self, name: str, values: tuple[str, ...]) -> None:
         """Write an attribute that is a list of strings."""
@@ -373,14 +374,14 @@ def strings(group: Any, name: str, axis: str) -> tuple[str, ...]:
     return tuple(bytes(string).decode() for string in encoded)
 
 
-def rows(parent: Any, name: str, kind: Table, unit: str | None = None) -> list[Mapping[str, Any]]:
+def rows(parent: Any, name: str, layout: Table, unit: str | None = None) -> list[Mapping[str, Any]]:
     """Read a table.
 
     Parameters
     ----------
     parent : open group
     name : of the table in it
-    kind : its columns
+    layout : its columns
     unit : of the columns whose unit the layout does not define; None for any
 
     Returns
@@ -390,13 +391,13 @@ def rows(parent: Any, name: str, kind: Table, unit: str | None = None) -> list[M
     if name not in parent:
         return []
     table = parent[name]
-    if all(table[column].shape == (0,) for column in kind.columns):
+    if all(table[column].shape == (0,) for column in layout.columns):
         return []
     columns: dict[str, Sequence[Any]] = {
-        column: strings(table, column, kind.axis)
+        column: strings(table, column, layout.axis)
         if field_.dtype == "text"
         else array(table, column, field_ if field_.unit else replace(field_, unit=unit)).tolist()
-        for column, field_ in kind.columns.items()
+        for column, field_ in layout.columns.items()
     }
     cells = zip(*columns.values(), strict=True)
     return [dict(zip(columns, row, strict=True)) for row in cells]
@@ -404,38 +405,38 @@ def rows(parent: Any, name: str, kind: Table, unit: str | None = None) -> list[M
 
 def arrays(group: Any, kinds: Mapping[str, Field]) -> dict[str, NDArray[Any]]:
     """Read several datasets; return them by name."""
-    return {name: array(group, name, kind) for name, kind in kinds.items()}
+    return {name: array(group, name, spec) for name, spec in kinds.items()}
 
 
-def array(group: Any, name: str, kind: Field) -> NDArray[Any]:
+def array(group: Any, name: str, spec: Field) -> NDArray[Any]:
     """Read a dataset after checking unit, axes and number type against the layout."""
-    dataset = _checked_dataset(group, name, kind)
+    dataset = _checked_dataset(group, name, spec)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
     return values
 
 
-def array_rows(group: Any, name: str, kind: Field, chosen: Ints) -> NDArray[Any]:
+def array_rows(group: Any, name: str, spec: Field, chosen: Ints) -> NDArray[Any]:
     """Read rows of a dataset, as `array`.
 
     Parameters
     ----------
-    group, name, kind : as for `array`
+    group, name, spec : as for `array`
     chosen : indices of rows of the first axis, strictly increasing
     """
-    values: NDArray[Any] = _checked_dataset(group, name, kind)[chosen]
+    values: NDArray[Any] = _checked_dataset(group, name, spec)[chosen]
     return values
 
 
-def _checked_dataset(group: Any, name: str, kind: Field) -> Any:
+def _checked_dataset(group: Any, name: str, spec: Field) -> Any:
     """Return a dataset after checking unit, axes, number type and storage."""
     dataset = group[name]
-    for label, expected in (("axes", ", ".join(kind.axes)), ("unit", kind.unit)):
+    for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
             _check(dataset, label, expected, _label(dataset, label))
-    if kind.dtype != "text":
-        _check(dataset, "number type", kind.dtype, str(dataset.dtype))
+    if spec.dtype != "text":
+        _check(dataset, "number type", spec.dtype, str(dataset.dtype))
     _check_storage(dataset)
     return dataset
 

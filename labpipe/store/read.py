@@ -368,18 +368,18 @@ def _curve(group: Any) -> Curve:
     )
 
 
-def _records(kind: type[_R], table: Iterable[Any]) -> tuple[_R, ...]:
+def _records(record_type: type[_R], table: Iterable[Any]) -> tuple[_R, ...]:
     """Convert the rows of a table to records."""
-    hints = get_type_hints(kind).items()
-    return tuple(kind(**{key: _cell(row, key, of) for key, of in hints}) for row in table)
+    hints = get_type_hints(record_type).items()
+    return tuple(record_type(**{key: _cell(row, key, of) for key, of in hints}) for row in table)
 
 
-def _cell(row: Any, name: str, kind: Any) -> object:
+def _cell(row: Any, name: str, cell_type: Any) -> object:
     """Return one field of a record; ``drop_interval`` is in ``drop_lower`` and ``drop_upper``."""
-    if kind is Interval:
+    if cell_type is Interval:
         ends = (f"{name.removesuffix('_interval')}_{end}" for end in ("lower", "upper"))
         return Interval(*(row[end] for end in ends))
-    return kind(row[name])
+    return cell_type(row[name])
 
 
 def _shape(group: Any) -> Shape:

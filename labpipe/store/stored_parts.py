@@ -111,7 +111,9 @@ def _bundle(group: Any) -> Bundle:
     has_positions = layout.POSITIONS in group
     positions = array(group, layout.POSITIONS, layout.WIRE_POSITION) if has_positions else ()
     return Bundle(
-        wires=tuple(BundleWire(kind, int(number), _optional(wide)) for kind, number, wide in wires),
+        wires=tuple(
+            BundleWire(wire_type, int(number), _optional(wide)) for wire_type, number, wide in wires
+        ),
         arrangement=_one_of(ARRANGEMENTS, text(group, "arrangement")),
         positions=tuple((float(x), float(y)) for x, y in positions),
         tape=text(group, "tape"),

@@ -359,10 +359,11 @@ def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBun
             (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
         written = [stage / BUNDLE_FILE]
         if figures:
-            written += save_bundle_figure(modelled.model, stage / FIGURES_FOLDER, png=png)
+            pages = [FigureToSave(FIGURE, partial(bundle_figure, modelled.model))]
             if modelled.friction is not None:
-                drawn = modelled.name, modelled.friction
-                written += save_loop_figure(*drawn, stage / FIGURES_FOLDER, png=png)
+                loop = partial(loop_figure, modelled.name, modelled.friction)
+                pages.append(FigureToSave(LOOP_FIGURE, loop))
+            written += save_pages(pages, stage / FIGURES_FOLDER, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
 

@@ -23,10 +23,10 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     ParameterChoice,
 )
-from labpipe.report.calibration_figures import calibration_drawings, save_calibration_figures
+from labpipe.report.calibration_figures import calibration_drawings
 from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.saving import pngs_of
+from labpipe.report.saving import pngs_of, save_pages
 from labpipe.store.replace import locked, replacing_together
 from labpipe.studies.calibration_file import calibration_json, comparison_json
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
@@ -259,7 +259,8 @@ def _write(
         written = [model, workbook]
         written += write_decks([wire_table(spec) for spec in calibrated], stage)
         if figures:
-            written += save_calibration_figures(report, stage / FIGURES_FOLDER, say=say, png=png)
+            drawings = calibration_drawings(report)
+            written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
         return tuple(folder / path.relative_to(stage) for path in written)
 
 

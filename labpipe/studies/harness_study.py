@@ -158,7 +158,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
         if figures:
             drawn = drawn_harness(solution)
             into = stage / FIGURES_FOLDER
-            written += save_harness_figure(drawn, drawn_sweep(solution), into, png=png)
+            written += save_pages(harness_drawings(drawn, drawn_sweep(solution)), into, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(solution, files=files)
 

@@ -11,11 +11,11 @@ at the stations of `wire.newton`; the load (an end load or the tension of the st
 unknown, fixed by one more condition. A path is followed in steps that are halved where Newton's
 method fails. Unlike the source it uses no series and no single stiffness for the whole wire.
 
-The clamp is driven down, which in its own frame lifts the anchor of the string. The string pulls or
-is slack; the counterweight always hangs at the tip.
+The clamp is driven down, which in its own frame lifts the anchor of the string. The string is taut
+or slack; the counterweight always hangs at the tip.
 
-A wire with weight is mounted level and bends under its weight before the test: its path starts from
-this equilibrium and its history, not from zero moment (PHYSICS 8).
+A wire with weight is mounted level and bends under its weight before the test. Its path therefore
+starts from this equilibrium and its history, not from zero moment (PHYSICS 8).
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class WireState(ArrayRecord):
     plays : shape (stations, plays), N m
     force : shape (2,), N, at the tip
     load : the unknown of the last solution, N: the string's tension or the end load
-    travel : m, travel of the clamp, or tip deflection
+    travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
+        of force
     self_weight : N/m, of the wire, along -y
     """
 
@@ -203,7 +204,7 @@ def straight(
 
 
 def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
-    """Find the first equilibrium of a level wire whose tip a normal force holds at no deflection.
+    """Find the initial equilibrium of a level wire whose tip a normal force holds.
 
     Parameters
     ----------
@@ -213,8 +214,8 @@ def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverS
 
     Returns
     -------
-    The shape; ``force[1]`` is P0, which a zeroed load cell hides: 3 w L / 8 for a small sag of a
-    linear wire, with a moment of - w L^2 / 8 at the clamp.
+    The shape; ``force[1]`` is the holding force P0, which is lost when the load cell is zeroed:
+    3 w L / 8 for a small sag of a linear wire, with a moment of - w L^2 / 8 at the clamp.
 
     Raises
     ------
@@ -274,8 +275,8 @@ def bend_to_deflection(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, as for a deflection that exceeds the length; or the
-        law ends (the message states the curvature).
+        If no equilibrium is found on the way, as for a deflection that exceeds the length, or the
+        wire is bent beyond the range of its law (the message states the curvature).
     """
     require_positive("length", length)
     require_finite("deflection", deflection)
@@ -284,7 +285,7 @@ def bend_to_deflection(
 
 
 def deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
-    """Bend a wire to a deflection without checking the end of its law."""
+    """Bend a wire to a deflection without checking the range of its law."""
 
     def step(present: WireState, travel: float) -> WireState | None:
         return settle(law, present, length, AtDeflection(np.array([travel])), travel=travel)
@@ -314,7 +315,7 @@ def bend_to_travel(
         If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
         message states the curvature).
     """
-    rounding = 1e-12  # m: a string that is just straight counts as slack
+    slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
@@ -330,7 +331,9 @@ def bend_to_travel(
         tip = shape_of(law, bent, length)
         if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - rounding:
             return None
-        return replace(bent, load=0.0)  # not the rounding error of the last pull
+        if rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack_tolerance:
+            return None
+        return replace(bent, load=0.0)  # exactly zero, without the rounding error of the solution
 
     def step(present: WireState, travel: float) -> WireState | None:
         first, second = (taut, slack) if present.load > 0.0 else (slack, taut)
@@ -367,7 +370,7 @@ def settle(
     guess: tuple[Floats, float] | None = None,
     tolerance: float = 1e-7,
 ) -> WireState | None:
-    """Step from a state to the equilibrium under a condition; None where Newton's method fails.
+    """Find the equilibrium under a condition; None if Newton's method fails.
 
     Parameters
     ----------
@@ -406,20 +409,20 @@ def _bend_plays(law: MomentLaw, plays: Floats, moment: Floats) -> CurvatureAndSl
     return response.curvature[None], response.compliance[None]
 
 
-def _walk_to(step: Step, state: WireState, goal: float, place: str) -> WireState:
-    """Move the state to the goal, halving steps that fail."""
+def _walk_to(step: Step, state: WireState, goal: float, context: str) -> WireState:
+    """Step the state to the goal; halve a step that fails."""
     min_step_share = 2.0**-12
-    whole = goal - state.travel
-    fraction, done = 1.0, 0.0
-    begin = state.travel
-    while done < 1.0:
-        reach = min(1.0, done + fraction)
-        ahead = step(state, goal if reach == 1.0 else begin + reach * whole)
-        if ahead is not None:
-            state, done, fraction = ahead, reach, min(1.0, 2.0 * fraction)
-        elif fraction <= min_step_share:
-            message = f"{place}: no equilibrium beyond {begin + done * whole:.6g}"
+    distance = goal - state.travel
+    step_share, done_share = 1.0, 0.0
+    start = state.travel
+    while done_share < 1.0:
+        next_share = min(1.0, done_share + step_share)
+        next_state = step(state, goal if next_share == 1.0 else start + next_share * distance)
+        if next_state is not None:
+            state, done_share, step_share = next_state, next_share, min(1.0, 2.0 * step_share)
+        elif step_share <= min_step_share:
+            message = f"{context}: no equilibrium beyond {start + done_share * distance:.6g}"
             raise ValueError(message)
         else:
-            fraction *= 0.5
+            step_share *= 0.5
     return state

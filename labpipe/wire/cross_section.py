@@ -42,7 +42,7 @@ COPPER_DENSITY = 8960.0
 """kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
 PVC_DENSITY = 1400.0
 """kg/m^3, default: filled PVC."""
-OVERLAP_TOLERANCE = 1e-3
+MAX_OVERLAP_SHARE = 1e-3
 """Allowed overlap, as a share of the bore's radius."""
 
 
@@ -193,7 +193,7 @@ class CrossSection:
         object.__setattr__(self, "y", frozen(self.y, shape=(strands,)))
         index = np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
         if not np.array_equal(self.layer, index):
-            message = f"layer={self.layer}: allowed are strands in the order of the layers"
+            message = f"layer={self.layer}: strands must be in the order of the layers"
             raise ValueError(message)
         index.flags.writeable = False
         object.__setattr__(self, "layer", index)
@@ -349,7 +349,7 @@ def compressed(
             for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
         ]
     if len(radii) != len(layers):
-        message = f"radii={list(radii)}: allowed is one for each of {len(layers)} layers"
+        message = f"radii={list(radii)}: expected one for each of {len(layers)} layers"
         raise ValueError(message)
     x, y = _rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, _layer_index(layers), 0.0, insulation)
@@ -361,7 +361,7 @@ def _sector_centroid(inner: float, outer: float, half_angle: float) -> float:
 
 
 def _require_bore(insulation: Insulation | None, needed: float) -> None:
-    if insulation is None or needed <= insulation.bore_radius * (1.0 + OVERLAP_TOLERANCE):
+    if insulation is None or needed <= insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
         return
     message = (
         f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
@@ -393,11 +393,11 @@ def place(
     reach = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else reach
     wall = max(reach - bore, 0.0)
-    if max(strands, wall) > OVERLAP_TOLERANCE * bore:
+    if max(strands, wall) > MAX_OVERLAP_SHARE * bore:
         what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
         message = (
             f"the {kind} layout does not fit: strands overlap {what} by "
-            f"{max(strands, wall):.3g} m, allowed is {OVERLAP_TOLERANCE * bore:.3g} m"
+            f"{max(strands, wall):.3g} m; expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T

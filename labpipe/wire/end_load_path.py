@@ -42,9 +42,6 @@ from labpipe.wire.end_load import deflection_at, end_loads
 from labpipe.wire.heavy_loading import heavy_states
 from labpipe.wire.newton import chebyshev_stations
 
-HEAVY_STATIONS = 48
-"""Along a wire with weight: loads are within 3e-5 of those of 160 stations."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndLoadPath:
@@ -231,14 +228,14 @@ def _extrapolated(states: list[WireState], travel: float) -> tuple[Floats, float
     A straight line through two states, and where the last three reverse.
     """
     max_trend_steps = 2.0  # steps ahead over which the last one is extrapolated
-    at = [state.travel for state in states]
-    steps = np.diff([*at, travel])
-    if not 0.0 < (travel - at[-1]) * steps[-2] <= max_trend_steps * steps[-2] ** 2:
+    travels = [state.travel for state in states]
+    steps = np.diff([*travels, travel])
+    if not 0.0 < (travel - travels[-1]) * steps[-2] <= max_trend_steps * steps[-2] ** 2:
         return None
     if steps[0] * steps[-1] <= 0.0:
-        states, at = states[-2:], at[-2:]
+        states, travels = states[-2:], travels[-2:]
     # Lagrange weights
-    shares = [float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at]
+    shares = [float(np.prod([(travel - b) / (a - b) for b in travels if b != a])) for a in travels]
     moment = np.sum([n * state.moment for n, state in zip(shares, states, strict=True)], axis=0)
     return moment, sum(n * state.load for n, state in zip(shares, states, strict=True))
 

@@ -24,10 +24,8 @@ from labpipe.wire.newton import Wire, bend_wire, chebyshev_stations, sensitivity
 
 N_STATIONS = 24
 """Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
-POINTS = 32
+N_LOADING_POINTS = 32
 """Of a loading curve."""
-CROWDING = 2.75
-"""Power by which they are denser towards rest, where strands begin to slip."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,32 +89,34 @@ def load_heavy(
 
     Returns
     -------
-    The curve: rest, then `POINTS` points up to the deflection, or until a part of the wire
-    unloads. Its derivatives by parameters are those of the force above that at rest.
+    The curve: rest, then `N_LOADING_POINTS` points up to the deflection, or until a part of the
+    wire unloads. Its derivatives by parameters are those of the force above that at rest.
 
     Raises
     ------
     ValueError
         If no equilibrium is found.
     """
-    wanted = deflection * (np.arange(1, POINTS + 1) / POINTS) ** CROWDING
-    at = heavy_states(table, length, rig, self_weight, wanted)
-    stop = at.count_loading()
-    rest_slope = float((at.tension[0] - at.rest_tension) / at.deflection[0])  # before slip
+    crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
+    wanted = deflection * (np.arange(1, N_LOADING_POINTS + 1) / N_LOADING_POINTS) ** crowding
+    states = heavy_states(table, length, rig, self_weight, wanted)
+    stop = states.count_loading()
+    rise = states.tension[0] - states.rest_tension
+    rest_slope = float(rise / states.deflection[0])  # before slip
 
     def from_rest(rest: float, values: Floats) -> Floats:
         return np.concatenate([[rest], values[:stop]])
 
-    bent, _ = table.bend(at.rest)
-    change = at.tension_change[1:, :stop]
+    bent, _ = table.bend(states.rest)
+    change = states.tension_change[1:, :stop]
     return LoadingCurve(
-        deflection=from_rest(0.0, at.deflection),
-        tension=from_rest(at.rest_tension, at.tension),
-        x=from_rest(length, at.x),
-        tip_angle=from_rest(0.0, at.tip_angle),
-        clamp_curvature=from_rest(float(bent[0]), at.curvature),
-        clamp_moment=from_rest(float(at.rest[0]), at.moment[:, 0]),
-        stiffness=from_rest(rest_slope, at.tension_change[0]),
+        deflection=from_rest(0.0, states.deflection),
+        tension=from_rest(states.rest_tension, states.tension),
+        x=from_rest(length, states.x),
+        tip_angle=from_rest(0.0, states.tip_angle),
+        clamp_curvature=from_rest(float(bent[0]), states.curvature),
+        clamp_moment=from_rest(float(states.rest[0]), states.moment[:, 0]),
+        stiffness=from_rest(rest_slope, states.tension_change[0]),
         tension_change=np.hstack([np.zeros((len(change), 1)), change]),
     )
 

@@ -283,7 +283,7 @@ def interpolation_matrix(count: int, positions: Floats) -> Floats:
         If a position lies outside.
     """
     if np.any((positions < 0.0) | (positions > 1.0)):
-        message = f"positions={positions}: allowed are numbers between 0 and 1"
+        message = f"positions={positions}: must be between 0 and 1"
         raise ValueError(message)
     nodes = 2.0 * chebyshev_stations(count).position - 1.0
     basis = chebyshev.chebvander(nodes, count - 1)

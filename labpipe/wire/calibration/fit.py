@@ -236,7 +236,7 @@ def pose(
 def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     unknown = sorted(set(choices) - set(PARAMETERS))
     if unknown:
-        message = f"{unknown[0]!r}: allowed are {', '.join(PARAMETERS)}"
+        message = f"{unknown[0]!r}: expected one of {', '.join(PARAMETERS)}"
         raise ValueError(message)
     require("gain", gain, "numbers from 0 to below 1", holds=0.0 <= gain < 1.0)
     for name, choice in choices.items():
@@ -261,8 +261,6 @@ _LABELS: Mapping[str, str] = {
 
 WELL = 2.0
 """Span of an interval, upper over lower, below which a parameter is well identified."""
-HOPELESS = 100.0
-"""Span of an interval, upper over lower, above which a parameter is not identified."""
 
 
 def verdict_of(
@@ -273,7 +271,7 @@ def verdict_of(
     log_error: float,
     prior_error: float,
     contradicts: bool = False,
-    is_apart: bool = False,
+    is_split: bool = False,
     span_with_others: float = 1.0,
 ) -> Identifiability:
     """Return the verdict on an interval.
@@ -286,10 +284,12 @@ def verdict_of(
     log_error : standard error of the logarithm
     prior_error : that of its prior; infinite without one
     contradicts : whether prior and tests contradict each other
-    is_apart : whether it has several parts, or another solution lies outside of it
+    is_split : whether it has several parts, or another solution lies outside of it
     span_with_others : span that includes solutions just outside of the 95 % set, and the line on
         which insulation and copper trade off
     """
+    # Span of an interval, upper over lower, above which a parameter is not identified.
+    max_span = 100.0
     prior_share = 0.9  # error over that of the prior
     if at_bound:
         return Identifiability.AT_BOUND
@@ -297,11 +297,11 @@ def verdict_of(
         return Identifiability.AGAINST_PRIOR
     if log_error > prior_share * prior_error:
         return Identifiability.BY_PRIOR
-    if is_open or span > HOPELESS:
+    if is_open or span > max_span:
         return Identifiability.NOT
     if max(span, span_with_others) < WELL:
         return Identifiability.WELL
-    return Identifiability.TWO if is_apart else Identifiability.WEAKLY
+    return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
 def in_display_unit(name: str, *values: float) -> str:
@@ -340,7 +340,7 @@ def describe_parameter(
 
     Parameters
     ----------
-    parameter : without words
+    parameter : without explanation
     others : value and likelihood, over that of the best, of solutions just outside of the 95 % set
     ends : of what the tests allow at 99 %
     """

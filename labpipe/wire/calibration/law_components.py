@@ -37,7 +37,7 @@ from labpipe.wire.materials import RambergOsgood, elastic_share, helix_factor
 _TABLE_STRAINS = (1e-9, 100.0, 32)
 """Range of rim strains of the copper's table, and its knots per decade. Scaling the strength shifts
 the strains."""
-_POINTS = 44  # of a loading curve
+_LOADING_POINTS = 44  # of a loading curve
 _MIN_GAP = 1e-6
 
 
@@ -245,7 +245,7 @@ def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> L
     """
     _require_known(parts, values, largest_curvature)
     edges, points = _edges(parts, values, largest_curvature)
-    places, weights = panel_rule(NODES)
+    places, weights = panel_rule(NODES_PER_PANEL)
     width = np.diff(edges)[:, None]
     nodes = edges[:-1, None] + width * places
     at_edges = _bend(parts, values, edges[1:])
@@ -304,7 +304,7 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, In
     """Return panel edges, corners of friction and even points, and the indices of the points."""
     log_range = 8.0  # logarithm of the last over the first curvature
     spacing_power = 1.5  # knots are denser towards the last
-    even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, _POINTS) ** spacing_power)
+    even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, _LOADING_POINTS) ** spacing_power)
     corners = np.zeros(0)
     if parts.friction is not None:
         force = values[0] / parts.friction.coefficients
