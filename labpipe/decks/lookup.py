@@ -109,7 +109,7 @@ def lookup_json(table: WireTable) -> str:
         "mass_per_length": mass_of(table),
     }
     numbers = {name: derived.get(name) or getattr(table, name) for name in _UNITS}
-    whole = {
+    document = {
         "schema": SCHEMA,
         "labpipe": __version__,
         "wire": table.name,
@@ -125,7 +125,7 @@ def lookup_json(table: WireTable) -> str:
         "loss_card": card_numbers(table),
         "units": _UNITS,
     }
-    return json.dumps(whole, indent=1) + "\n"
+    return json.dumps(document, indent=1) + "\n"
 
 
 SLIDERS_SCHEMA = 1
@@ -204,7 +204,7 @@ def sliders_json(table: WireTable) -> str:
     except ValueError as error:
         return json.dumps({**about, "reason": no_sliders_text(error)}, indent=1) + "\n"
     space = in_directions(law, DIRECTIONS)
-    whole = {
+    document = {
         **about,
         "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,

@@ -100,13 +100,14 @@ def mujoco_deck(
     The deck states at which curvatures the constant stiffness is within 5 % of the wire's law
     (`linear_range`).
     """
+    min_edges = 3
     origin = "as given"
     if stiffness is None:
         stiffness, origin = _slope_at_zero(table)
     length = table.spec.length if length is None else length
     require_positive("stiffness", stiffness)
     require_positive("length", length)
-    require("edges", edges, f"numbers >= {MIN_EDGES}", holds=edges >= MIN_EDGES)
+    require("edges", edges, f"numbers >= {min_edges}", holds=edges >= min_edges)
     cable = _Cable(stiffness, length, mass_of(table), edges)
     comments = "\n".join(map(xml_comment, _comments(table, cable, origin)))
     radius = table.layout.wire_radius

@@ -186,7 +186,7 @@ def _chain_bodies(
     name = f"{prefix}_0" if base is None else base.name
     base_attributes = "><freejoint />" if base is None else ' mocap="true">'
     place = f'pos="{_joined(line.positions[0])}" quat="{_joined(frames[0])}"'
-    yield f"    <body name={quoteattr(name)} {place}{kind}"
+    yield f"    <body name={quoteattr(name)} {place}{base_attributes}"
     for node in range(last + 1):
         if node:
             turn = multiply(conjugate(frames[node - 1]), frames[node])

@@ -34,7 +34,7 @@ from labpipe.decks.deck_law import (
 from labpipe.decks.lookup import DIRECTIONS, no_sliders_text
 from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
 from labpipe.law.plays import is_within, require, require_positive
-from labpipe.law.sliders import MOST_SLIDERS, TURNS, SliderLaw, as_plays, in_directions, turned
+from labpipe.law.sliders import MAX_SLIDERS, TURNS, SliderLaw, as_plays, in_directions, turned
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
@@ -223,8 +223,8 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
-    allowed = f"numbers from 1 to {MOST_SLIDERS}"
-    require("sliders", sliders, allowed, holds=1 <= sliders <= MOST_SLIDERS)
+    allowed = f"numbers from 1 to {MAX_SLIDERS}"
+    require("sliders", sliders, allowed, holds=1 <= sliders <= MAX_SLIDERS)
     try:
         return sliders_of(table, sliders)
     except ValueError as error:
@@ -237,7 +237,7 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
     min_nodes = 3
     length = table.spec.length if length is None else length
     require_positive("length", length)
-    require("nodes", nodes, f"numbers >= {MIN_NODES}", holds=nodes >= MIN_NODES)
+    require("nodes", nodes, f"numbers >= {min_nodes}", holds=nodes >= min_nodes)
     return Chain(
         law,
         length,

@@ -222,8 +222,8 @@ def fit_sliders(
     require(
         "n_sliders",
         n_sliders,
-        f"numbers from 1 to {MOST_SLIDERS}",
-        holds=1 <= n_sliders <= MOST_SLIDERS,
+        f"numbers from 1 to {MAX_SLIDERS}",
+        holds=1 <= n_sliders <= MAX_SLIDERS,
     )
     return _fit(*within_range(curvature, moment, first, last), n_sliders)
 
@@ -288,7 +288,7 @@ def _require_concave(x: Floats, y: Floats) -> None:
 
 
 def _fit(x: Floats, y: Floats, start: float, n_sliders: int) -> SliderLaw:
-    chords = thin(x, y, most=n_sliders + 2)
+    chords = thin(x, y, max_points=n_sliders + 2)
     shares = np.interp(x[1:], chords.curvature, chords.moment) / y[1:]
     scale = 2.0 / (float(shares.max()) + float(shares.min()))
     slopes = scale * np.diff(chords.moment) / np.diff(chords.curvature)
@@ -319,7 +319,7 @@ def slip_moments(law: SliderLaw) -> Vector:
     return np.asarray(law.stiffnesses * law.slip_curvatures)
 
 
-MOST_SCALAR_SLIDERS = 16
+MAX_SCALAR_SLIDERS = 16
 """Largest number in each direction."""
 TURNS = (0.0, 0.5, 0.25, 0.75)
 """Turns of successive nodes, as shares of the angle between two directions."""
@@ -362,7 +362,7 @@ class DirectionalLaw(ArrayRecord):
 
 @lru_cache(maxsize=16)  # laws are hashed by identity
 def in_directions(
-    law: SliderLaw, directions: int, *, most: int = MOST_SCALAR_SLIDERS
+    law: SliderLaw, directions: int, *, most: int = MAX_SCALAR_SLIDERS
 ) -> DirectionalLaw:
     """Fit scalar sliders in a few directions to vector sliders.
 

@@ -288,7 +288,7 @@ class CalibratedParameter:
     is_open_above: bool = False
     at_bound: str = ""
     verdict: Identifiability = Identifiability.FIXED
-    words: str = ""
+    explanation: str = ""
     profiles: tuple[Profile, ...] = ()
     conflict: PriorConflict | None = None
     source: str = ""

@@ -21,7 +21,17 @@ from labpipe.report.wire_figures import (
     warnings_of,
 )
 from labpipe.report.wording import Scale
-from labpipe.report.workbook_file import About, Chart, Line, Row, Sheet, Value, save_book
+from labpipe.report.workbook_file import (
+    About,
+    Chart,
+    Line,
+    Record,
+    Sheet,
+    array_records,
+    save_book,
+    sheet_of,
+    unite_heads,
+)
 from labpipe.wire.end_load_path import force_at
 
 DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)

@@ -32,7 +32,8 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, save_bundle_figure, save_loop_figure
+from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, bundle_figure, loop_figure
+from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.studies.study_json import entries

@@ -82,7 +82,9 @@ def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
     names = ("factor", "source", "size", "contradicts", "message")
     prior = conflict and entries(conflict, *names, value="centre", without="alone")
     return {
-        **entries(parameter, "name", "value", "unit", "verdict", "words", "profiles", "source"),
+        **entries(
+            parameter, "name", "value", "unit", "verdict", "profiles", "source", words="explanation"
+        ),
         "lower": ends[0][0] if ends else None,
         "upper": ends[-1][1] if ends else None,
         "level": interval and interval.level,
@@ -98,8 +100,8 @@ def _solution_json(solution: Solution) -> dict[str, object]:
 
 
 def _separability_json(separability: Separability) -> dict[str, object]:
-    names = ("names", "singular_values", "combinations", "words")
-    return entries(separability, *names, identified="are_identified")
+    names = ("names", "singular_values", "combinations")
+    return entries(separability, *names, words="explanation", identified="are_identified")
 
 
 def _group_json(group: ValidationGroup) -> dict[str, object]:
@@ -140,7 +142,7 @@ def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
 
 def _match_json(match: CurveMatch) -> dict[str, object]:
     count = 0 if match.errors is None else match.errors.n
-    numbers = entries(match, "left_out", force="reference", reason="words")
+    numbers = entries(match, "left_out", force="reference", reason="explanation")
     return {"n": count, **numbers, **_errors_json(match.errors)}
 
 

@@ -348,7 +348,10 @@ def harness_bands(
         return None
     limit = material.limit
     line = bands_of(
-        [solve.path for solve in solves], material.distributions, at=steps, tested_curvature=limit
+        [solve.path for solve in solves],
+        material.distributions,
+        steps=steps,
+        tested_curvature=limit,
     )
     if line is None:
         return None

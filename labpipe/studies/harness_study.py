@@ -24,8 +24,9 @@ from labpipe.report.harness_figure import (
     DrawnMark,
     DrawnShape,
     DrawnSweep,
-    save_harness_figure,
+    harness_drawings,
 )
+from labpipe.report.saving import save_pages
 from labpipe.rod import boundaries as rod
 from labpipe.rod.bands import StateBands
 from labpipe.rod.line import Line

@@ -18,13 +18,16 @@ import numpy as np
 from labpipe.errors import Fault, ProcessingError, ReadError, error_text, nearest
 from labpipe.law.thinning import thin
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
 from labpipe.protocol.wire_rows import (
     COLUMNS,
+    FIRST_SLOPES,
     Column,
     Curve,
+    StressPoint,
     WireRow,
     column_name,
+    curve_fault,
+    curve_of,
     heading_faults,
     parse_row,
     wire_spec,

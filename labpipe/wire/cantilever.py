@@ -329,9 +329,7 @@ def bend_to_travel(
         if bent is None:
             return None
         tip = shape_of(law, bent, length)
-        if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - rounding:
-            return None
-        if rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack_tolerance:
+        if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - slack_tolerance:
             return None
         return replace(bent, load=0.0)  # exactly zero, without the rounding error of the solution
 

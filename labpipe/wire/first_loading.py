@@ -153,9 +153,9 @@ def _slope(state: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
 
     The integrals change with their upper end, where Q = -P sin(beta), and with W*(M0).
     """
-    arc = curvature * at.cube_q + 1.0 / (at.force * at.cosine)
-    across = curvature * at.force * at.cube - at.sine / at.cosine / at.force
-    deflection, tension = respond_to(at, rig, arc, across, 1.0 / at.force)
+    arc = curvature * state.cube_q + 1.0 / (state.force * state.cosine)
+    across = curvature * state.force * state.cube - state.sine / state.cosine / state.force
+    deflection, tension = respond_to(state, rig, arc, across, 1.0 / state.force)
     return tension / deflection
 
 
@@ -165,9 +165,9 @@ def _changes(
     """Return the derivatives of the tension at constant deflection by the law's parameters."""
     end = law.energy_change[:, law.points]
     inside = law.node_energy_change.reshape(len(end), law.node_energy.size)[:, rule.nodes]
-    arc = end * at.cube_q - rule.total(inside * at.cubes_q)
-    across = at.force * (end * at.cube - rule.total(inside * at.cubes))
-    deflection, tension = respond_to(at, rig, arc, across, np.zeros_like(end))
+    arc = end * state.cube_q - rule.total(inside * state.cubes_q)
+    across = state.force * (end * state.cube - rule.total(inside * state.cubes))
+    deflection, tension = respond_to(state, rig, arc, across, np.zeros_like(end))
     return tension - slope * deflection
 
 
@@ -342,22 +342,22 @@ def solve_pair(matrix: tuple[Pair, Pair], first: Floats, second: Floats) -> Pair
 
 
 def respond_to(
-    at: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
+    state: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
 ) -> Pair:
     """Compute the changes of deflection, m, and tension, N, shape (..., points).
 
     They respond to changes of arc length, B and A at constant force and lean.
     """
-    by_x = 0.0 if rig is None else _misfit_slope(at, rig)
-    misfit = by_x * (arm * at.cosine - across * at.sine)
-    force, lean = solve_pair(slopes(at, rig), -arc, -misfit)
-    across_by_force, across_by_lean = _across_slopes(at)
-    by_force = -at.arm / at.force * at.sine + across_by_force * at.cosine
-    by_lean = at.x + across_by_lean * at.cosine
+    by_x = 0.0 if rig is None else _misfit_slope(state, rig)
+    misfit = by_x * (arm * state.cosine - across * state.sine)
+    force, lean = solve_pair(slopes(state, rig), -arc, -misfit)
+    across_by_force, across_by_lean = _across_slopes(state)
+    by_force = -state.arm / state.force * state.sine + across_by_force * state.cosine
+    by_lean = state.x + across_by_lean * state.cosine
     weight = weight_of(rig)
-    pull = (at.force + weight * at.cosine) * force - at.force * weight * at.sine * lean
-    rise = arm * at.sine + across * at.cosine
-    return rise + by_force * force + by_lean * lean, pull / tension_of(at, rig)
+    pull = (state.force + weight * state.cosine) * force - state.force * weight * state.sine * lean
+    rise = arm * state.sine + across * state.cosine
+    return rise + by_force * force + by_lean * lean, pull / tension_of(state, rig)
 
 
 def weight_of(rig: StringRig | None) -> float:

@@ -357,7 +357,7 @@ def slip_onsets(
     slips = ~axial_forces(bundle, guesses).stuck
     never, first = ~slips.any(axis=0), slips.argmax(axis=0)
     upper = _SLIP_GUESSES[first, 0]
-    lower_guess = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
+    lower = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
     for _ in range(rounds):
         curvatures = lower + (upper - lower) * _BRACKET_SHARES
         slips = ~axial_forces(bundle, curvatures[1:-1]).stuck

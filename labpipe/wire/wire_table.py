@@ -363,7 +363,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
         message = (
             f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
             f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
-            f"{100.0 * OVERLAP_TOLERANCE:.1f} % is allowed"
+            f"{100.0 * MAX_OVERLAP_SHARE:.1f} % is allowed"
         )
         yield QualityNote("overlap_tolerated", Severity.INFO, spec.place, message)
     material = material_of(spec)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from labpipe import __version__
 from labpipe.decks import DECKS, deck_texts, write_decks
 from labpipe.decks import deck_law as deck_facts
-from labpipe.decks.beam_sections import MOST_POINTS, abaqus_deck, ansys_deck, shear_stiffness
+from labpipe.decks.beam_sections import MAX_POINTS, abaqus_deck, ansys_deck, shear_stiffness
 from labpipe.decks.calculix import TIP, BarMesh, calculix_deck, half_bar
 from labpipe.decks.deck_law import (
     abaqus_label,

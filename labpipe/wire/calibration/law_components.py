@@ -245,7 +245,7 @@ def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> L
     """
     _require_known(parts, values, largest_curvature)
     edges, points = _edges(parts, values, largest_curvature)
-    places, weights = panel_rule(NODES_PER_PANEL)
+    places, weights = panel_rule(NODES)
     width = np.diff(edges)[:, None]
     nodes = edges[:-1, None] + width * places
     at_edges = _bend(parts, values, edges[1:])
