@@ -130,7 +130,7 @@ def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     3 EI / (0.001 (10 d)^2) adds a thousandth to the deflection P L^3 / 3 EI of a free length of
     ten wire diameters d, and less to a longer one.
     """
-    require("section", section, "whole numbers >= 1", holds=section >= 1)
+    require("section", section, "a whole number >= 1", holds=section >= 1)
     law = thin(table.curvature, table.moment, max_points=MAX_POINTS + 1)
     lines = [f"! {line}" for line in _ansys_comments(table, law)]
     lines += [f"SECTYPE,{section},GENB,PLASTIC,{ansys_name(table.name)}"]

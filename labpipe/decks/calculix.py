@@ -83,7 +83,7 @@ def half_bar(radius: float, length: float, *, n_along: int) -> BarMesh:
     ValueError
         If there is not one brick.
     """
-    require("n_along", n_along, "whole numbers >= 1", holds=n_along >= 1)
+    require("n_along", n_along, "a whole number >= 1", holds=n_along >= 1)
     nodes, bricks = _unit_bar(n_along)
     return BarMesh(nodes * [length, radius, radius], bricks, length, radius)
 
@@ -189,7 +189,7 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80
     along it, and the tip may turn: an end load normal to the clamped axis (PHYSICS 5). The tip is
     moved by 0.6 of the length, or as far as the wire's law goes.
     """
-    require("n_steps", n_steps, "whole numbers >= 1", holds=n_steps >= 1)
+    require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)
     diameter = 2.0 * table.layout.wire_radius
     material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     max_tip_share = 0.6  # of the length; less if the range of the law ends before

@@ -107,7 +107,7 @@ def mujoco_deck(
     length = table.spec.length if length is None else length
     require_positive("stiffness", stiffness)
     require_positive("length", length)
-    require("edges", edges, f"numbers >= {min_edges}", holds=edges >= min_edges)
+    require("edges", edges, f">= {min_edges}", holds=edges >= min_edges)
     cable = _Cable(stiffness, length, mass_of(table), edges)
     comments = "\n".join(map(xml_comment, _comments(table, cable, origin)))
     radius = table.layout.wire_radius

@@ -223,7 +223,7 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
-    allowed = f"numbers from 1 to {MAX_SLIDERS}"
+    allowed = f"from 1 to {MAX_SLIDERS}"
     require("sliders", sliders, allowed, holds=1 <= sliders <= MAX_SLIDERS)
     try:
         return sliders_of(table, sliders)
@@ -237,7 +237,7 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
     min_nodes = 3
     length = table.spec.length if length is None else length
     require_positive("length", length)
-    require("nodes", nodes, f"numbers >= {min_nodes}", holds=nodes >= min_nodes)
+    require("nodes", nodes, f">= {min_nodes}", holds=nodes >= min_nodes)
     return Chain(
         law,
         length,

@@ -157,9 +157,9 @@ def _plastic_moment(curvature: Floats, strain: Floats, radius: float) -> Floats:
 
 def _require_input(curvature: Floats, moment: Floats, elastic_share: float, n_knots: int) -> None:
     lengths = len(curvature), len(moment)
-    require("numbers of points", lengths, "two equal ones >= 2", holds=1 < lengths[0] == lengths[1])
+    require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
     require_rising("curvature", curvature)
     holds = bool(np.all((moment > 0.0) & np.isfinite(moment * curvature)))
-    require("moment", moment.tolist(), "finite numbers > 0", holds=holds)
-    require("elastic_share", elastic_share, "shares below 1", holds=0.0 < elastic_share < 1.0)
-    require("n_knots", n_knots, "numbers >= 2", holds=n_knots >= 2)
+    require("moment", moment.tolist(), "finite and > 0", holds=holds)
+    require("elastic_share", elastic_share, "between 0 and 1", holds=0.0 < elastic_share < 1.0)
+    require("n_knots", n_knots, ">= 2", holds=n_knots >= 2)

@@ -115,14 +115,12 @@ class PlayLaw(ArrayRecord):
 
     def __post_init__(self) -> None:
         require_positive("stiffness", self.stiffness)
-        require(
-            "largest_moment", self.largest_moment, "numbers > 0", holds=self.largest_moment > 0.0
-        )
+        require("largest_moment", self.largest_moment, "> 0", holds=self.largest_moment > 0.0)
         ArrayRecord.__post_init__(self)
         widths, compliances = self.half_widths, self.compliances
         require_rising("half_widths", widths)
         are_valid = bool(np.all((compliances >= 0.0) & np.isfinite(compliances)))
-        require("compliances", compliances.tolist(), "finite numbers >= 0", holds=are_valid)
+        require("compliances", compliances.tolist(), "finite and >= 0", holds=are_valid)
 
 
 def unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
@@ -215,16 +213,16 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
     raise ValueError(message)
 
 
-def require(name: str, value: object, allowed: str, *, holds: bool) -> None:
+def require(name: str, value: object, condition: str, *, holds: bool) -> None:
     """Refuse a value of which a condition does not hold.
 
     Raises
     ------
     ValueError
-        With the name, the value and what is allowed.
+        With the name, the value and the condition.
     """
     if not holds:
-        message = f"{name}={value!r}: allowed are {allowed}"
+        message = f"{name}={value!r}: must be {condition}"
         raise ValueError(message)
 
 
@@ -234,9 +232,9 @@ def require_positive(name: str, value: float) -> None:
     Raises
     ------
     ValueError
-        With the name, the value and what is allowed.
+        With the name, the value and the condition.
     """
-    require(name, value, "finite numbers > 0", holds=bool(0.0 < value < np.inf))
+    require(name, value, "finite and > 0", holds=bool(0.0 < value < np.inf))
 
 
 def require_not_negative(name: str, value: float) -> None:
@@ -245,9 +243,9 @@ def require_not_negative(name: str, value: float) -> None:
     Raises
     ------
     ValueError
-        With the name, the value and what is allowed.
+        With the name, the value and the condition.
     """
-    require(name, value, "finite numbers >= 0", holds=bool(0.0 <= value < np.inf))
+    require(name, value, "finite and >= 0", holds=bool(0.0 <= value < np.inf))
 
 
 def require_rising(name: str, values: Floats) -> None:
@@ -256,10 +254,10 @@ def require_rising(name: str, values: Floats) -> None:
     Raises
     ------
     ValueError
-        With the name, the values and what is allowed.
+        With the name, the values and the condition.
     """
     holds = bool(np.all(np.diff(values, prepend=0.0) > 0.0))
-    require(name, values.tolist(), "positive, increasing numbers", holds=holds)
+    require(name, values.tolist(), "positive and increasing", holds=holds)
 
 
 def require_finite(name: str, values: Floats | float) -> None:
@@ -268,10 +266,10 @@ def require_finite(name: str, values: Floats | float) -> None:
     Raises
     ------
     ValueError
-        With the name, the values and what is allowed.
+        With the name, the values and the condition.
     """
     holds = bool(np.all(np.isfinite(values)))
-    require(name, np.asarray(values).tolist(), "finite numbers", holds=holds)
+    require(name, np.asarray(values).tolist(), "finite", holds=holds)
 
 
 def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
@@ -292,14 +290,11 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
         at = curvature[int(np.argmin(slopes > 0.0))]
-        message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
+        message = f"the law softens before curvature={at:.6g} 1/m: the moment must increase"
         raise ValueError(message)
     if np.any(np.diff(slopes) > rounding_share * slopes[0]):
         at = curvature[int(np.argmax(np.diff(slopes))) + 1]
-        message = (
-            f"the law stiffens before curvature={at:.6g} 1/m: "
-            "allowed is a slope that does not increase"
-        )
+        message = f"the law stiffens before curvature={at:.6g} 1/m: the slope must not increase"
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
     return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
@@ -330,7 +325,7 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
         at = int(np.argmax(excess))
         message = (
             f"the law stiffens at curvature={curvature[at]:.6g} 1/m: its concave hull is "
-            f"{100.0 * excess[at]:.2g} % above it, allowed is {100.0 * max_bridged_share:.0f} %"
+            f"{100.0 * excess[at]:.2g} % above it; expected at most {100.0 * max_bridged_share:.0f} %"
         )
         raise ValueError(message)
     return polygon_law(curvature[hull], moment[hull])
@@ -384,7 +379,7 @@ def stick_slip_law(
     """
     require_positive("slip_stiffness", slip_stiffness)
     require_positive("reference_moment", reference_moment)
-    require("hardening", hardening, "numbers between 0 and 1", holds=0.0 < hardening < 1.0)
+    require("hardening", hardening, "between 0 and 1", holds=0.0 < hardening < 1.0)
     knots = stick_moment + np.linspace(0.0, 1.0, n_plays + 1) ** 2 * (last_moment - stick_moment)
     flow = ((knots - stick_moment) / reference_moment) ** (1.0 / hardening)
     curvature = knots / stick_stiffness + reference_moment / slip_stiffness * flow

@@ -80,7 +80,7 @@ class SliderLaw(ArrayRecord):
         ArrayRecord.__post_init__(self)
         require_not_negative("stiffness", self.stiffness)
         are_valid = bool(np.all((self.stiffnesses > 0.0) & np.isfinite(self.stiffnesses)))
-        require("stiffnesses", self.stiffnesses.tolist(), "finite numbers > 0", holds=are_valid)
+        require("stiffnesses", self.stiffnesses.tolist(), "finite and > 0", holds=are_valid)
         require_rising("slip_curvatures", self.slip_curvatures)
         _require_range(self.first, self.last)
 
@@ -222,14 +222,14 @@ def fit_sliders(
     require(
         "n_sliders",
         n_sliders,
-        f"numbers from 1 to {MAX_SLIDERS}",
+        f"from 1 to {MAX_SLIDERS}",
         holds=1 <= n_sliders <= MAX_SLIDERS,
     )
     return _fit(*within_range(curvature, moment, first, last), n_sliders)
 
 
 def _require_range(first: float, last: float) -> None:
-    require("range", (first, last), "curvatures from zero up", holds=0.0 <= first < last < np.inf)
+    require("range", (first, last), ">= 0 and increasing", holds=0.0 <= first < last < np.inf)
 
 
 def within_range(
@@ -362,7 +362,7 @@ class DirectionalLaw(ArrayRecord):
 
 @lru_cache(maxsize=16)  # laws are hashed by identity
 def in_directions(
-    law: SliderLaw, directions: int, *, most: int = MAX_SCALAR_SLIDERS
+    law: SliderLaw, directions: int, *, max_sliders: int = MAX_SCALAR_SLIDERS
 ) -> DirectionalLaw:
     """Fit scalar sliders in a few directions to vector sliders.
 
@@ -370,7 +370,7 @@ def in_directions(
     ----------
     law : vector sliders
     directions : D, at least 2
-    most : largest number of sliders in each direction
+    max_sliders : largest number of sliders in each direction
 
     Raises
     ------
@@ -385,8 +385,8 @@ def in_directions(
     """
     n_slips = 48  # slip curvatures to choose from
     last_factor = 1.6  # vector sliders slide together, scalar ones only until there
-    require("directions", directions, "numbers >= 2", holds=directions >= 2)
-    require("most", most, "numbers >= 1", holds=most >= 1)
+    require("directions", directions, ">= 2", holds=directions >= 2)
+    require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
     size = _curvatures(law)
     target = slider_moment(law, size)
     if not law.stiffnesses.size:
@@ -395,7 +395,7 @@ def in_directions(
         ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
         slips = np.geomspace(*ends, n_slips)
         stiffnesses = _fit_stiffnesses(size, target, slips, directions)
-        while np.count_nonzero(stiffnesses[1:]) > most or not np.all(stiffnesses[1:]):
+        while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
             slips = _fewer_slips(slips, stiffnesses[1:])
             stiffnesses = _fit_stiffnesses(size, target, slips, directions)
     springs = 2.0 * stiffnesses / directions

@@ -72,13 +72,13 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     return Thinned(x[chosen], y[chosen], _largest_error(x[chosen], y[chosen], curvature, moment))
 
 
-def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
-    require("most", most, "numbers of points >= 2", holds=most >= 2)
+def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
+    require("max_points", max_points, ">= 2", holds=max_points >= 2)
     lengths = len(curvature), len(moment)
-    require("numbers of points", lengths, "two equal ones >= 2", holds=1 < lengths[0] == lengths[1])
+    require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
     holds = bool(curvature[0] == moment[0] == 0.0 and np.isfinite(moment).all())
     first = float(curvature[0]), float(moment[0])
-    require("first point", first, "zeros, then finite numbers", holds=holds)
+    require("first point", first, "(0, 0), and all moments finite", holds=holds)
     require_rising("curvature", curvature[1:])
     if np.any(np.diff(moment) <= 0.0):
         first_drop = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]

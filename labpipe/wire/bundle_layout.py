@@ -305,7 +305,7 @@ def sites(number: int, *, seed: int = 0) -> Floats:
         If there is no wire.
     """
     max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
-    require("number", number, "whole numbers >= 1", holds=number >= 1)
+    require("number", number, "a whole number >= 1", holds=number >= 1)
     core = _hexagon_centre(number) if number <= max_hexagon_wires else None
     places = _hexagonal_heap(number, core) if core is not None else _densest_heap(number, seed)
     points = places - places.mean(axis=0)

@@ -67,9 +67,9 @@ class Layer:
 
     def __post_init__(self) -> None:
         require_positive("diameter", self.diameter)
-        require("count", self.count, "whole numbers >= 1", holds=self.count >= 1)
+        require("count", self.count, "a whole number >= 1", holds=self.count >= 1)
         holds, degrees = abs(self.lay_angle) < np.pi / 2.0, float(np.degrees(self.lay_angle))
-        require("lay_angle", degrees, "angles between -90 and 90 deg", holds=holds)
+        require("lay_angle", degrees, "between -90 and 90 deg", holds=holds)
         _require_poisson(self.poisson)
 
     @property
@@ -79,7 +79,7 @@ class Layer:
 
 
 def _require_poisson(poisson: float) -> None:
-    require("poisson", poisson, "numbers above -1, up to 0.5", holds=-1.0 < poisson <= 0.5)
+    require("poisson", poisson, "> -1 and <= 0.5", holds=-1.0 < poisson <= 0.5)
 
 
 @dataclass(frozen=True, slots=True)

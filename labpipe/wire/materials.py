@@ -144,9 +144,7 @@ class RambergOsgood:
     def __post_init__(self) -> None:
         require_positive("modulus", self.modulus)
         require_positive("strength", self.strength)
-        require(
-            "exponent", self.exponent, "numbers between 0 and 1", holds=0.0 < self.exponent < 1.0
-        )
+        require("exponent", self.exponent, "between 0 and 1", holds=0.0 < self.exponent < 1.0)
 
     @property
     def largest_strain(self) -> float:

@@ -252,7 +252,7 @@ def chebyshev_stations(count: int, length: float = 1.0) -> Stations:
     if length != 1.0:
         unit = chebyshev_stations(count)
         return Stations(length * unit.position, length * unit.from_clamp, length * unit.to_tip)
-    require("count", count, "numbers >= 4", holds=count >= 4)
+    require("count", count, ">= 4", holds=count >= 4)
     nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
     basis = chebyshev.chebvander(nodes, count - 1)
     integrals = np.column_stack(

@@ -151,11 +151,11 @@ def _parameter(
     value = float(np.exp(result.fit.point.logs[number]))
     if not problem.parts.has[number]:
         words = f"{NAMES[name]} does not act on this wire"
-        return CalibratedParameter(name, UNITS[name], np.nan, words=words)
+        return CalibratedParameter(name, UNITS[name], np.nan, explanation=words)
     if not result.free[number]:
         source = result.settings.choices[name].source if name in result.settings.choices else ""
         fixed = CalibratedParameter(name, UNITS[name], value, source=source)
-        return replace(fixed, words=describe_parameter(fixed))
+        return replace(fixed, explanation=describe_parameter(fixed))
     profiles_ = traces(result, number)
     intervals = tuple(Interval(*np.exp(ends).tolist()) for ends in union(profiles_))
     parameter = CalibratedParameter(

@@ -238,13 +238,13 @@ def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     if unknown:
         message = f"{unknown[0]!r}: expected one of {', '.join(PARAMETERS)}"
         raise ValueError(message)
-    require("gain", gain, "numbers from 0 to below 1", holds=0.0 <= gain < 1.0)
+    require("gain", gain, ">= 0 and < 1", holds=0.0 <= gain < 1.0)
     for name, choice in choices.items():
         for what in ("value", "lower", "upper"):
             number = getattr(choice, what)
             require_positive(f"{name}: {what}", 1.0 if number is None else number)
         factor = 2.0 if choice.factor is None else choice.factor
-        require(f"{name}: factor", factor, "finite numbers > 1", holds=1.0 < factor < np.inf)
+        require(f"{name}: factor", factor, "finite and > 1", holds=1.0 < factor < np.inf)
 
 
 NAMES: Mapping[str, str] = {

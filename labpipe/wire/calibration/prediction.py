@@ -130,7 +130,7 @@ def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]
         If there is no curve, or first loading ends before one does.
     """
     if not curves:
-        message = "curves: allowed is at least one"
+        message = "curves: expected at least one"
         raise ValueError(message)
     curvatures = []
     for curve in curves:
