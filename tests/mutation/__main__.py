@@ -21,8 +21,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
+from tests.mutation.entered import REPOSITORY, Entered
 from tests.mutation.mutants import COUNT, LAYERS, Mutant, sampled
-from tests.mutation.trials import REPOSITORY, Demo, noticed_by, with_libraries
+from tests.mutation.trials import Demo, in_session, noticed_by, with_libraries
 
 HERE = Path(__file__).resolve().parent
 TRIED, EXPLAINED = HERE / "tried.jsonl", HERE / "explained.toml"
@@ -59,39 +62,24 @@ def main() -> int:
 
 def try_for(seconds: float, mutants: Sequence[Mutant], demo: Path) -> None:
     """Try mutants one after the other, and write down how each ends."""
-    ends, known = time.monotonic() + seconds, tried()
+    ends, known, entered = time.monotonic() + seconds, tried(), Entered.kept()
+    tests = {mutant: entered.tests_of(mutant, known.get(token(mutant), "")) for mutant in mutants}
+    files = {test.partition("::")[0] for names in tests.values() for test in names}
     with_libraries()
     followed = Demo.followed(demo)
-    for number, mutant in enumerate(mutants):
-        if time.monotonic() > ends:
-            return
-        last = known.get(token(mutant), "")
-        known[token(mutant)] = noticed_by(mutant, stages(mutant, last), followed)
-        write(known)
-        said = known[token(mutant)] or "NOTHING"
-        print(f"{number + 1}/{len(mutants)} {said}  <  {mutant.key}", flush=True)
 
+    def try_all(session: pytest.Session) -> None:
+        for number, mutant in enumerate(mutants):
+            if time.monotonic() > ends:
+                return
+            in_place = None if mutant.is_at_import else session
+            by = noticed_by(mutant, tests[mutant], followed, in_place)
+            known[token(mutant)] = by
+            write(known)
+            print(f"{number + 1}/{len(mutants)} {by or 'NOTHING'}  <  {mutant.key}", flush=True)
 
-def stages(mutant: Mutant, last: str) -> list[list[str]]:
-    """Tests of the room of a module, those that import it first; then other tests that import it.
-
-    What noticed the fault last time is asked first.
-    """
-    module = Path(mutant.module)
-    dotted = "labpipe." + module.with_suffix("").as_posix().replace("/", ".")
-    rooms = {layer: sorted((REPOSITORY / "tests" / layer).rglob("test_*.py")) for layer in LAYERS}
-    users = {
-        layer: [path for path in files if f"{dotted} " in path.read_text(encoding="utf-8")]
-        for layer, files in rooms.items()
-    }
-    own = module.parts[0]
-    beside = list(dict.fromkeys([*users.pop(own), *rooms[own]]))
-    others = [path for files in users.values() for path in files]
-    file = last.partition("::")[0]
-    names = (
-        [path.relative_to(REPOSITORY).as_posix() for path in other] for other in (beside, others)
-    )
-    return [sorted(name, key=lambda path: path != file) for name in names]
+    if files:
+        in_session(sorted(files), try_all)
 
 
 def token(mutant: Mutant) -> str:

@@ -7,11 +7,13 @@ fork of one that has imported the libraries, so that a trial costs little more t
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import io
 import json
 import os
 import resource
+import signal
 import sys
 import tempfile
 import traceback
@@ -22,21 +24,27 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_file_location
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import Any
 
 import pytest
+from _pytest.main import pytest_runtestloop
 
+from tests.mutation.entered import KEPT, PACKAGE, REPOSITORY
 from tests.mutation.mutants import LAYERS, Mutant
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 GOLDEN = (
     *("wires/A2-085-1", "tensile/pet-tape-1", "tensile/CT-10-1", "tensile/twist-tube-1a"),
     *("tensile/stiff-bar-1", "harness/CWB-1-1", "harness/TWB-B1-12-PVC-1"),
 )
 """One test of each kind of the demo, whose numbers are compared with those that are kept."""
+FOLLOWED = KEPT / "demo.json"
 SECONDS = 150
-"""Of processor time that a stage may take; a fault that makes the tests wait is noticed."""
+"""Of processor time that a trial may take; a fault that makes the tests wait is noticed."""
+OPTIONS = (
+    *("-x", "-q", "--hypothesis-seed=0"),
+    *("-p", "no:randomly", "-p", "no:xdist", "-p", "no:cacheprovider", "-p", "no:pytest_cov"),
+)
 LIBRARIES = (
     "numpy",
     "scipy.optimize",
@@ -77,11 +85,15 @@ class Demo:
 
         A test whose numbers are not those that are kept, without any fault, tells nothing.
         """
-        names = GOLDEN if folder.is_dir() else ()
-        told = {name: json.loads(_apart(partial(_followed, name, folder))) for name in names}
+        if not folder.is_dir():
+            return cls(folder, {})
+        if not FOLLOWED.is_file():
+            told = {name: json.loads(_apart(partial(_followed, name, folder))) for name in GOLDEN}
+            FOLLOWED.write_text(json.dumps(told), encoding="utf-8")
+        notes = json.loads(FOLLOWED.read_text(encoding="utf-8"))
         lines = {
             name: {module: frozenset(ran) for module, ran in note.items()}
-            for name, note in told.items()
+            for name, note in notes.items()
         }
         return cls(folder, lines)
 
@@ -95,21 +107,33 @@ class Demo:
         ]
 
 
-def noticed_by(mutant: Mutant, stages: Sequence[Sequence[str]], demo: Demo) -> str:
+def in_session(files: Sequence[str], job: Callable[[pytest.Session], None]) -> None:
+    """Collect tests once, and do a job where pytest would run them."""
+
+    class Trials:
+        def pytest_runtestloop(self, session: pytest.Session) -> bool:
+            job(session)
+            return True
+
+    pytest.main([*OPTIONS, "-s", *files], plugins=[Trials()])
+
+
+def noticed_by(
+    mutant: Mutant, tests: Sequence[str], demo: Demo, session: pytest.Session | None
+) -> str:
     """What notices a fault; empty where nothing does.
 
     Parameters
     ----------
     mutant : the fault
-    stages : files of tests; after the first stage, the numbers of the demo are compared
+    tests : names of tests, in the order in which they are asked; then the numbers of the demo are
     demo : what to compare
+    session : in which the tests are collected; none where the package is to be imported anew
     """
-    first, *others = stages
-    found = _apart(lambda: _failing(mutant, first))
+    ask = partial(_failing, mutant, tests, session) if session else partial(_anew, mutant, tests)
+    found = _apart(ask) if tests else ""
     if not found and (names := demo.tests_of(mutant)):
-        found = _apart(lambda: _changed(mutant, demo.folder, names))
-    for other in others:
-        found = found or (_apart(partial(_failing, mutant, other)) if other else "")
+        found = _apart(partial(_changed, mutant, demo.folder, names))
     return found
 
 
@@ -119,15 +143,14 @@ def _followed(name: str, folder: Path) -> str:
 
     from tests.golden.differences import differences
 
-    package = REPOSITORY / "labpipe"
-    following = Coverage(data_file=None, include=[f"{package}/{layer}/*" for layer in LAYERS])
+    following = Coverage(data_file=None, include=[f"{PACKAGE}/{layer}/*" for layer in LAYERS])
     with following.collect():
         kept, made = golden_rows(name, folder)
     if differences(kept, made):
         return json.dumps({})
     data = following.get_data()
     found = {
-        str(Path(path).relative_to(package)): data.lines(path) for path in data.measured_files()
+        str(Path(path).relative_to(PACKAGE)): data.lines(path) for path in data.measured_files()
     }
     return json.dumps(found)
 
@@ -139,6 +162,7 @@ def _apart(job: Callable[[], str]) -> str:
         child = os.fork()
         if not child:
             try:
+                os.setsid()
                 _quiet(Path(folder))
                 said.write_text(job(), encoding="utf-8")
             except BaseException:  # noqa: BLE001  told by the parent
@@ -146,6 +170,8 @@ def _apart(job: Callable[[], str]) -> str:
             finally:
                 os._exit(0)
         _, status = os.waitpid(child, 0)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)  # what its tests have started
         if os.WIFSIGNALED(status):
             return f"signal {os.WTERMSIG(status)}"
         if wrong.is_file():
@@ -156,6 +182,7 @@ def _apart(job: Callable[[], str]) -> str:
 def _quiet(folder: Path) -> None:
     """Limit this process, and send what it prints nowhere."""
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
+    signal.alarm(10 * SECONDS)
     os.environ |= {"HYPOTHESIS_STORAGE_DIRECTORY": str(folder / "examples"), "TMPDIR": str(folder)}
     tempfile.tempdir = str(folder)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -163,17 +190,38 @@ def _quiet(folder: Path) -> None:
         os.dup2(nowhere, stream)
 
 
-def _failing(mutant: Mutant, tests: Sequence[str]) -> str:
-    """The first test that fails."""
-    first = _First()
-    plugins = ("randomly", "xdist", "cacheprovider", "pytest_cov")
-    off = [part for name in plugins for part in ("-p", f"no:{name}")]
+def _failing(mutant: Mutant, tests: Sequence[str], session: pytest.Session) -> str:
+    """The first test that fails, of those that a session has collected from the sound package."""
+    _replace_code(mutant)
+    first, items = _First(), {item.nodeid: item for item in session.items}
+    session.config.pluginmanager.register(first)
+    session.items = [items[name] for name in tests if name in items]
+    with contextlib.suppress(session.Failed):
+        pytest_runtestloop(session)
+    session._setupstate.teardown_exact(None)
+    return first.failed
+
+
+def _replace_code(mutant: Mutant) -> None:
+    """Give the functions of a module the code that they have with the fault."""
+    path = str(PACKAGE / mutant.module)
+    codes, new = [compile(mutant.tree, path, "exec", dont_inherit=True)], {}
+    for code in codes:  # it grows as it is gone through
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+        new[code.co_qualname, code.co_firstlineno] = code
+    for thing in gc.get_objects():
+        if isinstance(thing, FunctionType) and thing.__code__.co_filename == path:
+            thing.__code__ = new[thing.__code__.co_qualname, thing.__code__.co_firstlineno]
+        elif type(thing).__name__ == "_lru_cache_wrapper":
+            thing.cache_clear()
+
+
+def _anew(mutant: Mutant, tests: Sequence[str]) -> str:
+    """The first test that fails, all being imported anew."""
     if not _is_imported(mutant):
         return "import"
-    ended = pytest.main(["-x", "-q", "--hypothesis-seed=0", *off, *tests], plugins=[first])
-    if ended == pytest.ExitCode.USAGE_ERROR:
-        msg = f"pytest does not take {tests}"
-        raise ValueError(msg)
+    first = _First()
+    pytest.main([*OPTIONS, *tests], plugins=[first])
     return first.failed
 
 
@@ -244,7 +292,7 @@ class _Faulty(MetaPathFinder):
     def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
         if name != _dotted(self.mutant.module):
             return None
-        path = REPOSITORY / "labpipe" / self.mutant.module
+        path = PACKAGE / self.mutant.module
         packages = [str(path.parent)] if path.name == "__init__.py" else None
         loader = _Loader(name, str(path))
         loader.mutant = self.mutant

@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import linalg, signal
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.uncertainty.noise_model import Noise, _processes, estimate_noise
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.replicates import smooth_curve
@@ -125,6 +125,89 @@ def test_processes_by_their_formulas() -> None:
     assert found.prior == pytest.approx(np.concatenate(weights))
     # Of a short record up to twice the briefest memory at least.
     assert np.unique(_processes(8, 8).time)[[1, -1]] == pytest.approx([0.4, 0.8])
+
+
+def cosines(count: int, terms: int) -> Floats:
+    """Rows of unit length: the slowest half waves over a number of samples."""
+    waves = np.cos(np.pi / count * np.outer(np.arange(terms), np.arange(count) + 0.5))
+    return np.asarray(waves / np.linalg.norm(waves, axis=1)[:, None], dtype=np.float64)
+
+
+def judged_by_contrasts(
+    parts: Sequence[tuple[Floats, int]], noise: Noise, is_possible: Flags
+) -> tuple[Floats, Floats, int]:
+    """Chances, squares and freedom by dense matrices, of 48 half waves of each part.
+
+    A part has its values and the number of powers that are its curve. Contrasts that no curve
+    reaches are normal, of the covariance that a process gives them.
+    """
+    processes = _processes(noise.longest, noise.count)
+    logs, squares, freedom = np.log(processes.prior), 0.0 * processes.prior, 0
+    for values, powers in parts:
+        waves = cosines(len(values), 48)
+        curves = waves @ np.vander(np.linspace(-1.0, 1.0, len(values)), powers)
+        contrasts = linalg.null_space(curves.T)
+        power = processes.spectra(np.pi * np.arange(48) / len(values))
+        covariance = (contrasts.T * power[:, None]) @ contrasts
+        seen = contrasts.T @ waves @ values
+        logs -= 0.5 * np.linalg.slogdet(covariance)[1]
+        squares += np.linalg.solve(covariance, seen[:, None])[..., 0] @ seen
+        freedom += len(seen)
+    logs = np.where(is_possible, logs - 0.5 * freedom * np.log(squares), -np.inf)
+    chances = np.exp(logs - logs.max())
+    chances[chances < 1e-4 * chances.max()] = 0.0
+    return chances / chances.sum(), squares, freedom
+
+
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
+    """Two branches in pieces of a twelfth of the longer one, without a tenth of each rest.
+
+    Without rests, flicker noise counts only where the pieces see it cross white noise, or where it
+    is white in them; nor where it is as steep as noise that remembers.
+    """
+    long, short, before, behind = (
+        autoregressive(0.8, (count,), seed)
+        for seed, count in enumerate((2000, 1000, 300, 400), start=30)
+    )
+    behind += 0.1 * np.linspace(-1.0, 2.0, 400) ** 2
+    rests = [[before], [behind]] if at_rest else []
+    noise = estimate_noise([long, short], [0.0 * long, 0.0 * short], *rests)
+    pieces = [*long[:1992].reshape(12, 166), *short[:996].reshape(6, 166)]
+    parts = [
+        *((piece, 6) for piece in pieces),
+        *[(before[:270], 1), (behind[40:], 3)][: 2 * at_rest],
+    ]
+    processes = _processes(2000, 3000)
+    steep, crossing = processes.steep, processes.crossing
+    is_crossed = (crossing > np.pi * 12 / 166) & (crossing < np.pi * 48 / 166) | (crossing == np.pi)
+    is_possible = at_rest | (steep == 0.0) | (is_crossed & (steep < 1.3))
+    chances, squares, freedom = judged_by_contrasts(parts, noise, is_possible)
+    assert noise.freedom == freedom
+    np.testing.assert_allclose(noise.squares, squares, rtol=1e-9)
+    np.testing.assert_allclose(noise.chances, chances, rtol=1e-7)
+    # Faster waves have the power of the record, in bands of 16 of the longer branch.
+    power = (cosines(2000, 2000) @ long) ** 2 + np.repeat(cosines(1000, 1000) @ short, 2) ** 2 / 2.0
+    edges = np.arange(256, 1984, 16)
+    bands = np.add.reduceat(power, edges) / np.diff(np.append(edges, 2000))
+    np.testing.assert_allclose(noise.angles, np.pi * edges / 2000.0)
+    np.testing.assert_allclose(noise.power, bands * 2.0 / 3.0, rtol=1e-9)
+
+
+def test_correlation_times_are_those_of_the_spectra() -> None:
+    """Half the power at no frequency over the mean power; one half if mirrored or flickering."""
+    processes, angle = _processes(2000, 8000), np.pi * (np.arange(5000) + 0.5) / 5000.0
+    means = np.where(
+        (processes.is_mirrored == 1.0) | (processes.steep > 0.0),
+        1.0,
+        processes.spectra(angle).mean(axis=1),
+    )
+    none = np.zeros(0)
+    times = [
+        Noise(chances, chances, 1, 2000, 8000, none, none).correlation_time
+        for chances in np.eye(len(means))
+    ]
+    np.testing.assert_allclose(times, 0.5 / means, rtol=1e-9)
 
 
 def test_a_piece_with_a_step_or_with_more_noise_is_left_out() -> None:

@@ -31,6 +31,10 @@ def test_long_run_variance() -> None:
     for rows in (2.0 * kicks, lfilter([1.0], [1.0, -0.5], kicks)):
         variances = [long_run_variance(row, parameters=1) for row in rows]
         assert np.mean(variances) == pytest.approx(4.0, rel=0.08)
+    # Residuals that alternate have next to none: half of the plain one is kept.
+    alternating = np.append(np.tile([1.0, -1.0], 50), np.nan)
+    assert long_run_variance(alternating, parameters=2) == pytest.approx(0.5 * 100.0 / 98.0)
+    assert np.isnan(long_run_variance(alternating[:4], parameters=2))
 
 
 def test_fast_noise_does_not_see_the_curve() -> None:
@@ -66,17 +70,45 @@ def test_slowest_cosines(count: int) -> None:
     np.testing.assert_allclose(slowest_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale)
 
 
-def test_covariance_of_short_windows_is_exact() -> None:
-    """White noise keeps its variance 1; the last spectra are autoregressive with a white floor."""
-    grid, basis = Grid(100, 100), cubic_basis(12)
-    covariance = exact_covariance(basis, grid)
-    count = len(grid.times)
-    assert covariance[count] == pytest.approx(np.eye(4), abs=1e-12)
-    factor = np.exp(-1.0 / grid.times[-1])
-    slow = (1.0 - factor) / (1.0 + factor) * toeplitz(factor ** np.arange(12))
-    assert covariance[2 * count] == pytest.approx(basis @ slow @ basis.T, rel=1e-9, abs=1e-12)
-    mixed = 0.3 * np.eye(12) + 0.7 * slow
-    assert covariance[-1] == pytest.approx(basis @ mixed @ basis.T, rel=1e-9, abs=1e-12)
+def test_probable_spectra_and_their_covariances() -> None:
+    """Mirrored, white, remembering, and these on white floors; a window of twelve samples."""
+    grid, angle, lags = Grid(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
+    times = np.geomspace(100.0 / 240.0, 20.0, 23)
+    a = np.exp(-1.0 / times)[:, None]
+    slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
+    white = (lags == 0).astype(float)
+    mirrored = ((1.0 + a**2) * white - a * (lags == 1)) / (1.0 - a) ** 2
+    remembering = (1.0 - a) / (1.0 + a) * a**lags
+    floors = (0.003, 0.01, 0.03, 0.1, 0.3)
+    spectra = [1.0 / slow[::-1], np.ones((1, 60)), slow, *(f + (1.0 - f) * slow for f in floors)]
+    on_floors = [f * white + (1.0 - f) * remembering for f in floors]
+    covariances = np.vstack([mirrored[::-1], white, remembering, *on_floors])
+    prior = (times / times[0]) ** -0.4
+    assert grid.times == pytest.approx(times)
+    assert grid.prior == pytest.approx(
+        np.concatenate([prior[::-1], [1.0], prior / 2.0, np.tile(prior / 10.0, 5)])
+    )
+    values = noise(3, 100, 5.0)
+    stretch = StretchLikelihood.of(cubic_basis(100), values, grid, 60)
+    np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
+    found = exact_covariance(cubic_basis(12), grid)
+    wanted = [cubic_basis(12) @ toeplitz(row) @ cubic_basis(12).T for row in covariances]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+    # Generalised least squares by dense matrices, of the cosines that are used.
+    waves = dct(np.vstack([cubic_basis(100), values]), norm="ortho")[:, :60]
+    for number, spectrum in enumerate(stretch.spectra):
+        weighted = waves / spectrum
+        products = weighted @ waves.T
+        unit = np.linalg.inv(products[:4, :4])
+        shifts = unit @ products[:4, 4]
+        logs = np.log(spectrum).sum() + np.linalg.slogdet(products[:4, :4])[1]
+        beyond = spectrum[-1] * (np.eye(4) - waves[:4] @ waves[:4].T)
+        plain = (waves[:4] * spectrum) @ waves[:4].T + beyond
+        assert stretch.unit[number] == pytest.approx(unit)
+        assert stretch.shifts[number] == pytest.approx(shifts)
+        assert stretch.squares[number] == pytest.approx(products[4, 4] - products[4, :4] @ shifts)
+        assert stretch.likelihood[number] == pytest.approx(-0.5 * logs)
+        assert stretch.plain_covariance()[number] == pytest.approx(plain)
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])

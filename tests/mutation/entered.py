@@ -1,0 +1,134 @@
+"""Which tests run which lines of the layers, and how long each takes: made once, kept in build/.
+
+As a plugin of pytest (``-p tests.mutation.entered``) it writes down what is read here.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import pytest
+from coverage import Coverage, CoverageData
+
+from tests.mutation.mutants import LAYERS, Mutant
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PACKAGE = REPOSITORY / "labpipe"
+KEPT = REPOSITORY / "build" / "mutation"
+LONGEST, SECONDS = 20.0, 60.0
+"""Of processor time: of a test that is asked, and of all that are asked for a mutant."""
+
+
+def record() -> None:
+    """Run the suite once, without its slow tests, and keep what it ran."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.mutation.entered"]
+    options = ["-n", "2", "--dist", "loadfile", "-p", "no:randomly"]
+    subprocess.run([*command, *options], cwd=REPOSITORY, check=False)
+
+
+@dataclass(frozen=True)
+class Entered:
+    """Tests by the lines that they run.
+
+    Parameters
+    ----------
+    data : lines by module and test, as coverage keeps them
+    seconds : of processor time that each test took
+    """
+
+    data: CoverageData
+    seconds: Mapping[str, float]
+
+    @classmethod
+    def kept(cls) -> Entered:
+        """What was recorded; recorded now where nothing is kept."""
+        if not list(KEPT.glob("seconds-*.json")):
+            record()
+        data, seconds = CoverageData(no_disk=True), {}
+        for path in sorted(KEPT.glob("seconds-*.json")):
+            seconds |= json.loads(path.read_text(encoding="utf-8"))
+            part = CoverageData(str(path.with_suffix(".coverage")))
+            part.read()
+            data.update(part)
+        return cls(data, seconds)
+
+    def tests_of(self, mutant: Mutant, last: str = "") -> list[str]:
+        """Tests that run the statement of a mutant, then those beside them, each fastest first.
+
+        What a test beside them looks at may have been made for the first of its file. A test that
+        noticed the fault last time comes before all; those above `LONGEST` are left out, and what
+        would make all take more than `SECONDS`.
+        """
+        by_line = self.data.contexts_by_lineno(str(PACKAGE / mutant.module))
+        lines = mutant.lines or by_line
+        entering = {test for line in lines for test in by_line.get(line, ()) if test}
+        files = {test.partition("::")[0] for test in entering}
+        quick = {test for test, seconds in self.seconds.items() if seconds <= LONGEST}
+        beside = {test for test in quick if test.partition("::")[0] in files} - entering
+        tests = sorted(
+            entering & quick | beside,
+            key=lambda test: (test != last, test in beside, self.seconds[test]),
+        )
+        total = accumulate(self.seconds[test] for test in tests)
+        return [test for test, until in zip(tests, total, strict=True) if until <= SECONDS]
+
+
+def _processor_seconds() -> float:
+    return sum(os.times()[:4])
+
+
+class _Recorder:
+    """Follows the lines of each test, and its time."""
+
+    def __init__(self) -> None:
+        KEPT.mkdir(parents=True, exist_ok=True)
+        name = f"seconds-{os.environ.get('PYTEST_XDIST_WORKER', 'main')}"
+        self.path = KEPT / f"{name}.json"
+        self.path.with_suffix(".coverage").unlink(missing_ok=True)
+        include = [f"{PACKAGE}/{layer}/*" for layer in LAYERS]
+        self.coverage = Coverage(
+            data_file=str(self.path.with_suffix(".coverage")), include=include, config_file=False
+        )
+        self.seconds: dict[str, float] = {}
+        self.coverage.start()
+
+    @cached_property
+    def caches(self) -> list[Any]:
+        """Functions of the package that remember what they returned."""
+        return [
+            thing
+            for thing in gc.get_objects()
+            if type(thing).__name__ == "_lru_cache_wrapper"
+            and thing.__module__.startswith("labpipe.")
+        ]
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        for cached in self.caches:
+            cached.cache_clear()
+        self.coverage.switch_context(item.nodeid)
+        began = _processor_seconds()
+        yield
+        self.seconds[item.nodeid] = _processor_seconds() - began
+        self.coverage.switch_context("")
+
+    def pytest_sessionfinish(self) -> None:
+        self.coverage.stop()
+        self.coverage.save()
+        if self.seconds:
+            self.path.write_text(json.dumps(self.seconds), encoding="utf-8")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
+    early_config.pluginmanager.register(_Recorder(), "entered")
