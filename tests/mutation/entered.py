@@ -8,8 +8,10 @@ from __future__ import annotations
 import gc
 import json
 import os
+import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,10 +32,22 @@ LONGEST, SECONDS = 20.0, 60.0
 
 
 def record() -> None:
-    """Run the suite once, without its slow tests, and keep what it ran."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.mutation.entered"]
-    options = ["-n", "2", "--dist", "loadfile", "-p", "no:randomly"]
-    subprocess.run([*command, *options], cwd=REPOSITORY, check=False)
+    """Run the tests that have changed since they were last run here, but for slow ones.
+
+    All tests where a module of the layers has changed: its lines may be others.
+    """
+    parts = sorted(KEPT.glob("*.json"))
+    made = max((part.stat().st_mtime for part in parts), default=0.0)
+    modules = [path for layer in LAYERS for path in (PACKAGE / layer).rglob("*.py")]
+    if any(path.stat().st_mtime > made for path in modules):
+        shutil.rmtree(KEPT, ignore_errors=True)
+        made = 0.0
+    tests = (REPOSITORY / "tests").rglob("test_*.py")
+    if changed := [str(path) for path in tests if path.stat().st_mtime > made]:
+        KEPT.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.mutation.entered"]
+        options = ["-p", "no:randomly", "-n", "2", "--dist", "loadfile"]
+        subprocess.run([*command, *options, *changed], cwd=REPOSITORY, check=False)
 
 
 @dataclass(frozen=True)
@@ -51,11 +65,10 @@ class Entered:
 
     @classmethod
     def kept(cls) -> Entered:
-        """What was recorded; recorded now where nothing is kept."""
-        if not list(KEPT.glob("seconds-*.json")):
-            record()
+        """What was recorded, made anew where tests have changed."""
+        record()
         data, seconds = CoverageData(no_disk=True), {}
-        for path in sorted(KEPT.glob("seconds-*.json")):
+        for path in sorted(KEPT.glob("*.json")):
             seconds |= json.loads(path.read_text(encoding="utf-8"))
             part = CoverageData(str(path.with_suffix(".coverage")))
             part.read()
@@ -91,10 +104,7 @@ class _Recorder:
     """Follows the lines of each test, and its time."""
 
     def __init__(self) -> None:
-        KEPT.mkdir(parents=True, exist_ok=True)
-        name = f"seconds-{os.environ.get('PYTEST_XDIST_WORKER', 'main')}"
-        self.path = KEPT / f"{name}.json"
-        self.path.with_suffix(".coverage").unlink(missing_ok=True)
+        self.path = KEPT / f"{time.time_ns()}.json"
         include = [f"{PACKAGE}/{layer}/*" for layer in LAYERS]
         self.coverage = Coverage(
             data_file=str(self.path.with_suffix(".coverage")), include=include, config_file=False

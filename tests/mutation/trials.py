@@ -38,7 +38,7 @@ GOLDEN = (
     *("tensile/stiff-bar-1", "harness/CWB-1-1", "harness/TWB-B1-12-PVC-1"),
 )
 """One test of each kind of the demo, whose numbers are compared with those that are kept."""
-FOLLOWED = KEPT / "demo.json"
+FOLLOWED = KEPT / "demo.lines"
 SECONDS = 150
 """Of processor time that a trial may take; a fault that makes the tests wait is noticed."""
 OPTIONS = (

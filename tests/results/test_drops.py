@@ -155,6 +155,17 @@ def test_a_fall_of_several_samples_and_missing_ones() -> None:
     assert slip.drop == pytest.approx(1.5, abs=0.1)
 
 
+def test_a_clear_slip_in_slow_noise() -> None:
+    """Of twelve deviations of noise that remembers ten samples: nine times in ten, to a sample."""
+    seen = 0
+    for seed in range(10):
+        kicks = noise(seed) * np.sqrt(1.0 - np.exp(-0.2))
+        slow = lfilter([1.0], [1.0, -np.exp(-0.1)], kicks)
+        slips = found(900.0 * D_SLIPS - 0.6 * (D_SLIPS > 0.02) + slow)
+        seen += len(slips) == 1 and abs(slips[0].position - 0.02) < 1.1 * D_SLIPS[1]
+    assert seen >= 9
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_no_slip(seed: int) -> None:
     kink = np.where(D_SLIPS < 0.02, 2000.0 * D_SLIPS, 40.0 + 400.0 * (D_SLIPS - 0.02))

@@ -68,6 +68,13 @@ def test_rows_are_as_each_alone() -> None:
     assert np.isfinite(alone).all()
 
 
+def test_a_noisy_displacement_does_not_make_the_slope_small() -> None:
+    """3 mm of noise over 10 mm would take half of the slope by least squares."""
+    noisy = UP + np.random.default_rng(2).normal(0.0, 3e-3, (400, len(UP)))
+    slopes = windowed(UP, 20.0 * UP, 0.01, 0.02).of(noisy, np.broadcast_to(20.0 * UP, noisy.shape))
+    assert np.median(slopes) == pytest.approx(20.0, rel=0.03)
+
+
 def test_the_window_ends_where_it_is_first_left() -> None:
     """Up to 10 mm, back, and up again: the second way up has another stiffness."""
     path = np.concatenate([UP[:200], UP[:200][::-1], UP[:400]])
