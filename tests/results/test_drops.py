@@ -16,6 +16,8 @@ from labpipe.results.slips import (
     PullCurve,
     _block_size,
     _is_outlier,
+    _step_kernel,
+    _Window,
     add_back,
     find_slips,
     fit_load_drop,
@@ -270,6 +272,17 @@ def test_the_drop_covers(length: float, memory: float) -> None:
         assert isinstance(found, LoadDrop)
         hits += found.drop_interval.lower <= 0.65 <= found.drop_interval.upper
     assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits
+
+
+def test_the_kernel_of_a_step_is_that_of_differenced_least_squares() -> None:
+    """A cubic and a fall over two samples, in noise of which 0.4 is remembered."""
+    at = np.arange(10.0, 60.0)
+    drop = LoadDrop(34, 36, 35.0, 0.0, Interval(0.0, 0.0), 34, 36, 0.0, 0.0, 0.0)
+    kernel = _step_kernel(_Window(10, 60, 3, 0.4), drop)
+    design = np.column_stack([np.vander(at / 60.0, 4), np.clip((at - 34.0) / 2.0, 0.0, 1.0)])
+    force = noise()[10:60]
+    white, target = (rows[1:] - 0.4 * rows[:-1] for rows in (design, force))
+    assert kernel @ force == pytest.approx(np.linalg.lstsq(white, target)[0][-1], rel=1e-9)
 
 
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:

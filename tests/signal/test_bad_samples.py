@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.signal.bad_samples import StuckRun, bridge_spikes, find_spikes, stuck_runs
+from labpipe.signal.bad_samples import (
+    StuckRun,
+    _longest_by_chance,
+    bridge_spikes,
+    find_spikes,
+    stuck_runs,
+)
 from tests.builders.plain_records import PlainRecord, up_and_down
+
+RNG = np.random.default_rng
 
 D = np.linspace(0.0, 0.04, 401)
 RISE = 9000.0 * D + np.random.default_rng(0).normal(0.0, 0.5, len(D))
@@ -53,6 +61,16 @@ def test_size_and_return_of_a_spike() -> None:
         values = np.where(np.arange(60) < 30, force, behind)
         values[[28, 30]] = force + 1.0 if force == 0.0 else force, top
         assert find_spikes(values).tolist() == ([30] if is_spike else [])
+
+
+def test_how_long_noise_of_a_converter_stays_on_one_value() -> None:
+    """Neighbours of deviation s in steps of r are equal with a chance of r / (2 sqrt(pi) s)."""
+    values = np.round(RNG(0).normal(0.0, 1.0, 40_000) / 0.1) * 0.1
+    equal = np.mean(np.diff(values) == 0.0)
+    assert equal == pytest.approx(0.05 / np.sqrt(np.pi), rel=0.05)
+    longest = _longest_by_chance(values, np.ones(len(values), np.int64), 1.0, 0.1)
+    assert longest == pytest.approx(1.0 + np.log(1e-6 / 40_000) / np.log(equal), rel=0.02)
+    assert _longest_by_chance(values, np.ones(len(values), np.int64), 1.0, 2.0) == np.inf
 
 
 def runs_of(record: PlainRecord) -> list[StuckRun]:

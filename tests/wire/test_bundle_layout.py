@@ -11,6 +11,7 @@ from scipy.optimize import nnls
 from labpipe.records.arrays import Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS
 from labpipe.wire.bundle_layout import (
+    _start_pitches,
     arrange,
     by_chance,
     evenly,
@@ -51,6 +52,14 @@ def test_every_spread_has_the_counts(counts: list[int]) -> None:
     chance = by_chance(counts, np.random.default_rng(1))
     for kind in (chance, evenly(places, counts), on_one_side(places, counts, [1.0] * len(counts))):
         assert np.bincount(kind, minlength=len(counts)).tolist() == counts
+
+
+def test_distances_of_the_sites_from_which_wires_are_drawn_together() -> None:
+    """Equal wires of the area of these three are sqrt(2) wide."""
+    diameters, kind = np.array([1.0, 1.0, 2.0]), np.zeros(3, dtype=np.int64)
+    assert _start_pitches(diameters, [kind, kind]) == pytest.approx([2.0**0.5])
+    shares = np.array([0.6, 0.8, 1.0])
+    assert _start_pitches(diameters, [kind]) == pytest.approx([2.0, *(shares * 2.0**0.5)])
 
 
 def test_a_shared_row_is_balanced() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,
@@ -21,7 +22,7 @@ from labpipe.wire.calibration.calibrate_wire import calibrate
 from labpipe.wire.calibration.fit import CalibrationFit, Settings, find
 from labpipe.wire.calibration.law_components import split_wire
 from labpipe.wire.calibration.local_minima import find_minima
-from labpipe.wire.calibration.nonlinearity import tube_quantile
+from labpipe.wire.calibration.nonlinearity import _differences, tube_quantile
 from labpipe.wire.calibration.parameter_search import (
     Fit,
     Levels,
@@ -66,6 +67,9 @@ def test_the_least_has_no_slope() -> None:
         point = replace(fit.point, logs=fit.point.logs + step)
         beside = search(PROBLEM, LEVELS, point, np.zeros(3, np.bool_))
         assert beside.objective > fit.objective - 1e-4
+    # Nearly as good a fit elsewhere does not end the search early.
+    again = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), ALL, lowest=fit.objective - 1e-3)
+    assert again.objective == pytest.approx(fit.objective, abs=1e-4)
     # bounds and priors hold, and the others go on; without scatter and gain there are no factors
     lower = PROBLEM.lower + np.array([0.0, 5.0 + np.log(1.1), 0.0])
     bounded = replace(PROBLEM, lower=lower)
@@ -78,6 +82,26 @@ def test_the_least_has_no_slope() -> None:
     assert np.exp(fit.point.logs[2]) == pytest.approx(1.5, rel=1e-3)
     assert fit.point.gain == 0.0
     assert not fit.point.offsets.any()
+
+
+def test_how_far_fits_are_apart_in_standard_deviations() -> None:
+    """Of the forces, of priors, of the load cell's gain and of the samples' factors."""
+    problem = replace(PROBLEM, precision=np.array([4.0, 0.0, 9.0]))
+    here, there = (
+        search(problem, LEVELS, start(*factors), np.zeros(3, np.bool_))
+        for factors in ((1.0, 1.0, 1.0), (1.2, 0.8, 1.5))
+    )
+
+    def weighed(fit: Fit) -> Floats:
+        point, curves = fit.point, zip(problem.sample, fit.models, CURVES, strict=True)
+        factors = np.exp(point.gain + point.offsets)
+        forces = [factors[at] * model.force / curve.noise for at, model, curve in curves]
+        rest = [*(point.logs * [2.0, 0.0, 3.0]), point.gain / 0.005, *(point.offsets / 0.03)]
+        return np.concatenate([*forces, rest])
+
+    apart = np.sum((weighed(there) - weighed(here)) ** 2)
+    products = _differences(problem, LEVELS, [here, there], here)
+    np.testing.assert_allclose(products, [[0.0, 0.0], [0.0, apart]], rtol=1e-9, atol=1e-9)
 
 
 def test_offsets_are_shrunken_factors_of_the_samples() -> None:
