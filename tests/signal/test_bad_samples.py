@@ -65,10 +65,10 @@ def test_size_and_return_of_a_spike() -> None:
 
 def test_how_long_noise_of_a_converter_stays_on_one_value() -> None:
     """Neighbours of deviation s in steps of r are equal with a chance of r / (2 sqrt(pi) s)."""
-    values = np.round(RNG(0).normal(0.0, 1.0, 40_000) / 0.1) * 0.1
+    values = np.round(RNG(0).normal(0.0, 1.0, 40_000) / 0.33) * 0.33
     equal = np.mean(np.diff(values) == 0.0)
-    assert equal == pytest.approx(0.05 / np.sqrt(np.pi), rel=0.05)
-    longest = _longest_by_chance(values, np.ones(len(values), np.int64), 1.0, 0.1)
+    assert equal == pytest.approx(0.165 / np.sqrt(np.pi), rel=0.05)
+    longest = _longest_by_chance(values, np.ones(len(values), np.int64), 1.0, 0.33)
     assert longest == pytest.approx(1.0 + np.log(1e-6 / 40_000) / np.log(equal), rel=0.02)
     assert _longest_by_chance(values, np.ones(len(values), np.int64), 1.0, 2.0) == np.inf
 
