@@ -20,6 +20,7 @@ from labpipe.wire.calibration.law_components import (
     split_wire,
 )
 from labpipe.wire.calibration.measured_curves import shared_errors
+from labpipe.wire.cantilever import StringRig
 from labpipe.wire.cross_section import CrossSection, Layer, compressed, concentric
 from labpipe.wire.first_loading import force_at
 from labpipe.wire.friction import Contacts, insulated
@@ -65,11 +66,11 @@ def test_the_law_at_other_parameters_is_that_of_another_wire(
 @pytest.mark.parametrize(("name", "weight"), [("A2", 0.0), ("C4", 0.0), ("A2", 0.05)])
 @pytest.mark.parametrize("has_string", [True, False])
 def test_derivatives_by_the_logarithms(name: str, weight: float, *, has_string: bool) -> None:
-    parts, deflection = parts_of(name), np.linspace(0.001, 0.05, 60)
-    rig = rig_of(0.085) if has_string else None
+    parts, deflection = parts_of(name), np.linspace(0.001, 0.04, 60)
+    rig = StringRig(0.05, 0.0265, 0.085, 0.05) if has_string else None  # it leans
 
     def force(values: Floats) -> tuple[Floats, Floats]:
-        curve = loading_curve(parts, values, 0.085, rig, 0.05, self_weight=weight)
+        curve = loading_curve(parts, values, 0.085, rig, 0.04, self_weight=weight)
         return force_at(curve, deflection)
 
     change = force(TRUTH)[1]
