@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -25,7 +26,7 @@ import pytest
 
 from tests.mutation.entered import REPOSITORY, Entered
 from tests.mutation.mutants import COUNT, LAYERS, Mutant, sampled
-from tests.mutation.trials import Demo, in_session, noticed_by, with_libraries
+from tests.mutation.trials import in_session, noticed_by
 
 HERE = Path(__file__).resolve().parent
 TRIED, EXPLAINED = HERE / "tried.jsonl", HERE / "explained.toml"
@@ -51,7 +52,8 @@ def main() -> int:
         if options.afresh or options.again:
             known = {key: by for key, by in known.items() if by and not options.afresh}
         chosen = [each for each in drawn if options.only in each.key and token(each) not in known]
-        try_for(options.seconds, chosen, options.demo)
+        os.environ["LABPIPE_DEMO"] = str(options.demo.resolve())
+        try_for(options.seconds, chosen)
         forget_others(drawn)
     counted = Counted.of(drawn, tried(), explained())
     print(counted)
@@ -60,25 +62,20 @@ def main() -> int:
     return 0
 
 
-def try_for(seconds: float, mutants: Sequence[Mutant], demo: Path) -> None:
+def try_for(seconds: float, mutants: Sequence[Mutant]) -> None:
     """Try mutants one after the other, and write down how each ends."""
     ends, known, entered = time.monotonic() + seconds, tried(), Entered.kept()
     tests = {mutant: entered.tests_of(mutant, known.get(token(mutant), "")) for mutant in mutants}
-    files = {test.partition("::")[0] for names in tests.values() for test in names}
-    with_libraries()
-    followed = Demo.followed(demo)
 
     def try_all(session: pytest.Session) -> None:
         for number, mutant in enumerate(mutants):
             if time.monotonic() > ends:
                 return
-            in_place = None if mutant.is_at_import else session
-            by = noticed_by(mutant, tests[mutant], followed, in_place)
-            known[token(mutant)] = by
+            by = known[token(mutant)] = noticed_by(mutant, tests[mutant], session)
             write(known)
             print(f"{number + 1}/{len(mutants)} {by or 'NOTHING'}  <  {mutant.key}", flush=True)
 
-    if files:
+    if files := {test.partition("::")[0] for names in tests.values() for test in names}:
         in_session(sorted(files), try_all)
 
 
@@ -177,7 +174,7 @@ def _end(mutant: Mutant, by: str | None, why: Mapping[str, str]) -> str:
         return "not tried"
     if not by:
         return "explained" if mutant.key in why else "survived"
-    if by.startswith("golden"):
+    if by.startswith("tests/golden/"):
         return KEPT
     is_beside = f"tests/{mutant.module.partition('/')[0]}/" in by or "/" not in by
     return BESIDE if is_beside else OTHERS

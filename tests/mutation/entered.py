@@ -67,7 +67,7 @@ class Entered:
     def kept(cls) -> Entered:
         """What was recorded, made anew where tests have changed."""
         record()
-        data, seconds = CoverageData(no_disk=True), {}
+        data, seconds = CoverageData(no_disk=True), dict[str, float]()
         for path in sorted(KEPT.glob("*.json")):
             seconds |= json.loads(path.read_text(encoding="utf-8"))
             part = CoverageData(str(path.with_suffix(".coverage")))
@@ -94,10 +94,6 @@ class Entered:
         )
         total = accumulate(self.seconds[test] for test in tests)
         return [test for test, until in zip(tests, total, strict=True) if until <= SECONDS]
-
-
-def _processor_seconds() -> float:
-    return sum(os.times()[:4])
 
 
 class _Recorder:
@@ -127,9 +123,9 @@ class _Recorder:
         for cached in self.caches:
             cached.cache_clear()
         self.coverage.switch_context(item.nodeid)
-        began = _processor_seconds()
+        began = sum(os.times()[:4])
         yield
-        self.seconds[item.nodeid] = _processor_seconds() - began
+        self.seconds[item.nodeid] = sum(os.times()[:4]) - began
         self.coverage.switch_context("")
 
     def pytest_sessionfinish(self) -> None:

@@ -12,7 +12,7 @@ from coverage import CoverageData
 from tests.mutation.__main__ import Counted, explained, main, token, tried
 from tests.mutation.entered import PACKAGE, Entered
 from tests.mutation.mutants import COUNT, Mutant, mutants_of, sampled
-from tests.mutation.trials import Demo, in_session, noticed_by
+from tests.mutation.trials import in_session, noticed_by
 
 SOURCE = '''
 def least(a, b):
@@ -74,27 +74,29 @@ def test_tests_that_enter_are_asked_first_and_of_each_the_fastest() -> None:
         data.add_lines({str(PACKAGE / "m.py"): [line]})
     assert Entered(data, seconds).tests_of(mutant) == ["a::2", "b::1", "a::1", "a::3"]
     assert Entered(data, seconds).tests_of(mutant, "a::1")[0] == "a::1"
-    assert Entered(data, seconds | {"b::1": 19.0, "a::1": 20.0}).tests_of(mutant)[1:] == ["b::1"]
+    seconds |= {"a::2": 19.0, "b::1": 19.5, "a::1": 20.0, "a::3": 1.6}
+    assert Entered(data, seconds).tests_of(mutant) == ["a::2", "b::1", "a::1"]
 
 
 @pytest.mark.slow
-def test_a_trial_tells_the_test_that_fails(tmp_path: Path, repository: Path) -> None:
+@pytest.mark.parametrize("is_at_import", [False, True])
+def test_a_trial_tells_the_test_that_fails(repository: Path, *, is_at_import: bool) -> None:
     """In a session that has imported the sound package, and where it is imported anew."""
     module, beside = "results/least_squares.py", "tests/results/test_slack.py"
     source = (repository / "labpipe" / module).read_text(encoding="utf-8")
     mutants = {mutant.function: mutant for mutant in mutants_of(module, source)}
-    nothing = Demo.followed(tmp_path / "no demo")
-    by: list[tuple[str, str]] = []
+    chosen = [mutants["zero_of_line"], mutants["polynomial_weights"]]
+    by = list[str]()
 
     def ask(session: pytest.Session) -> None:
         tests = [item.nodeid for item in session.items]
-        for where in (session, None):
-            one, other = (mutants[name] for name in ("zero_of_line", "polynomial_weights"))
-            by.append(tuple(noticed_by(mutant, tests, nothing, where) for mutant in (one, other)))
+        for mutant in chosen:
+            at = range(0) if is_at_import else mutant.lines
+            by.append(noticed_by(replace(mutant, lines=at), tests, session))
 
     in_session([beside], ask)
-    assert len(by) == 2
-    assert all(one.startswith(f"{beside}::test_") and not other for one, other in by)
+    assert by[0].startswith(f"{beside}::test_")
+    assert by[1:] == [""]
 
 
 def test_the_score() -> None:
