@@ -74,7 +74,10 @@ def test_how_long_noise_of_a_converter_stays_on_one_value() -> None:
 
 
 def runs_of(record: PlainRecord) -> list[StuckRun]:
-    return stuck_runs(record.time, record.force, record.displacement)
+    """Wherever the other quantity has its zero."""
+    runs = stuck_runs(record.time, record.force, record.displacement)
+    assert stuck_runs(record.time, record.force, record.displacement + 0.05) == runs
+    return runs
 
 
 NOISE = [0.0, 1e-3]

@@ -222,12 +222,6 @@ def test_a_piece_with_a_step_or_with_more_noise_is_left_out() -> None:
     assert np.var(stepped.draw(3000, 200, RNG(0))) == pytest.approx(1.0, rel=0.1)
 
 
-def test_all_branches_are_judged() -> None:
-    """Pieces of 50 of a branch of 200 and one of 120: four and two."""
-    noise = judged(RNG(0).normal(size=200), RNG(1).normal(size=120))
-    assert (noise.freedom, noise.longest, noise.count) == (6 * (48 - 6), 200, 320)
-
-
 def test_of_uneven_noise_the_noisier_half_counts() -> None:
     """Variances 1 and 9, one half of the record each."""
     for seed in range(3):

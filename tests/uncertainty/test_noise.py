@@ -109,6 +109,14 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.squares[number] == pytest.approx(products[4, 4] - products[4, :4] @ shifts)
         assert stretch.likelihood[number] == pytest.approx(-0.5 * logs)
         assert stretch.plain_covariance()[number] == pytest.approx(plain)
+    # Two stretches of one noise, the second twice as large.
+    other = StretchLikelihood.of(cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60)
+    both, squares = Noise.of([stretch, other], grid), stretch.squares + other.squares
+    logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
+    chances = grid.prior * np.exp(logs - logs.max())
+    np.testing.assert_allclose(both.chances, chances / chances.sum(), rtol=1e-9)
+    np.testing.assert_allclose(both.variances, squares / 112.0)
+    assert both.freedom == 112
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])
@@ -146,20 +154,6 @@ def test_the_residual_deviation_is_that_of_the_textbook() -> None:
     left = x + noise - line.intercept - line.slope * x
     assert fit.residual_deviation == pytest.approx(np.sqrt(np.sum(left**2) / 38.0))
     assert fit.classical_errors == pytest.approx([line.intercept_stderr, line.stderr])
-
-
-def test_more_stretches_know_the_correlation_better() -> None:
-    grid = Grid(100, 100)
-    evidence = [
-        StretchLikelihood.of(cubic_basis(100), noise(k, 100, 5.0), grid, 128) for k in range(8)
-    ]
-    one, all_of_them = (Noise.of(evidence[:count], grid) for count in (1, 8))
-    entropies = [
-        -float(np.sum(part.chances * np.log(part.chances + 1e-300))) for part in (one, all_of_them)
-    ]
-    assert entropies[1] < entropies[0]
-    assert all_of_them.freedom == 8 * one.freedom
-    assert all_of_them.chances.sum() == pytest.approx(1.0)
 
 
 def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
