@@ -220,6 +220,11 @@ def test_a_tear_is_no_slip() -> None:
     told = find_slips(D_SLIPS, force, min_drop=0.2, decision=SlipDecision.MARKED, largest_share=0.4)
     assert isinstance(told, tuple)
     assert [slip.drop for slip in told] == pytest.approx([15.0], abs=0.2)
+    # Nor is it one where the force goes on at less than three tenths of its slope.
+    for share, count in ((0.2, 0), (0.4, 1)):
+        behind = np.maximum(D_SLIPS - 0.025, 0.0)
+        force = 2000.0 * (D_SLIPS - (1.0 - share) * behind) - 2.0 * (behind > 0.0) + noise()
+        assert len(found(force)) == count
 
 
 @pytest.mark.parametrize(("travel", "longest"), [(0.02, 0.4e-3), (0.04, 0.8e-3), (0.2, 1e-3)])

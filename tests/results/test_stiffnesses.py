@@ -167,6 +167,12 @@ def test_loading_is_read_behind_the_take_up() -> None:
     assert plain == pytest.approx(22.0, rel=5e-3)
     assert lower - plain == pytest.approx(3.2, rel=0.03)
     assert isinstance(loading_slope(TIME, UP, -UP, over=0.005), Failure)
+    # Samples are those of the branch, of which the first ones may be unknown.
+    late = taking_up(UP) + noise_rows("white", 1e-3, (1, len(UP)), seed=1)
+    late[:, :30] = np.nan
+    taut = take_up(UP, late[0])
+    assert isinstance(taut, TakeUp)
+    assert taut.of_each(UP[np.newaxis], late)[1] == [taut.sample]
 
 
 def test_loading_of_replicates_is_off_as_tests_are() -> None:

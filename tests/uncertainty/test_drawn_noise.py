@@ -232,7 +232,7 @@ def test_of_uneven_noise_the_noisier_half_counts() -> None:
 
 def test_no_noise() -> None:
     """Less than five samples, or what a spreadsheet computed; eight samples have some."""
-    four, cubic = np.array([1.0, 5.0, 2.0, 8.0]), 1e5 + np.linspace(0.0, 1.0, 500) ** 3
+    four, cubic = np.array([1.0, 5.0, 2.0, 8.0]), 1e5 + np.linspace(0.0, 10.0, 500) ** 3
     for values in (np.zeros(0), four, np.full(500, 7.0), np.full(500, np.nan), cubic):
         noise = judged(values)
         assert noise.is_zero
