@@ -121,9 +121,9 @@ def test_rests_and_coarse_resolutions_are_not_reported() -> None:
 
 
 @pytest.mark.parametrize("noise", NOISE)
-@pytest.mark.parametrize("since", [3.0, 7.5])
-def test_a_frozen_force(noise: float, since: float) -> None:
-    record = up_and_down(noise=noise)
+@pytest.mark.parametrize(("since", "goes_on"), [(3.0, 9.0), (7.5, 9.0), (3.0, 0.2)])
+def test_a_frozen_force(noise: float, since: float, goes_on: float) -> None:
+    record = up_and_down(noise=noise).up_to(since + 2.5 + goes_on)
     still = (record.time > since) & (record.time < since + 2.5)
     record.force[still] = record.force[still][0]
     (run,) = runs_of(record)

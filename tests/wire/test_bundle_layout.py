@@ -105,11 +105,16 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     assert left < 1e-9 * np.linalg.norm(pull)
 
 
-def test_circle_around_many_wires_touches_some_and_leaves_out_none() -> None:
-    """More wires than are looked at first, the widest of them in the middle."""
+@pytest.mark.parametrize("is_arc", [False, True])
+def test_circle_around_many_wires_touches_some_and_leaves_out_none(*, is_arc: bool) -> None:
+    """More wires than are looked at first, the widest in the middle; an arc and one opposite."""
     rng = np.random.default_rng(8)
     centres, diameters = rng.normal(size=(300, 2)), rng.uniform(0.1, 0.5, 300)
     diameters[np.argmin(np.hypot(*centres.T))] = 4.0
+    if is_arc:
+        angle = np.radians(np.append(np.linspace(100.0, 260.0, 30), np.zeros(270)))
+        centres = np.column_stack([np.cos(angle), np.sin(angle)])
+        centres[30:, 0], centres[30, 0], diameters = 0.3, 1.2, np.full(300, 0.01)
     middle, radius = holding_circle(centres, diameters)
     reach = np.hypot(*(centres - middle).T) + diameters / 2.0
     assert reach.max() == pytest.approx(radius)

@@ -201,6 +201,7 @@ def test_what_a_wire_has(
 
 def test_copper_and_first_loading_end() -> None:
     """Within them the curve reaches its deflection for any law."""
+    assert PARTS.copper[0].last == pytest.approx(100.0 / (0.5 * CORE.diameter))  # strains of 100
     for factors in ([20.0, 0.05, 3.0], [0.01, 5.0, 0.06]):
         values = TRUTH * factors
         reached = loading_curve(PARTS, values, 0.085, rig_of(0.085), 0.65 * 0.085).deflection[-1]
