@@ -187,7 +187,7 @@ def test_what_a_wire_has(
 ) -> None:
     parts = split_wire(section, contacts)
     assert parts.has == has
-    assert np.isnan(parts.given[0]) == (not has[0])
+    assert np.isnan(parts.given).tolist() == [not acts for acts in has]
     if parts.given[0] == 0.0:
         return
     law = loading_law(parts, parts.given, LARGEST)
