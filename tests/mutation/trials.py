@@ -57,7 +57,9 @@ def noticed_by(mutant: Mutant, tests: Sequence[str], session: pytest.Session) ->
     session : in which the tests were collected from the sound package
     """
     ask = _anew if mutant.is_at_import else partial(_failing, session)
-    return _apart(partial(ask, mutant, tests)) if tests else ""
+    collected = {item.nodeid for item in session.items}
+    asked = [name for name in tests if name in collected]
+    return _apart(partial(ask, mutant, asked)) if asked else ""
 
 
 def _apart(job: Callable[[], str]) -> str:
@@ -100,7 +102,7 @@ def _failing(session: pytest.Session, mutant: Mutant, tests: Sequence[str]) -> s
     _replace_code(mutant)
     first, items = _First(), {item.nodeid: item for item in session.items}
     session.config.pluginmanager.register(first)
-    session.items = [items[name] for name in tests if name in items]
+    session.items = [items[name] for name in tests]
     with contextlib.suppress(session.Failed):
         pytest_runtestloop(session)
     session._setupstate.teardown_exact(None)
