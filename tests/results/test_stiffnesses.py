@@ -11,6 +11,7 @@ from labpipe.records.estimates import Failure
 from labpipe.results.beam import Rollers, beam_factor, path_of_load, stiffness_ratio
 from labpipe.results.least_squares import polynomial_weights, slope_of_line, zero_of_line
 from labpipe.results.stiffness import (
+    LineStiffness,
     LoadingSlope,
     TakeUp,
     UnloadingSlope,
@@ -310,6 +311,14 @@ def test_says_why_not() -> None:
         still = compliance_window(D, force, start=300.0, stop=900.0)
         assert isinstance(still, Failure)
         assert still.code == "too_few_samples"
+
+
+def test_a_window_reaches_at_most_two_percent_before_the_first_sample() -> None:
+    window = LineStiffness(start=0.002, stop=0.012)
+    assert window.inside(np.arange(0.00219, 0.02, 1e-3)) == slice(0, 10)
+    assert window.inside(np.arange(0.00221, 0.02, 1e-3)) == Failure(
+        "not_reached", "the branch begins at 2.21 mm, 2 mm is needed"
+    )
 
 
 def test_compliance_of_many_rows() -> None:
