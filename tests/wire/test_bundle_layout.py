@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -69,19 +71,23 @@ def test_a_shared_row_is_balanced() -> None:
     assert on_one_side(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
 
 
-def test_even_spread_is_evener_than_chance_and_repeats() -> None:
+@pytest.mark.parametrize("counts", [[10, 9], [8, 6, 5]])
+def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
     """By the centroids and second moments of the kinds."""
     places = sites(19)
-    x, y = places.T
-    traits = np.stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2 - np.mean(x**2 + y**2)])
+    x, y = places.T / np.sqrt(np.mean(np.sum(places**2, axis=1)))
+    traits = np.stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2 - 1.0])
 
     def unevenness(kind: Ints) -> float:
-        return float(np.sum(np.square([traits[:, kind == k].mean(axis=1) for k in (0, 1)])))
+        sums = [traits[:, kind == k].sum(axis=1) for k in range(len(counts))]
+        return float(np.sum(np.square(sums) / np.array(counts)[:, None]))
 
-    even = evenly(places, [10, 9], seed=2)
-    assert np.array_equal(even, evenly(places, [10, 9], seed=2))
-    rng = np.random.default_rng(5)
-    assert unevenness(even) < min(unevenness(by_chance([10, 9], rng)) for _ in range(200))
+    even = evenly(places, counts, seed=2)
+    assert np.array_equal(even, evenly(places, counts, seed=2))
+    for pair in combinations(range(19), 2):
+        exchanged = even.copy()
+        exchanged[list(pair)] = even[list(pair[::-1])]
+        assert unevenness(exchanged) > unevenness(even) - 1e-8
 
 
 DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
