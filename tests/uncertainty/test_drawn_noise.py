@@ -11,7 +11,12 @@ import pytest
 from scipy import linalg, signal
 
 from labpipe.records.arrays import Flags, Floats
-from labpipe.uncertainty.noise_model import Noise, _processes, estimate_noise
+from labpipe.uncertainty.noise_model import (
+    Noise,
+    _processes,
+    _whitened_squares,
+    estimate_noise,
+)
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.replicates import smooth_curve
 
@@ -192,6 +197,14 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
     bands = np.add.reduceat(power, edges) / np.diff(np.append(edges, 2000))
     np.testing.assert_allclose(noise.angles, np.pi * edges / 2000.0)
     np.testing.assert_allclose(noise.power, bands * 2.0 / 3.0, rtol=1e-9)
+
+
+def test_whitened_squares_are_what_weighted_least_squares_leave() -> None:
+    waves, columns = RNG(1).normal(size=(3, 20)), RNG(2).normal(size=(20, 4))
+    spectrum = RNG(3).uniform(0.1, 3.0, 20)
+    weight = spectrum[:, None] ** -0.5
+    left = np.linalg.lstsq(weight * columns, weight * waves.T)[1]
+    np.testing.assert_allclose(_whitened_squares(spectrum, waves, columns), left, rtol=1e-9)
 
 
 def test_correlation_times_are_those_of_the_spectra() -> None:

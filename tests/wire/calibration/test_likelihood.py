@@ -31,7 +31,7 @@ from labpipe.wire.calibration.parameter_search import (
     normal_matrix,
     search,
 )
-from labpipe.wire.calibration.profile_likelihood import reach, traces
+from labpipe.wire.calibration.profile_likelihood import Trace, reach, traces, union
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from labpipe.wire.calibration.variances import quantile
 from tests.builders.loading_tests import TRUTH, measured, wire_of
@@ -203,6 +203,13 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
     close = 0.15 if samples == 2 else 0.03
     half = 0.5 * (high[0] - low[0])
     assert half / error == pytest.approx(quantile(samples - 1.0), rel=close)
+
+
+def test_intervals_that_touch_or_overlap_are_one() -> None:
+    none = np.zeros(0)
+    ends = [(4.0, 5.0), (0.0, 2.0), (2.0, 3.0), (0.5, 1.0)]
+    parts = (Trace(none, none, *pair, False, False, 3.84, 3.84) for pair in ends)
+    assert union(tuple(parts)) == ((0.0, 3.0), (4.0, 5.0))
 
 
 def test_two_distributions() -> None:
