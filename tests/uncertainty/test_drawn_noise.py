@@ -19,6 +19,7 @@ from labpipe.uncertainty.noise_model import (
 )
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.replicates import smooth_curve
+from tests.builders.noise_rows import flicker
 
 RNG = np.random.default_rng
 
@@ -252,16 +253,6 @@ def test_no_noise() -> None:
         assert not noise.draw(max(len(values), 1), 3, RNG(0)).any()
     eight = judged(np.array([1.0, 5.0, 2.0, 8.0, 1.0, 0.0, 3.0, 4.0]))
     assert (eight.is_zero, eight.freedom) == (False, 6)
-
-
-def flicker(shape: tuple[int, int], seed: int) -> Floats:
-    """Rows of noise whose power falls as 1 over the frequency, of variance 1."""
-    rows, count = shape
-    waves = np.fft.rfft(RNG(seed).normal(size=(rows, 4 * count)))
-    waves[:, 1:] /= np.sqrt(np.arange(1.0, waves.shape[1]))
-    waves[:, 0] = 0.0
-    found = np.fft.irfft(waves, 4 * count)[:, :count]
-    return np.asarray(found / found.std(), dtype=np.float64)
 
 
 RESTS = slice(0, 200), slice(2800, 3000)
