@@ -2,7 +2,7 @@
 
 ``python -m tests.mutation`` tries what has not been tried, for an hour at most, and writes down
 what notices each fault, in ``tests/mutation/tried.jsonl``. ``--again`` tries those anew that
-nothing has noticed, ``--afresh`` all. ``--report`` prints the score, ``--publish`` puts it into
+survived, ``--afresh`` all. ``--report`` prints the score, ``--publish`` puts it into
 docs/explanations/coverage.md. What survives is explained in ``tests/mutation/explained.toml``, or
 is a test that is missing.
 """
@@ -40,7 +40,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="go on for so long")
     parser.add_argument("--demo", type=Path, default=DEMO, help="folder of the demo's exports")
-    parser.add_argument("--again", action="store_true", help="try anew what nothing has noticed")
+    parser.add_argument("--again", action="store_true", help="try anew what survived")
     parser.add_argument("--afresh", action="store_true", help="try all anew")
     parser.add_argument("--only", default="", metavar="TEXT", help="faults whose name has this")
     parser.add_argument("--report", action="store_true", help="print the score")
@@ -49,8 +49,13 @@ def main() -> int:
     drawn = sampled(REPOSITORY / "labpipe")
     if not (options.report or options.publish):
         known = tried()
-        if options.afresh or options.again:
-            known = {key: by for key, by in known.items() if by and not options.afresh}
+        if options.afresh:
+            known = {}
+        if options.again:
+            why = explained()
+            known = {
+                name: by for name, by in known.items() if by or name.rpartition(" [")[0] in why
+            }
         chosen = [each for each in drawn if options.only in each.key and token(each) not in known]
         os.environ["LABPIPE_DEMO"] = str(options.demo.resolve())
         try_for(options.seconds, chosen)

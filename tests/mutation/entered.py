@@ -27,7 +27,7 @@ from tests.mutation.mutants import LAYERS, Mutant
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "labpipe"
 KEPT = REPOSITORY / "build" / "mutation"
-LONGEST, SECONDS = 20.0, 60.0
+LONGEST, SECONDS = 20.0, 40.0
 """Of processor time: of a test that is asked, and of all that are asked for a mutant."""
 
 
@@ -106,6 +106,7 @@ class _Recorder:
             data_file=str(self.path.with_suffix(".coverage")), include=include, config_file=False
         )
         self.seconds: dict[str, float] = {}
+        self.failed: set[str] = set()
         self.coverage.start()
 
     @cached_property
@@ -128,11 +129,16 @@ class _Recorder:
         self.seconds[item.nodeid] = sum(os.times()[:4]) - began
         self.coverage.switch_context("")
 
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:  # without any fault: it tells nothing
+            self.failed.add(report.nodeid)
+
     def pytest_sessionfinish(self) -> None:
         self.coverage.stop()
         self.coverage.save()
         if self.seconds:
-            self.path.write_text(json.dumps(self.seconds), encoding="utf-8")
+            sound = {name: self.seconds[name] for name in self.seconds.keys() - self.failed}
+            self.path.write_text(json.dumps(sound), encoding="utf-8")
 
 
 @pytest.hookimpl(tryfirst=True)
