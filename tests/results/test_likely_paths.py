@@ -27,7 +27,13 @@ from labpipe.records.causes import (
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
-from labpipe.results.load_cell_noise import ForceSamples, PeakSamples, cuts_of
+from labpipe.results.load_cell_noise import (
+    ForceSamples,
+    PeakSamples,
+    _filter_reach,
+    _join_at_cut,
+    cuts_of,
+)
 from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
 from labpipe.results.slips import add_back
 from labpipe.signal.filters import Butterworth, Smoothing
@@ -92,6 +98,15 @@ def test_the_first_loading_ends_at_the_failure() -> None:
     assert loading_of(replace(trace, branches=())) == slice(0, 0)
     back, on = Branch(0, 9, 1, DOWN, 0.0, 1.0), Branch(9, 20, 2, UP, 1.0, 2.0)
     assert loading_of(replace(trace, branches=(back, on), failed_at=25)) == slice(9, 20)
+
+
+def test_a_jump_at_a_cut_is_taken_back_but_for_a_step_and_a_filter_has_its_reach() -> None:
+    """From 3 to 10 in steps of 1: 6 of the 7 go, and a quarter less each sample."""
+    values = np.append(np.arange(4.0), np.arange(10.0, 18.0))
+    _join_at_cut(values, 4, 4)
+    assert values[3:9].tolist() == [3.0, 10.0 - 6.0, 11.0 - 4.5, 12.0 - 3.0, 13.0 - 1.5, 14.0]
+    mean_of_five = (lambda force: np.convolve(force, np.full(5, 0.2), "same"), 1)
+    assert _filter_reach([mean_of_five] * 2) == 10
 
 
 @pytest.mark.parametrize("window", [1, 21])

@@ -242,7 +242,7 @@ def slow(tau: float, count: int, seed: int = 0) -> Floats:
     [
         (0.1, 3000, False),
         (20.0, 3000, False),
-        (20.0, 40, True),
+        (20.0, 55, True),
         (10.0, 90, False),
         (20.0, 1, False),
     ],
