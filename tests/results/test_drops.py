@@ -15,6 +15,7 @@ from labpipe.results.slips import (
     LoadDrop,
     PullCurve,
     _block_size,
+    _correlation,
     _is_outlier,
     _step_kernel,
     _Window,
@@ -288,6 +289,7 @@ def test_the_kernel_of_a_step_is_that_of_differenced_least_squares() -> None:
     force = noise()[10:60]
     white, target = (rows[1:] - 0.4 * rows[:-1] for rows in (design, force))
     assert kernel @ force == pytest.approx(np.linalg.lstsq(white, target)[0][-1], rel=1e-9)
+    assert 0.0 <= _correlation(noise()[:100]) < 0.3  # a curve of one window has one, too
 
 
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:
