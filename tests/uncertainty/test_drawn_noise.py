@@ -19,7 +19,6 @@ from labpipe.uncertainty.noise_model import (
 )
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.replicates import smooth_curve
-from tests.builders.noise_rows import flicker
 
 RNG = np.random.default_rng
 
@@ -92,16 +91,6 @@ def test_one_short_record_leaves_its_variance_open() -> None:
     sure = np.log(18.0 / RNG(4).chisquare(18, 20_000))
     assert np.std(inner) > 0.95 * np.hypot(np.std(sampling), np.std(sure))
     assert np.std(inner) < 1.5 * np.hypot(np.std(sampling), np.std(sure))
-
-
-def test_the_chances_follow_the_record() -> None:
-    white = [judged(RNG(seed).normal(size=3000)).correlation_time for seed in range(10)]
-    assert np.median(white) < 2.0
-    for tau in (3.0, 10.0, 40.0):
-        records = autoregressive(np.exp(-1.0 / tau), (8, 6000), 4)
-        found = [judged(record).correlation_time for record in records]
-        assert np.median(found) == pytest.approx(tau, rel=0.35)
-    assert judged(RNG(0).normal(size=3000)).chances.sum() == pytest.approx(1.0)
 
 
 def test_processes_by_their_formulas() -> None:
@@ -270,18 +259,6 @@ def wander(rows: Floats, *, at_rest: bool) -> float:
     return float(np.mean(found))
 
 
-def test_rests_tell_flicker_noise() -> None:
-    """Pieces of a second guess what the record does in a minute; rests of four seconds know.
-
-    Beneath white noise, pieces do not even guess.
-    """
-    rows = flicker((60, 3000), 11)
-    truth = np.std(rows[:, RESTS[1]].mean(axis=1) - rows[:, RESTS[0]].mean(axis=1))
-    hidden = rows[:4] + 3.0 * RNG(12).normal(size=(4, 3000))
-    assert wander(hidden, at_rest=False) < 0.5 * truth
-    assert 0.7 * truth < wander(rows[:4], at_rest=True) < 1.4 * truth
-
-
 def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:
     """By a tenth of the noise's range and ten times it; and a motion that began a little early."""
     rows = RNG(12).normal(size=(4, 3000))
@@ -305,31 +282,14 @@ def test_a_corner_of_a_long_record_is_no_fast_noise() -> None:
     assert noise.draw(len(at), 50, RNG(0)).std() == pytest.approx(2.0, rel=0.1)
 
 
-SHORT = [
-    ("knee", 15, 1.6),
-    *(
-        pytest.param(shape, count, most, marks=pytest.mark.slow)
-        for shape, count, most in (
-            *(("line", 10, 1.35), ("line", 150, 1.35), ("knee", 10, 4.0), ("knee", 50, 1.35)),
-            *(("bent", 10, 4.0), ("bent", 20, 1.6), ("bent", 30, 1.35), ("bent", 90, 1.35)),
-        )
-    ),
-]
-
-
-@pytest.mark.parametrize(("shape", "count", "most"), SHORT)
-def test_noise_of_a_short_record_is_what_polynomials_leave(
-    shape: str, count: int, most: float
-) -> None:
-    """Median over 60 records; few free samples leave the variance open, ten a bend as well."""
-    at = np.linspace(0.0, 1.0, count)
-    curves = {"line": at, "knee": np.minimum(at, 0.5), "bent": 1.0 - np.exp(-2.0 * at)}
+def test_noise_of_a_short_record_is_what_polynomials_leave() -> None:
+    """Median over 60 records of 15 samples with a knee; few free samples leave it open."""
     spreads = []
     for seed in range(60):
-        values = curves[shape] + 0.002 * RNG(seed).normal(size=count)
+        values = np.minimum(np.linspace(0.0, 1.0, 15), 0.5) + 0.002 * RNG(seed).normal(size=15)
         pieces = polynomial_pieces(values)
-        assert (pieces[0].start, pieces[-1].stop) == (0, count)
+        assert (pieces[0].start, pieces[-1].stop) == (0, 15)
         assert all(one.stop == other.start for one, other in pairwise(pieces))
         noise = estimate_noise([values], [values])
-        spreads.append(noise.draw(count, 50, RNG(0)).std())
-    assert 0.75 < np.median(spreads) / 0.002 < most
+        spreads.append(noise.draw(15, 50, RNG(0)).std())
+    assert 0.75 < np.median(spreads) / 0.002 < 1.6
