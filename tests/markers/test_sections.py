@@ -118,7 +118,7 @@ def test_rigid_sections_that_tilt_and_turn_have_their_centres_and_twists() -> No
     sections = Sections(markers, at_rest, section, np.arange(5), np.eye(3))
     found, lever = section_twist(sections, slope, radius=0.01)
     np.testing.assert_allclose(found[[0, 1, 3], 0], twist[[0, 1, 3]], rtol=1e-9)
-    np.testing.assert_allclose(lever, [np.linalg.norm(off[:3, 1:] - off[:3, 1:].mean(0)), 0.0])
+    assert lever == pytest.approx([np.linalg.norm(off[:3, 1:] - off[:3, 1:].mean(0)), 0.0])
     assert np.isnan(found[:, 1]).all()
     turned = np.column_stack([twist, np.full(4, np.nan)])
     middle = section_centres(sections, axis, slope, turned)

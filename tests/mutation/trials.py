@@ -135,7 +135,7 @@ def _anew(mutant: Mutant, tests: Sequence[str]) -> str:
     def code_of(loader: SourceFileLoader, name: str) -> CodeType | None:
         return faulty if loader.path == faulty.co_filename else sound(loader, name)
 
-    SourceFileLoader.get_code = code_of  # type: ignore[method-assign]
+    SourceFileLoader.get_code = code_of  # type: ignore[assignment, method-assign]
     try:
         importlib.import_module("labpipe." + mutant.module.removesuffix(".py").replace("/", "."))
     except Exception:  # noqa: BLE001  a fault may raise anything

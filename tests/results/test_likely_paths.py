@@ -105,8 +105,11 @@ def test_a_jump_at_a_cut_is_taken_back_but_for_a_step_and_a_filter_has_its_reach
     values = np.append(np.arange(4.0), np.arange(10.0, 18.0))
     _join_at_cut(values, 4, 4)
     assert values[3:9].tolist() == [3.0, 10.0 - 6.0, 11.0 - 4.5, 12.0 - 3.0, 13.0 - 1.5, 14.0]
-    mean_of_five = (lambda force: np.convolve(force, np.full(5, 0.2), "same"), 1)
-    assert _filter_reach([mean_of_five] * 2) == 10
+
+    def mean_of_five(force: Floats) -> Floats:
+        return np.convolve(force, np.full(5, 0.2), "same")
+
+    assert _filter_reach([(mean_of_five, 1)] * 2) == 10
 
 
 @pytest.mark.parametrize("window", [1, 21])

@@ -199,7 +199,8 @@ def test_whitened_squares_are_what_weighted_least_squares_leave() -> None:
 
 def test_correlation_times_are_those_of_the_spectra() -> None:
     """Half the power at no frequency over the mean power; one half if mirrored or flickering."""
-    processes, angle = _processes(2000, 8000), np.pi * (np.arange(5000) + 0.5) / 5000.0
+    processes = _processes(2000, 8000)
+    angle: Floats = np.pi * (np.arange(5000.0) + 0.5) / 5000.0
     means = np.where(
         (processes.is_mirrored == 1.0) | (processes.steep > 0.0),
         1.0,

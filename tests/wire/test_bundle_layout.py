@@ -134,8 +134,8 @@ def test_hexagons(number: int, core: int, farthest: float) -> None:
         angle = np.degrees(np.arctan2(places[1:, 1], places[1:, 0])) % 360.0
         assert angle == pytest.approx(np.arange(6) * 60.0, abs=1e-9)
     # Around the middle of three, points of the lattice stay points of the lattice.
-    core = np.array([0.5, 12.0**-0.5])
-    steps = (_lattice_heap(number, core) + core) @ np.linalg.inv([[1.0, 0.0], [0.5, 0.75**0.5]])
+    middle = np.array([0.5, 12.0**-0.5])
+    steps = (_lattice_heap(number, middle) + middle) @ np.linalg.inv([[1.0, 0.0], [0.5, 0.75**0.5]])
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
