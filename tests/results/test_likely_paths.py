@@ -109,7 +109,7 @@ def test_a_jump_at_a_cut_is_taken_back_but_for_a_step_and_a_filter_has_its_reach
     def mean_of_five(force: Floats) -> Floats:
         return np.convolve(force, np.full(5, 0.2), "same")
 
-    assert _filter_reach([(mean_of_five, 1)] * 2) == 10
+    assert _filter_reach([(mean_of_five, 1)] * 2) == 10  # type: ignore[list-item]
 
 
 @pytest.mark.parametrize("window", [1, 21])
