@@ -217,7 +217,7 @@ def test_what_makes_no_sections() -> None:
         find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], apart=0.004)
     bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
     for count, message in (
-        (16, "some 45.72 mm away on both sides, which is 60 % of half the span"),
+        (16, r"-80.17 mm to \+8.7.* some 45.72 mm away on both sides, which is 60 % of half"),
         (10, "5 sections with markers: expected at least 6"),
     ):
         sections = find_sections(made.positions[:, :count], rest=rest, apart=0.004)
