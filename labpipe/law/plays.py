@@ -323,9 +323,10 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     excess = bridged / moment - 1.0
     if np.any(excess > max_bridged_share):
         at = int(np.argmax(excess))
+        limit = f"{100.0 * max_bridged_share:.0f} %"
         message = (
             f"the law stiffens at curvature={curvature[at]:.6g} 1/m: its concave hull is "
-            f"{100.0 * excess[at]:.2g} % above it; expected at most {100.0 * max_bridged_share:.0f} %"
+            f"{100.0 * excess[at]:.2g} % above it; expected at most {limit}"
         )
         raise ValueError(message)
     return polygon_law(curvature[hull], moment[hull])
