@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +19,37 @@ Samples: TypeAlias = slice | Ints
 Vector: TypeAlias = Annotated[Floats, "n"]
 """Shape (n,), with one n in all of a record."""
 
+AXIS_LABELS: Final[Mapping[str, tuple[str, ...]]] = {
+    "xyz": ("x", "y", "z"),
+    "xyzw": ("x", "y", "z", "w"),
+    "xy": ("x", "y"),
+    "specimen": ("x", "y", "z"),
+    "lab": ("x", "y", "z"),
+}
+"""Labels along axes of a fixed length."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """SI unit of a field, in its annotation.
+
+    Parameters
+    ----------
+    symbol : unit; empty if a text field states it
+    stated_in : name of that text field, of the record or of the one that contains it
+    """
+
+    symbol: str = ""
+    stated_in: str = ""
+
 
 class ArrayRecord:
     """A frozen record whose arrays are read-only, of the number type and the shape of their fields.
 
-    The axes of a field are in its type, ``Annotated[Floats, "frames", 3]``: a length, the name of
-    a tuple of the record with as many entries, or a word for a length that is the same throughout
-    the record. Arrays of the right type are not copied.
+    The axes of a field are in its type, ``Annotated[Floats, "frame", "xyz", Unit("m")]``: a length,
+    a key of `AXIS_LABELS`, the name of a tuple of the record with as many entries, or a word for a
+    length that is the same throughout the record, that of an annotated tuple included. Arrays of
+    the right type are not copied.
 
     Raises
     ------
@@ -35,7 +61,7 @@ class ArrayRecord:
 
     def __post_init__(self) -> None:
         kind: Any = type(self)
-        lengths: dict[int | str, int] = {}
+        lengths = {axis: len(getattr(self, name)) for name, axis in _tuples_of(kind)}
         for name, dtype, axes in _arrays_of(kind):
             array = np.asarray(getattr(self, name), dtype=dtype).view()
             shape = tuple(self._length(axis, lengths) for axis in axes)
@@ -49,21 +75,39 @@ class ArrayRecord:
             object.__setattr__(self, name, array)
 
     def _length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
-        """Length of an axis; None where any will do."""
+        """Return the length of an axis; None where any will do."""
         if isinstance(axis, int):
             return axis
-        entries = getattr(self, axis, None)
+        entries = AXIS_LABELS.get(axis) or getattr(self, axis, None)
         return len(entries) if isinstance(entries, tuple) else lengths.get(axis)
+
+
+def axes_of(kind: Any, container: type) -> list[tuple[str, Any, tuple[Any, ...]]]:
+    """Return name, type and axes of the fields of a record that are arrays, or tuples."""
+    hints = get_type_hints(kind, include_extras=True).items()
+    parts = ((name, get_args(hint)) for name, hint in hints if get_origin(hint) is Annotated)
+    return [
+        (name, values, tuple(axis for axis in marks if isinstance(axis, str | int)))
+        for name, (values, *marks) in parts
+        if get_origin(values) is container
+    ]
+
+
+def dtype_of(array_type: Any) -> Any:
+    """Return the number type of an array type such as `Floats`."""
+    return get_args(get_args(array_type)[1])[0]
 
 
 @cache
 def _arrays_of(kind: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
-    """Name, number type and axes of every array of a record."""
-    hints = get_type_hints(kind, include_extras=True).items()
-    parts = ((name, get_args(hint)) for name, hint in hints if get_origin(hint) is Annotated)
-    return tuple(
-        (name, get_args(get_args(array)[1])[0], tuple(axes)) for name, (array, *axes) in parts
-    )
+    """Return name, number type and axes of every array of a record."""
+    return tuple((name, dtype_of(array), axes) for name, array, axes in axes_of(kind, np.ndarray))
+
+
+@cache
+def _tuples_of(kind: Any) -> tuple[tuple[str, Any], ...]:
+    """Return name and axis of every annotated tuple of a record."""
+    return tuple((name, axis) for name, _, (axis, *_) in axes_of(kind, tuple))
 
 
 def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:
