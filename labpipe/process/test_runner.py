@@ -13,7 +13,7 @@ from labpipe.errors import LabpipeError, code_of, error_text, refusal
 from labpipe.process.reading import dialect_cards, fingerprint, named_exports
 from labpipe.process.run import Processed, Say, key_of, name_of, process_test, results_folder_of
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
-from labpipe.store.failure_file import FailedTest, write_failure
+from labpipe.store.summaries import FailedTest, write_failure
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,8 @@ from labpipe.decks.mujoco_line import line_deck
 from labpipe.protocol.load import load_harness
 from labpipe.records.result import Status
 from labpipe.report.harness_figure import FIGURE, SWEEP_FIGURE, save_harness_figure
-from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
-from labpipe.store.summaries import SUMMARY_FILE, finite_or_none, result_entry
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, finite_or_none, result_entry
 from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
 from labpipe.studies.harness_responses import RADIUS, heights_of
 from labpipe.studies.harness_section import input_file, material_of
