@@ -20,7 +20,7 @@ from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, or_failure
 from labpipe.records.quality import Finding, blocking, doubtful, info_note, warning
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
@@ -375,7 +375,7 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     """
     # Share of the replicate curves.
     max_falling_share = 0.025
-    measured = test.measure(decide)
+    measured = or_failure(test.measure)(decide)
     if isinstance(measured, Failure):
         return measured
     slack, trace = measured[0], traced(test)
@@ -403,7 +403,7 @@ def _preload_explains(slack: Measured, decide: Decide, trace: Trace, at: int) ->
     if slack.interval.upper >= first:
         return True
     preloaded = replace(trace, force=trace.force - trace.force[at])
-    above = decide(preloaded)
+    above = or_failure(decide)(preloaded)
     if isinstance(above, Failure):
         return False
     place = float(above.numbers(preloaded)[0])

@@ -15,7 +15,7 @@ from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, fail, or_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import traced
@@ -32,7 +32,6 @@ from labpipe.results.reduced_test import (
     NO_LOADING,
     FailurePoint,
     ReducedTest,
-    blocked_or,
     sense_of_loading,
 )
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
@@ -212,7 +211,7 @@ def unloaded(
     *,
     force_below: float,
     like: Unloaded | None = None,
-) -> Unloaded | Failure:
+) -> Unloaded:
     """Choose the samples for the displacement at zero force after unloading.
 
     Parameters
@@ -244,15 +243,15 @@ def unloaded(
     branch = _Branch(finite, time[finite], displacement[finite], force[finite])
     f = branch.force
     if len(f) < 2 * _MIN_SAMPLES:
-        return Failure("too_few_samples", f"{len(f)} samples, {2 * _MIN_SAMPLES} are needed")
+        fail("too_few_samples", f"{len(f)} samples, {2 * _MIN_SAMPLES} are needed")
     least = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
-        return Failure("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
+        fail("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
     if above[-1] >= len(f) - 3:
         message = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
-        return Failure("force_not_zero", message)
+        fail("force_not_zero", message)
     goes_on = bool(np.median(f[-_MIN_SAMPLES:]) < -limit)
     if goes_on if like is None else isinstance(like, ThroughZero):
         return branch.through_zero(limit)
@@ -278,19 +277,17 @@ class _Branch:
         """Return the numbers of chosen samples in the branch."""
         return samples_of(self.numbers[chosen])
 
-    def through_zero(self, limit: float) -> ThroughZero | Failure:
+    def through_zero(self, limit: float) -> ThroughZero:
         """Choose the samples around the zero of the force."""
         time = self.time
         middle = time[min(int((self.force > 0.0).sum()), len(time) - 1)]
         near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
         if near.sum() < _MIN_SAMPLES:
             message = f"{int(near.sum())} samples near zero force, {_MIN_SAMPLES} are needed"
-            return Failure("too_few_samples", message)
+            fail("too_few_samples", message)
         return ThroughZero(self.samples(near), time[near] - middle, limit)
 
-    def slack_or_followed(
-        self, limit: float, least: float, like: Unloaded | None
-    ) -> Unloaded | Failure:
+    def slack_or_followed(self, limit: float, least: float, like: Unloaded | None) -> Unloaded:
         """Choose the samples for a force that stays near zero."""
         last = int(np.flatnonzero(self.force > limit)[-1])
         far = np.flatnonzero(self.force > _FOOT_LIMITS * limit)
@@ -310,8 +307,7 @@ class _Branch:
             return AtRest(self.samples(rest), int(rest.sum()), limit)
         near = (self.time >= zero - _TIME_BEFORE_ZERO) & (self.time <= zero)
         if near.sum() < _MIN_SAMPLES:
-            message = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"
-            return Failure("too_few_samples", message)
+            fail("too_few_samples", f"{int(near.sum())} samples in the 1 s to {zero:.3f} s")
         places = samples_of(self.numbers), self.samples(foot), self.samples(near)
         times = from_end, from_end[foot], from_end[near]
         return FollowedToZero(*places, *times, falls, limit, least)
@@ -339,9 +335,6 @@ def _zero_time(time: Floats, force: Floats) -> Floats:
     return zero_of_line(time, -force)
 
 
-NO_UNLOADING = Failure("partial_cycle", "the cycle has no unloading branch")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfCycle(Kind):
     """A kind of result with one number per cycle of the curve."""
@@ -351,52 +344,30 @@ class OfCycle(Kind):
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Range of a cycle that the number depends on, counted in branches: 0.9 is after nine tenths of
     the loading, 1 its end, 2 the end of unloading."""
-    gap: ClassVar[str] = ""
-    """Quantity whose samples next to its largest one must not be missing; empty for none."""
-
-    @property
-    @abstractmethod
-    def method(self) -> str:
-        """How the number is computed, in words."""
 
     @abstractmethod
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
-        """Choose the samples for the number of a cycle, or return why there are none.
-
-        Parameters
-        ----------
-        test : for facts that do not depend on the curve
-        trace : one curve
-        number : of the cycle, from 1
-        """
-
-    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
-        """Return the function that chooses the samples of a cycle on a curve.
-
-        Parameters
-        ----------
-        test, number : as for `read`
-        """
-        return partial(self.read, test, number=number)
-
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """Return that function for all cycles of a test, which may share expensive data."""
-        return partial(self.decide_cycle, test)
+        """Return the function from the number of a cycle to the choice of its samples.
+
+        Parameters
+        ----------
+        test : for facts that do not depend on the curve, and data that its cycles share
+        """
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number if it is read from more samples than the curve has."""
         del test, branches
         return None
 
-    def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
+    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return further doubts about the number of a cycle."""
-        del test, number
+        del test, branches
         return ()
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute a number per cycle, or one failure without cycles."""
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure a number per cycle."""
         if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), self.method)
+            raise test.unavailable(NO_LOADING)
         decider = self.decider(test)
         return Computed(tuple(self._of_cycle(test, branches, decider) for branches in test.cycles))
 
@@ -404,16 +375,11 @@ class OfCycle(Kind):
         self, test: ReducedTest, branches: list[Branch], decider: Callable[[int], Decide]
     ) -> Number:
         number = branches[0].cycle
-        outcome = test.measure_one(decider(number), self.plain(test, branches))
-        doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
-        doubts += self.doubts(test, number)
-        if self.gap:
-            doubts += gap_at_peak(test, branches, self.gap)
         return self.number(
-            outcome,
-            self.method,
+            or_failure(test.measure_one)(decider(number), self.plain(test, branches)),
             during=_time_of_part(branches, self.reads),
-            doubts=doubts,
+            doubts=cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
+            + self.doubts(test, branches),
             part=f".{number}",
         )
 
@@ -423,16 +389,18 @@ def rectangle(estimate: Estimate, other: Estimate) -> Errors:
     return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
-def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[Reason, ...]:
+def gap_at_peak(
+    test: ReducedTest, branches: list[Branch], what: Literal["force", "displacement"]
+) -> tuple[Reason, ...]:
     """Return a doubt if samples next to the largest one of a cycle are missing.
 
     Parameters
     ----------
     test, branches : the cycle
-    what : ``force`` or ``displacement`` of the curve
+    what : quantity of the curve
     """
     curve = test.known_curve
-    values = curve.force if what == "force" else curve.displacement
+    values: Floats = getattr(curve, what)
     over = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
     if np.isnan(over).all():
         return ()
@@ -554,22 +522,34 @@ class Energy(OfCycle):
         ),
     )
     whole: ClassVar = 2
+    method: ClassVar = "integral of force, trapezoids"
 
-    @property
-    def method(self) -> str:
-        """The same for all cycles."""
-        return "integral of force, trapezoids"
-
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Choose the samples for the integral of the force over a cycle."""
         del test
-        branches = cycle_of(trace, number)
-        if len(branches) < 2:
-            return NO_UNLOADING
-        return work_over(trace, stretch_of_cycle(trace, branches))
+        return lambda number: partial(_work_over_cycle, number=number)
 
 
-def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
+def _work_over_cycle(trace: Trace, number: int) -> Reading:
+    branches = cycle_of(trace, number)
+    unloading_of(branches)
+    return work_over(trace, stretch_of_cycle(trace, branches))
+
+
+def unloading_of(branches: list[Branch]) -> Branch:
+    """Return the unloading branch of a cycle.
+
+    Raises
+    ------
+    UnavailableError
+        ``partial_cycle`` without one.
+    """
+    if len(branches) < 2:
+        fail("partial_cycle", "the cycle has no unloading branch")
+    return branches[1]
+
+
+def work_over(trace: Trace, stretch: slice) -> Reading:
     """Choose the samples for the work over a part of a curve, J: trapezoids.
 
     Parameters
@@ -583,10 +563,9 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
     """
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
-        return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
+        fail("gap", f"{missing} samples of the cycle have no force or no displacement")
     if len(force) < MIN_LOOP_SAMPLES:
-        message = f"{len(force)} samples in the cycle, {MIN_LOOP_SAMPLES} are needed"
-        return Failure("too_few_samples", message)
+        fail("too_few_samples", f"{len(force)} samples in the cycle, {MIN_LOOP_SAMPLES} are needed")
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])
@@ -617,30 +596,26 @@ class ResidualDisplacement(OfCycle):
         """With the limit of the force."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
-    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Use the limit of zero force, and the kind of end, of the measured curve."""
-        measured = self._ends(traced(test), number)
-        like = None if isinstance(measured, Failure) else measured
-        return partial(self.read, test, number=number, like=like)
 
-    def read(
-        self, test: ReducedTest, trace: Trace, number: int, like: Unloaded | None = None
-    ) -> Reading | Failure:
+        def decide(number: int) -> Decide:
+            like = or_failure(self._ends)(traced(test), number)
+            return partial(
+                self._read, number=number, like=None if isinstance(like, Failure) else like
+            )
+
+        return decide
+
+    def _read(self, trace: Trace, number: int, like: Unloaded | None) -> Reading:
         """Choose the samples for the displacement at zero force after unloading."""
-        del test
-        ending = self._ends(trace, number, like)
-        if isinstance(ending, Failure):
-            return ending
-        part = cycle_of(trace, number)[1]
+        ending, part = self._ends(trace, number, like), cycle_of(trace, number)[1]
         branch = slice(part.start, part.stop)
         in_noise = on_part(ending.of_each, branch) if isinstance(ending, FollowedToZero) else None
         return Reading(on_part(ending.of, branch), ending.n, in_noise)
 
-    def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded | Failure:
-        branches = cycle_of(trace, number)
-        if len(branches) < 2:
-            return NO_UNLOADING
-        parts = on_branch(trace, branches[1])
+    def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded:
+        parts = on_branch(trace, unloading_of(cycle_of(trace, number)))
         return unloaded(*parts, force_below=self.force_below, like=like)
 
 
@@ -679,7 +654,7 @@ def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
 
 def _largest(
     trace: Trace, name: Literal["force", "displacement"], number: int, steps: float = 1.0
-) -> Reading | Failure:
+) -> Reading:
     """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
@@ -692,7 +667,7 @@ def _largest(
     sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
     seen = sense * values[stretch]
     if np.isnan(seen).all():
-        return Failure("no_sample", "every sample of the stretch is blank")
+        fail("no_sample", "every sample of the stretch is blank")
     travel = sense_of(trace, trace.displacement) * trace.displacement[stretch]
     reach = _reach_beyond_top(seen, travel) / steps
 
@@ -713,46 +688,16 @@ class PeakForce(OfCycle):
     )
     whole: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
-    gap: ClassVar = "force"
-
-    @property
-    def method(self) -> str:
-        """Of all cycles."""
-        return "largest force of the cycle after the filter, in the sense of loading"
+    method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Use the same samples of the force for all cycles."""
         samples = cache(partial(ForceSamples.of, test))
-        return lambda number: partial(self.read, test, number=number, samples=samples)
+        return lambda number: partial(_peak_of_samples, number=number, test=test, samples=samples)
 
-    def read(
-        self,
-        test: ReducedTest,
-        trace: Trace,
-        number: int,
-        samples: Callable[[Trace], ForceSamples | None] | None = None,
-    ) -> Reading | Failure:
-        """Choose the largest sample of the force; with noise, among all its samples."""
-        reading = peak_of(test, trace, number)
-        if isinstance(reading, Failure) or test.force.clock == test.clocks.curve:
-            return reading
-        sense, plain = sense_of(trace, trace.force), reading
-
-        @cache
-        def top() -> PeakSamples | None:
-            stretch = stretch_of_cycle(trace, cycle_of(trace, number))
-            force_samples = samples(trace) if samples is not None else ForceSamples.of(test, trace)
-            return None if force_samples is None else force_samples.of_cycle(trace, stretch, sense)
-
-        def in_noise(drawn: Trace) -> tuple[Floats]:
-            noise = drawn.noise
-            seen = None if noise is None else top()
-            raised = None if noise is None or seen is None else seen.raised(noise)
-            if raised is None:
-                return (plain.numbers(drawn)[0],)
-            return (plain.numbers(trace)[0] + sense * raised,)
-
-        return replace(reading, in_noise=in_noise)
+    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+        """Return a doubt about missing samples at the peak."""
+        return gap_at_peak(test, branches, "force")
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the largest of all samples of a force on another clock than the curve."""
@@ -767,7 +712,36 @@ class PeakForce(OfCycle):
         return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
 
 
-def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+def _peak_of_samples(
+    trace: Trace,
+    *,
+    number: int,
+    test: ReducedTest,
+    samples: Callable[[Trace], ForceSamples | None],
+) -> Reading:
+    """Choose the largest sample of the force; with noise, among all its samples."""
+    reading = peak_of(test, trace, number)
+    if test.force.clock == test.clocks.curve:
+        return reading
+    sense, plain = sense_of(trace, trace.force), reading
+
+    @cache
+    def top() -> PeakSamples | None:
+        stretch = stretch_of_cycle(trace, cycle_of(trace, number))
+        force_samples = samples(trace)
+        return None if force_samples is None else force_samples.of_cycle(trace, stretch, sense)
+
+    def in_noise(drawn: Trace) -> tuple[Floats]:
+        seen = None if drawn.noise is None else top()
+        raised = None if drawn.noise is None or seen is None else seen.raised(drawn.noise)
+        if raised is None:
+            return (plain.numbers(drawn)[0],)
+        return (plain.numbers(trace)[0] + sense * raised,)
+
+    return replace(reading, in_noise=in_noise)
+
+
+def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading:
     """Choose the sample of the largest force of a cycle, N.
 
     Parameters
@@ -798,17 +772,16 @@ class PeakDisplacement(OfCycle):
     )
     whole: ClassVar = 1
     reads: ClassVar = (0.9, 1.1)
-    gap: ClassVar = "displacement"
+    method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    @property
-    def method(self) -> str:
-        """Of all cycles."""
-        return "largest displacement of the cycle, in the sense of loading"
-
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Choose the largest sample of the displacement."""
         del test
-        return _largest(trace, "displacement", number)
+        return lambda number: partial(_largest, name="displacement", number=number)
+
+    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+        """Return a doubt about missing samples at the peak."""
+        return gap_at_peak(test, branches, "displacement")
 
 
 KINDS = (PeakForce, PeakDisplacement, Energy, ResidualDisplacement)

@@ -1,7 +1,7 @@
 """A kind of result: one record of its settings, its outputs, its needs, and its computation.
 
 A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
-class variables are its name, outputs and needs, and `compute` returns the numbers of a test.
+class variables are its name, outputs and needs, and `measure` returns the numbers of a test.
 Grammar, cross-checks, JSON Schema, descriptions and the reference page derive from the list
 `labpipe.results.KINDS`.
 """
@@ -18,11 +18,11 @@ import numpy as np
 from labpipe.records.causes import FIT, contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, widened
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
-from labpipe.results.reduced_test import ReducedTest, Stiffness, blocked_or
+from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.uncertainty.intervals import Measured
 
 Outcome: TypeAlias = Measured | Estimate | Failure
@@ -83,23 +83,58 @@ class Kind(ABC):
     result: ClassVar[str]
     outputs: ClassVar[tuple[Output, ...]]
     needs: ClassVar[Needs] = Needs(branches=True)
+    method: ClassVar = ""
+
+    def methods(self, test: ReducedTest) -> tuple[str, ...]:
+        """Return the method of each output."""
+        del test
+        return (self.method,) * len(self.outputs)
 
     @abstractmethod
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the numbers of a test.
+
+        Parameters
+        ----------
+        test : the test, with the stiffnesses of earlier entries
+
+        Raises
+        ------
+        UnavailableError
+            If the test has none of the outputs.
+        """
+
     def compute(self, test: ReducedTest) -> Computed:
-        """Compute the numbers of a test.
+        """Measure the numbers of a test, or return all outputs as not available.
 
         Parameters
         ----------
         test : the test, with the stiffnesses of earlier entries
         """
+        try:
+            return self.measure(test)
+        except UnavailableError as error:
+            return Computed(
+                tuple(
+                    self.number(
+                        error.failure,
+                        output=place,
+                        method=method,
+                        part="" if output.first is None else f".{output.first}",
+                    )
+                    for place, (output, method) in enumerate(
+                        zip(self.outputs, self.methods(test), strict=True)
+                    )
+                )
+            )
 
     def number(
         self,
         outcome: Outcome,
-        method: str,
         errors: Errors | None = None,
         *,
         output: int = 0,
+        method: str = "",
         during: Stretch | None = None,
         doubts: tuple[Reason, ...] = (),
         part: str = "",
@@ -109,30 +144,15 @@ class Kind(ABC):
 
         Parameters
         ----------
-        outcome, method, errors, during, doubts, part, remark : as `Number` has them
+        outcome, errors, during, doubts, part, remark : as `Number` has them
         output : place in `outputs`
+        method : by default `Kind.method`
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         named = replace(self.outputs[output], name=self.outputs[output].name.format_map(values))
         made_of = getattr(self, "of", "")
-        return Number(named, outcome, method, errors or {}, during, doubts, part, made_of, remark)
-
-    def not_available(self, why: Failure, *methods: str) -> Computed:
-        """Return all outputs as not available, for the same reason.
-
-        Parameters
-        ----------
-        why : code and sentence
-        methods : of the outputs; one for all, or one for each
-        """
-        all_methods = methods if len(methods) > 1 else methods * len(self.outputs)
-        parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
-        return Computed(
-            tuple(
-                self.number(why, method, output=place, part=part)
-                for place, (method, part) in enumerate(zip(all_methods, parts, strict=True))
-            )
-        )
+        how = method or self.method
+        return Number(named, outcome, how, errors or {}, during, doubts, part, made_of, remark)
 
 
 def force_scale(test: ReducedTest, outcome: Outcome) -> Errors:
@@ -250,19 +270,24 @@ class ClockResult(Kind):
         Output("clock_drift", "1", "Drift of the clocks", ("clock",), can_be_negative=True),
     )
     needs: ClassVar = Needs(clocks=True)
+    method: ClassVar = "how the clocks of force and motion were joined"
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Computed:
         """Return offset and drift of force time against marker time."""
         fit = test.clocks.force
         if fit is None:
-            why = blocked_or(test, Failure("one_clock", "there is only one clock"))
-            return self.not_available(why, "how the clocks of force and motion were joined")
+            raise test.unavailable(Failure("one_clock", "there is only one clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
         if np.isnan(fit.drift_interval.lower):
             drift = Failure("one_event", "one turning point gives an offset but no drift")
-        return Computed((self.number(offset, fit.method), self.number(drift, fit.method, output=1)))
+        return Computed(
+            tuple(
+                self.number(outcome, output=place, method=fit.method)
+                for place, outcome in enumerate((offset, drift))
+            )
+        )
 
 
 KINDS: tuple[type[Kind], ...] = (ClockResult,)

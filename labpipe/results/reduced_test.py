@@ -18,7 +18,7 @@ from labpipe.records.curve import (
     Shape,
     Slip,
 )
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
 from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
@@ -217,27 +217,29 @@ class ReducedTest:
 
     def measure(
         self, decide: Decide, values: Sequence[float] | None = None
-    ) -> tuple[Measured, ...] | Failure:
+    ) -> tuple[Measured, ...]:
         """Measure numbers of the curve with their uncertainty.
 
         Parameters
         ----------
-        decide, values : as `labpipe.uncertainty.intervals.measure` takes them
+        decide, values : as `labpipe.uncertainty.intervals.measure` takes them; `decide` may raise
 
-        Returns
-        -------
-        The numbers, or a failure, also without a curve.
+        Raises
+        ------
+        UnavailableError
+            If there are no such numbers, or no curve.
         """
         if self.replicates is None:
-            return blocked_or(self, NO_LOADING)
-        return measure(self.replicates, decide, values)
+            raise self.unavailable(NO_LOADING)
+        return measured(self.replicates, decide, values)
 
-    def measure_one(
-        self, decide: Decide, values: Sequence[float] | None = None
-    ) -> Measured | Failure:
-        """Measure the first number of a reading."""
-        outcome = self.measure(decide, values)
-        return outcome if isinstance(outcome, Failure) else outcome[0]
+    def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
+        """Measure the first number of a reading, as `measure`."""
+        return self.measure(decide, values)[0]
+
+    def unavailable(self, reason: Failure) -> UnavailableError:
+        """Return the error for what stopped the test, or else for another reason."""
+        return UnavailableError(self.findings.blocked or reason)
 
     @property
     def cycles(self) -> list[list[Branch]]:
@@ -313,10 +315,14 @@ class ReducedTest:
         return any(start <= end and begin <= stop for begin, end in stretches)
 
 
-def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
-    """Return the failure that stopped the test, or else another one."""
-    blocked = test.findings.blocked
-    return otherwise if blocked is None else Failure(blocked.code, blocked.message)
+def measured(
+    replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
+) -> tuple[Measured, ...]:
+    """Measure numbers of replicates, as `ReducedTest.measure`."""
+    outcome = measure(replicates, or_failure(decide), values)
+    if isinstance(outcome, Failure):
+        raise UnavailableError(outcome)
+    return outcome
 
 
 def sense_of_loading(values: Floats) -> float:

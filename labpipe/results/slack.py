@@ -11,13 +11,13 @@ import numpy as np
 from labpipe.records.arrays import Floats, Samples, samples_of
 from labpipe.records.causes import SLACK
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, fail, or_failure
 from labpipe.results.curve_replicates import displaced, loading_of
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import finite_samples, zero_of_line
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, blocked_or, doubts_of_slack
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, doubts_of_slack, measured
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
-from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure
+from labpipe.uncertainty.intervals import Measured, SmoothNumbers
 from labpipe.uncertainty.replicates import Input, Replicates
 
 _MIN_REGION_SAMPLES = 8
@@ -25,7 +25,7 @@ _MIN_REGION_SAMPLES = 8
 
 def toe_line(
     displacement: Floats, force: Floats, *, start_share: float, stop_share: float
-) -> Samples | Failure:
+) -> Samples:
     """Find the samples of the linear region for toe compensation.
 
     Parameters
@@ -58,22 +58,22 @@ def toe_line(
     finite = finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
     if len(d) < _MIN_REGION_SAMPLES:
-        return Failure("too_few_samples", f"{len(d)} samples, {_MIN_REGION_SAMPLES} are needed")
+        fail("too_few_samples", f"{len(d)} samples, {_MIN_REGION_SAMPLES} are needed")
     top = int(np.argmax(f))
     first, last = (
         _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
     )
     if first == 0:
         message = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
-        return Failure("not_reached", message)
+        fail("not_reached", message)
     if last - first < _MIN_REGION_SAMPLES:
         message = (
             f"{max(last - first, 0)} samples in the linear region, {_MIN_REGION_SAMPLES} are needed"
         )
-        return Failure("too_few_samples", message)
+        fail("too_few_samples", message)
     region = slice(first, last)
     if np.isnan(zero_of_line(d[region], f[region])):
-        return Failure("not_rising", "the force does not rise in the linear region")
+        fail("not_rising", "the force does not rise in the linear region")
     return samples_of(finite[region])
 
 
@@ -86,7 +86,7 @@ def _rise(force: Floats, height: float) -> int:
     return (int(above[0]) + int(below[-1]) + 1) // 2
 
 
-def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading | Failure:
+def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
     """Decide on the displacement at which the line through the linear region meets zero force.
 
     Parameters
@@ -105,8 +105,6 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading 
         start_share=start_share,
         stop_share=stop_share,
     )
-    if isinstance(region, Failure):
-        return region
     slack = on_part(zero_of_line, (stretch, region))
     return Reading(slack, len(trace.force[stretch][region]), is_cut=True)
 
@@ -129,10 +127,7 @@ def counted_from_taut(
     it does to the curve. So a zero of the displacement that is in both is in no number behind.
     What makes the slack doubtful goes with it.
     """
-    alone = measure(replace(replicates, inputs=()), slack)
-    if isinstance(alone, Failure):
-        message = f"expected a slack that was measured, found {alone.message}"
-        raise ValueError(message)
+    alone = measured(replace(replicates, inputs=()), slack)
     draws = np.where(np.isnan(alone[0].off), np.nanmean(alone[0].off), alone[0].off)
     error = float(np.std(draws))
     inputs = tuple(
@@ -148,10 +143,10 @@ def counted_from_taut(
 
 def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     """An input with what it does to the slack."""
-    base = slack(smooth)
+    base = or_failure(slack)(smooth)
     if isinstance(base, Failure):
         return quantity
-    decided = SmoothNumbers.of(slack, smooth, base)
+    decided = SmoothNumbers.of(or_failure(slack), smooth, base)
     less, more = (float(decided.changed(quantity, x)[0]) for x in (-1.0, 1.0))
     return replace(quantity, moved=partial(_moved, quantity=quantity, less=-less, more=more))
 
@@ -168,14 +163,13 @@ class SlackResult(Kind):
     outputs: ClassVar = (Output("slack", "m", "Slack", ("displacement",), can_be_negative=True),)
     needs: ClassVar = Needs(branches=True, correction="slack")
 
-    def compute(self, test: ReducedTest) -> Computed:
+    method: ClassVar = "toe compensation, ASTM D638 annex A1"
+
+    def measure(self, test: ReducedTest) -> Computed:
         """Return the displacement at which the line of the linear region meets zero force."""
-        number = self.number(
-            test.slack or blocked_or(test, NO_LOADING),
-            "toe compensation, ASTM D638 annex A1",
-            during=test.while_loading(),
-        )
-        return Computed((number,))
+        during = test.while_loading()
+        slack = test.slack or test.unavailable(NO_LOADING).failure
+        return Computed((self.number(slack, during=during),))
 
 
 KINDS = (SlackResult,)

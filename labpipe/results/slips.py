@@ -566,7 +566,7 @@ class SlipResults(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="slips")
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Computed:
         """Return position and drop of each slip of the ledger."""
         numbers = []
         for count, slip in enumerate(test.slips, start=1):
@@ -580,8 +580,8 @@ class SlipResults(Kind):
             slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
             doubts = doubts_of_slack(test.slack) if isinstance(test.slack, Measured) else ()
             numbers += [
-                self.number(place, method, slack, during=during, doubts=doubts, part=part),
-                self.number(lost, method, scale, output=1, during=during, part=part),
+                self.number(place, slack, method=method, during=during, doubts=doubts, part=part),
+                self.number(lost, scale, output=1, method=method, during=during, part=part),
             ]
         return Computed(tuple(numbers))
 

@@ -13,7 +13,7 @@ from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import ClockResult, Number, Outcome, to_result
-from labpipe.results.reduced_test import FailurePoint, ReducedTest, blocked_or
+from labpipe.results.reduced_test import FailurePoint, ReducedTest
 
 STIFFNESS = Output("stiffness", "N/m", rests_on=("force", "displacement"))
 
@@ -74,9 +74,11 @@ def test_doubts_of_its_quantities() -> None:
 
 def test_what_stopped_the_test_comes_first() -> None:
     otherwise = Failure("no_cycle", "no branch")
-    assert blocked_or(evidence(), otherwise) is otherwise
+    assert evidence().unavailable(otherwise).failure is otherwise
     stopped = evidence(blocking("no_motion", "travel", "it spans 0.1 mm: too little"))
-    assert blocked_or(stopped, otherwise) == Failure("no_motion", "it spans 0.1 mm: too little")
+    assert stopped.unavailable(otherwise).failure == Failure(
+        "no_motion", "it spans 0.1 mm: too little"
+    )
 
 
 AT = np.array([20.0])

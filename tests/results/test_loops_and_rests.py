@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, or_failure
 from labpipe.results.cycles import (
     AtRest,
     FollowedToZero,
@@ -27,7 +27,7 @@ SECONDS = np.arange(0.0, 4.0, 0.02)
 def secant(path: Floats, force: Floats, part: slice = slice(None)) -> Estimate | Failure:
     inside = np.zeros(len(SECONDS), dtype=bool)
     inside[part] = True
-    return secant_stiffness(SECONDS, path, force, inside)
+    return or_failure(secant_stiffness)(SECONDS, path, force, inside)
 
 
 def test_stiffness_is_exact_on_a_line() -> None:
@@ -148,7 +148,7 @@ WAYS = {
 
 
 def decided(path: Floats, force: Floats, like: Unloaded | None = None) -> Unloaded:
-    found = unloaded(TIME, path, force, force_below=LIMIT, like=like)
+    found = or_failure(unloaded)(TIME, path, force, force_below=LIMIT, like=like)
     assert not isinstance(found, Failure), found
     return found
 
@@ -239,7 +239,7 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     found = decided(path[10], force[10])
     assert isinstance(found, FollowedToZero)
     for d, f, each in zip(path[10:], force[10:], found.of_each(path[10:], force[10:]), strict=True):
-        alone = unloaded(TIME, d, f, force_below=LIMIT, like=found)
+        alone = or_failure(unloaded)(TIME, d, f, force_below=LIMIT, like=found)
         if isinstance(alone, Failure):
             assert np.isnan(each)
         else:
@@ -264,7 +264,7 @@ def test_a_force_that_does_not_come_back_to_zero() -> None:
         (slice(1500), FORCE[:1500], "above the limit of 0.005 N"),
         (kept, weak, "the force ends at 0.004"),
     ):
-        failure = unloaded(TIME[part], PATH[part], force, force_below=LIMIT)
+        failure = or_failure(unloaded)(TIME[part], PATH[part], force, force_below=LIMIT)
         assert isinstance(failure, Failure)
         assert failure.code == "force_not_zero"
         assert message in failure.message
@@ -272,14 +272,14 @@ def test_a_force_that_does_not_come_back_to_zero() -> None:
 
 def test_too_few() -> None:
     few = np.linspace(0.0, 1.0, 10)
-    found = unloaded(few, few, 1.0 - few, force_below=LIMIT)
+    found = or_failure(unloaded)(few, few, 1.0 - few, force_below=LIMIT)
     assert found == Failure("too_few_samples", "10 samples, 16 are needed")
     many, noise = np.linspace(0.0, 1.0, 40), np.tile([0.01, -0.01], 20)
-    found = unloaded(many, many, noise, force_below=LIMIT)
+    found = or_failure(unloaded)(many, many, noise, force_below=LIMIT)
     assert found == Failure("too_few_samples", "40 samples, none above 0.04322 N")
     sparse = np.arange(0.0, 60.0, 1.0)
     path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
-    found = unloaded(sparse, path, fallen, force_below=LIMIT)
+    found = or_failure(unloaded)(sparse, path, fallen, force_below=LIMIT)
     assert found == Failure("too_few_samples", "2 samples in the 1 s to 49.000 s")
 
 
@@ -290,7 +290,9 @@ def test_a_rest_is_seen_once_the_line_were_three_limits_lower(
     """15 mN at 24 mN a second are 0.625 s."""
     path, force = WAYS[AtRest]
     part = lasts + 41.0 >= TIME
-    assert isinstance(unloaded(TIME[part], path[part], force[part], force_below=LIMIT), way)
+    assert isinstance(
+        or_failure(unloaded)(TIME[part], path[part], force[part], force_below=LIMIT), way
+    )
 
 
 @pytest.mark.parametrize(("pulls", "creeps"), [(0.0, 0.0), (-0.0125, 0.0), (0.0, 2e-6)])

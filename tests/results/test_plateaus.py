@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, or_failure
 from labpipe.results.plateau import Tangents
 
 OVER = 5e-3
@@ -27,7 +27,7 @@ ONSET = SCALE * np.log(10.0)
 
 
 def tangents_of(d: Floats, f: Floats) -> Tangents:
-    tangents = Tangents.of(d, f, over=OVER)
+    tangents = or_failure(Tangents.of)(d, f, over=OVER)
     assert isinstance(tangents, Tangents)
     return tangents
 
@@ -82,7 +82,7 @@ def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
     found = []
     for off in (0.0, 1.0, -1.0):
         path: Floats = even * (1.0 + off * last_bits)
-        tangents = Tangents.of(path, force, over=OVER)
+        tangents = or_failure(Tangents.of)(path, force, over=OVER)
         assert isinstance(tangents, Tangents)
         place, level = tangents.onset(force, np.array(INITIAL), slope_below=0.1)
         found.append([float(tangents.slope_at_end(force)), float(place), float(level)])
@@ -171,19 +171,19 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
 
 
 def test_says_why_not() -> None:
-    short = Tangents.of(D[:200], SOFT[:200], over=OVER)
+    short = or_failure(Tangents.of)(D[:200], SOFT[:200], over=OVER)
     assert short == Failure("not_reached", "the branch is 9.95 mm long, twice 5 mm is needed")
-    none = Tangents.of(D, np.full(len(D), np.nan), over=OVER)
+    none = or_failure(Tangents.of)(D, np.full(len(D), np.nan), over=OVER)
     assert isinstance(none, Failure)
     assert none.code == "not_reached"
-    sparse = Tangents.of(D[::50], SOFT[::50], over=OVER)
+    sparse = or_failure(Tangents.of)(D[::50], SOFT[::50], over=OVER)
     assert sparse == Failure("too_few_samples", "3 samples in the stretch, 8 are needed")
     jump = np.concatenate([np.linspace(0.0, 0.04, 100), np.linspace(0.0499, 0.05, 100)])
-    stuck = Tangents.of(jump, jump, over=OVER)
+    stuck = or_failure(Tangents.of)(jump, jump, over=OVER)
     assert stuck == Failure("no_travel", "the displacement jumps over the stretch")
     for at in (0.0451, 0.0453, 0.0457, 0.0459, 0.0463):
         two = np.concatenate([np.linspace(0.0, 0.0449, 100), np.repeat([at, 0.05], 10)])
-        assert Tangents.of(two, two, over=OVER) == stuck
+        assert or_failure(Tangents.of)(two, two, over=OVER) == stuck
 
 
 def test_what_a_corner_hides() -> None:

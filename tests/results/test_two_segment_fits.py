@@ -6,13 +6,13 @@ from numpy.typing import ArrayLike
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, or_failure
 from labpipe.results.two_lines import (
     Hinges,
     Segments,
-    why_break_is_doubtful,
-    why_no_bend,
-    why_no_kink,
+    doubts_of_break,
+    require_bend,
+    require_kink,
 )
 
 D = np.linspace(0.002, 0.02, 181)
@@ -20,15 +20,15 @@ F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
 
 
 def test_says_why_not() -> None:
-    assert Hinges.of(D[:15], F[:15]) == Failure(
+    assert or_failure(Hinges.of)(D[:15], F[:15]) == Failure(
         "too_few_samples", "15 samples in the stretch, 16 are needed"
     )
-    back = Hinges.of(D[::-1], F[::-1])
+    back = or_failure(Hinges.of)(D[::-1], F[::-1])
     assert back == Failure("not_increasing", "the displacement goes from 0.02 m to 0.002 m")
 
 
 def hinges_of(d: Floats, f: Floats) -> Hinges:
-    found = Hinges.of(d, f)
+    found = or_failure(Hinges.of)(d, f)
     assert isinstance(found, Hinges)
     return found
 
@@ -171,11 +171,11 @@ def segments(at: ArrayLike, first: ArrayLike, second: ArrayLike) -> Segments:
 
 def bend_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
     """Where the smooth curve has the lines of the curve itself."""
-    return why_no_bend(found, found, drawn, hinges)
+    return or_failure(require_bend)(found, found, drawn, hinges)
 
 
 def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    return why_no_kink(found, found, drawn, hinges)
+    return or_failure(require_kink)(found, found, drawn, hinges)
 
 
 def test_slopes_that_change_together_are_sure_to_differ() -> None:
@@ -244,7 +244,7 @@ def test_an_interval_of_the_break_that_ends_at_an_end() -> None:
     at[3] -= 2.4e-3
     drawn, smooth = segments(at, *slopes), segments(0.0093, 5000.0, 2700.0)
     for place, is_none in ((0.0166, False), (0.0172, True)):
-        found = why_no_bend(segments(place, 5000.0, 2700.0), smooth, drawn, hinges)
+        found = or_failure(require_bend)(segments(place, 5000.0, 2700.0), smooth, drawn, hinges)
         assert (found is not None) == is_none
         assert found is None or "may be at an end" in found.message
 
@@ -274,8 +274,8 @@ def test_kinks() -> None:
 
 def test_a_break_within_a_quarter_of_the_stretch() -> None:
     hinges = hinges_of(D, F)
-    assert why_break_is_doubtful(Interval(0.008, 0.0124), hinges) is None
-    found = why_break_is_doubtful(Interval(0.008, 0.0126), hinges)
+    assert doubts_of_break(Interval(0.008, 0.0124), hinges) == ()
+    (found,) = doubts_of_break(Interval(0.008, 0.0126), hinges)
     assert found == Failure(
         "wide_break",
         "the break lies within 4.6 mm, more than a quarter of the stretch from 2 to 20 mm",
