@@ -33,7 +33,8 @@ class Estimate:
 Failure = Reason
 """The reason why an estimate is not available."""
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
 class UnavailableError(Exception):

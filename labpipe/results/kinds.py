@@ -83,7 +83,11 @@ class Kind(ABC):
     result: ClassVar[str]
     outputs: ClassVar[tuple[Output, ...]]
     needs: ClassVar[Needs] = Needs(branches=True)
-    method: ClassVar = ""
+
+    @property
+    def method(self) -> str:
+        """How the outputs are made, in words."""
+        return ""
 
     def methods(self, test: ReducedTest) -> tuple[str, ...]:
         """Return the method of each output."""

@@ -25,8 +25,8 @@ from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import cut_short
 from labpipe.results.kinds import Computed, Kind, Number, marked_slips, to_result
 from labpipe.results.least_squares import CommonPath, finite_samples
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness, measured
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.results.reduced_test import NO_LOADING, Choose, ReducedTest, Stiffness, measured
+from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.replicates import Input, Replicates
 
@@ -398,7 +398,7 @@ class Plateau(Kind):
         line = FittedLine("slope_at_end", slope, level, start, stop)
         return Computed((number, *onset), lines=(line,), findings=findings)
 
-    def _begun(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading]:
+    def _begun(self, trace: Trace, initial: Choose) -> tuple[Tangents, Reading]:
         """Return the tangents of the first loading, and the slope at its start."""
         slope = initial(trace)
         value = float(slope.numbers(trace)[0])
@@ -406,7 +406,7 @@ class Plateau(Kind):
             fail("no_stiffness", f"the slope at the start is {value:.4g} N/m")
         return Tangents.of(*_loading(trace), over=self.over), slope
 
-    def _decide_end(self, trace: Trace, *, initial: Decide) -> Reading:
+    def _decide_end(self, trace: Trace, *, initial: Choose) -> Reading:
         """Choose the samples for the slope at the end over that at the start."""
         tangents, slope = self._begun(trace, initial)
         steeper = self._one_step_on(trace, tangents)
@@ -429,7 +429,7 @@ class Plateau(Kind):
         return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
 
     def _decide_onset(
-        self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
+        self, trace: Trace, *, initial: Choose, corner: _Corner | None = None
     ) -> Reading:
         """Choose the samples for the onset of the plateau and its force.
 
@@ -471,7 +471,7 @@ class Plateau(Kind):
         moved = smearing_factor * smeared
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
-    def _corner(self, replicates: Replicates, initial: Decide) -> _Corner:
+    def _corner(self, replicates: Replicates, initial: Choose) -> _Corner:
         """Return that error for the measured curve, less noise.
 
         The smooth curve may have no corners of this size.

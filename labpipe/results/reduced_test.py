@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_fa
 from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
-from labpipe.uncertainty.extractors import Decide
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.replicates import Replicates
 
@@ -47,6 +47,9 @@ class FailurePoint:
     lost_before: float = 0.0
     slow_below: float | None = None
 
+
+Choose: TypeAlias = Callable[[Trace], Reading]
+"""Chooses the samples of numbers on a curve; raises `UnavailableError` if there are none."""
 
 NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
 
@@ -135,7 +138,7 @@ class Stiffness:
     bends_with : m, range in which a slip would affect it; None if slips are ignored
     """
 
-    decide: Decide
+    decide: Choose
     estimate: Estimate
     during: Stretch | None
     window: tuple[float, float]

@@ -14,12 +14,21 @@ of text, and checksums cover it; HDF5 has none for variable lengths.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from datetime import date
 from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Final, NamedTuple, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Final,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -27,6 +36,8 @@ from labpipe.records.arrays import Unit, dtype_of
 from labpipe.records.curve import Branch, FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Instrument
+
+_R = TypeVar("_R")
 
 SCHEMA: Final = 2
 """Version of the layout; other versions are refused."""
@@ -105,7 +116,12 @@ class Column(NamedTuple):
     field: Field
 
 
-@cache
+def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
+    """Cache a function of a type; mypy knows no types as keys."""
+    return cache(function)
+
+
+@_cached
 def fields_of(record: Any) -> Mapping[str, Field]:
     """Return the datasets of a type of record, by name."""
     datasets: dict[str, Field] = {}
@@ -125,7 +141,7 @@ def scales_of(datasets: Mapping[str, Field]) -> dict[str, str]:
     return {field.axes[0]: name for name, field in reversed(along_one)}
 
 
-@cache
+@_cached
 def attributes_of(record: Any) -> Mapping[str, Attribute]:
     """Return the fields of a type of record that are numbers, texts, intervals or reasons."""
     stored = {field.name for field in fields(record) if field.compare}
@@ -142,7 +158,7 @@ def attributes_of(record: Any) -> Mapping[str, Attribute]:
     return attributes
 
 
-@cache
+@_cached
 def columns_of(row: Any) -> Mapping[str, Column]:
     """Return the columns of a table, by name.
 

@@ -109,7 +109,7 @@ def result_entry(result: Result) -> dict[str, object]:
     """
     ends = result.interval
     shares = zip(result.budget, result.shares, strict=True)
-    return plain({
+    entry: dict[str, object] = plain({
         "name": result.name,
         "value": result.value,
         "unit": result.unit,
@@ -128,6 +128,7 @@ def result_entry(result: Result) -> dict[str, object]:
             for row, share in shares
         ],
     })  # fmt: skip
+    return entry
 
 
 def _inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
