@@ -23,7 +23,7 @@ from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Sli
 from labpipe.records.estimates import Failure, or_failure
 from labpipe.records.quality import Finding, blocking, doubtful, info_note, warning
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
+from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
 from labpipe.results.failures import (
     LossOfForce,
     final_loss,
@@ -31,10 +31,13 @@ from labpipe.results.failures import (
     lost_earlier,
     slow_loss,
 )
-from labpipe.results.load_cell_noise import cuts_of
 from labpipe.results.reduced_test import FailurePoint, ReducedTest, sense_of_loading
-from labpipe.results.slack import counted_from_taut, slack_of
-from labpipe.results.slips import add_back, find_slips, samples_before
+from labpipe.results.slack_and_slips import (
+    counted_from_taut,
+    find_slips,
+    samples_before,
+    slack_of,
+)
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers

@@ -19,7 +19,7 @@ from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.failures import LossOfForce
 from labpipe.results.kinds import Kind
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.slack import slack_of
+from labpipe.results.slack_and_slips import slack_of
 from labpipe.results.stiffness import Window
 
 _PERCENTAGES = range(5, 100, 5)

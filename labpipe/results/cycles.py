@@ -18,7 +18,7 @@ from labpipe.records.declarations import CURVE, Force, Output
 from labpipe.records.estimates import Estimate, Failure, fail, or_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import traced
+from labpipe.results.curve_replicates import ForceSamples, PeakSamples, traced
 from labpipe.results.kinds import Computed, Errors, Kind, Number
 from labpipe.results.least_squares import (
     finite_samples,
@@ -27,7 +27,6 @@ from labpipe.results.least_squares import (
     slope_of_line,
     zero_of_line,
 )
-from labpipe.results.load_cell_noise import ForceSamples, PeakSamples
 from labpipe.results.reduced_test import (
     NO_LOADING,
     FailurePoint,

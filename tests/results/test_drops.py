@@ -10,13 +10,13 @@ from scipy.stats import binomtest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
+from labpipe.results.curve_replicates import add_back
 from labpipe.results.failures import LossOfForce, final_loss, lost_earlier, slow_loss
-from labpipe.results.slips import (
+from labpipe.results.slack_and_slips import (
     LoadDrop,
     PullCurve,
     _block_size,
     _is_outlier,
-    add_back,
     find_slips,
     fit_load_drop,
     samples_before,

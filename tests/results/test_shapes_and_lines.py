@@ -18,7 +18,7 @@ from labpipe.results.cycles import PeakDisplacement
 from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import TipTravel, _at_turn, _Frames
-from labpipe.results.slack import counted_from_taut, slack_of
+from labpipe.results.slack_and_slips import counted_from_taut, slack_of
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
 from tests.builders.pulls import NOISE, pull, pulled

@@ -6,7 +6,7 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure, or_failure
 from labpipe.results.least_squares import zero_of_line
-from labpipe.results.slack import toe_line
+from labpipe.results.slack_and_slips import toe_line
 from labpipe.results.stiffness import TakeUp, take_up
 from labpipe.uncertainty.autocorrelation import limits_by_noise
 from tests.builders.noise_rows import KINDS, noise_rows
