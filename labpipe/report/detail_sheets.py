@@ -24,7 +24,7 @@ from labpipe.report.workbook_file import (
     number_cell,
     percent_cell,
 )
-from labpipe.statistics.group_budgets import group_budget
+from labpipe.statistics.means import group_budget
 
 Column: TypeAlias = tuple[str, str]
 """Name and unit of a number."""

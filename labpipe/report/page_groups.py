@@ -30,7 +30,7 @@ from labpipe.report.wording import (
     with_interval,
     write_number,
 )
-from labpipe.statistics.group_budgets import group_budget
+from labpipe.statistics.means import group_budget
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -20,10 +20,15 @@ from labpipe.statistics.group_notes import (
     sample_keys,
     sample_notes,
 )
-from labpipe.statistics.log_scale import can_be_on_a_log_scale, on_log_scale
 from labpipe.statistics.mean_curves import loading_band, scaled_band
-from labpipe.statistics.means import DEFAULT_LIMITS, PoolingLimits, nested_mean
-from labpipe.statistics.shared_causes import add_common_causes
+from labpipe.statistics.means import (
+    DEFAULT_LIMITS,
+    PoolingLimits,
+    add_common_causes,
+    can_be_on_a_log_scale,
+    nested_mean,
+    on_log_scale,
+)
 from labpipe.statistics.two_groups import compare
 
 __all__ = ["PoolingLimits", "build_group", "compare_groups", "group_number"]
