@@ -169,6 +169,18 @@ def median(values: Floats) -> float:
     return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
 
 
+def means_from(values: Floats, starts: Ints) -> Floats:
+    """Return the mean of the samples from each start to the next one.
+
+    Parameters
+    ----------
+    values : shape (n,)
+    starts : shape (m,), ascending, the first one 0
+    """
+    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
+    return means
+
+
 def part_of(samples: Samples, stretch: slice) -> Samples:
     """Select a stretch of the samples."""
     if isinstance(samples, slice):

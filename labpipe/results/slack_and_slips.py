@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, median, samples_of
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, means_from, median, samples_of
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
@@ -159,7 +159,8 @@ def _fit_within(
     explained = without - float(costs.min())
     if explained <= 0.0:
         return None  # a step of a converter
-    if not _is_clear(pull, window, explained / variance if variance > 0.0 else np.inf):
+    t = float(np.sqrt(explained / variance)) if variance > 0.0 else np.inf
+    if not stdtr(window.freedom, -t) <= _false_alarm_rate(pull):
         return None
     drop = _measure_drop(pull, window, (best, allowed, around))
     return drop if drop is not None and _is_rare(pull, window, drop) else None
@@ -193,12 +194,6 @@ class _Window:
 def _false_alarm_rate(pull: PullCurve) -> float:
     """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
     return 1e-3 / (len(pull.f) * (pull.most + 1))
-
-
-def _is_clear(pull: PullCurve, window: _Window, squared: float) -> bool:
-    """Test a drop against the noise of the window: F-test of the whitened sums of squares."""
-    t = float(np.sqrt(max(squared, 0.0)))
-    return bool(stdtr(window.freedom, -t) <= _false_alarm_rate(pull))
 
 
 def _is_rare(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
@@ -300,7 +295,12 @@ def _measure_drop(
     # A sample that may be inside has its own level, else the loss would be too small.
     inside = np.eye(len(rows))[:, first - window.low : last - window.low]
     design = np.column_stack([after, *powers, inside])
-    drop = fit_linear(design, f, weighted=True, beside=_other_stretches(pull, window)).estimate(0)
+    outside = [
+        stretch
+        for part in (pull.f[: window.low], pull.f[window.high :])
+        for stretch in smooth_stretches(part, width=_STRETCH_SAMPLES)
+    ]
+    drop = fit_linear(design, f, weighted=True, beside=outside).estimate(0)
     if drop.interval is None or drop.interval.upper >= 0.0:
         return None
     around_it = slice(max(first - 1, window.low), last + 1)
@@ -320,16 +320,6 @@ def _measure_drop(
         slope_behind=before + change,
         slope_error=float(np.sqrt(both.covariance[3, 3])),
     )
-
-
-def _other_stretches(pull: PullCurve, window: _Window) -> list[Floats]:
-    """Return stretches of the curve outside a window, for its noise."""
-    before, behind = pull.f[: window.low], pull.f[window.high :]
-    return [
-        smooth_stretch
-        for part in (before, behind)
-        for smooth_stretch in smooth_stretches(part, width=_STRETCH_SAMPLES)
-    ]
 
 
 _MIN_BRANCH_SAMPLES = 64
@@ -414,9 +404,7 @@ def _block_size(d: Floats, longest: float | None) -> tuple[int, int]:
 
 def _blocks(values: Floats, size: int) -> Floats:
     """Average samples in blocks; the last one includes the remainder."""
-    starts = np.arange(0, len(values) - size + 1, size)
-    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-    return means
+    return means_from(values, np.arange(0, len(values) - size + 1, size))
 
 
 def samples_before(slips: Sequence[Slip], count: int) -> int:
@@ -433,7 +421,7 @@ def _is_outlier(f: Floats) -> Flags:
     from scipy.ndimage import median_filter
 
     off = np.abs(f - median_filter(f, 5, mode="nearest"))
-    spread = 1.4826 * median(np.abs(steps - usual))
+    spread = MAD_FACTOR * median(np.abs(steps - usual))
     is_off: Flags = off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
     if not is_off.any():
         return is_off
@@ -694,11 +682,11 @@ def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
         return quantity
     decided = SmoothNumbers.of(or_failure(slack), smooth, base)
     less, more = (float(decided.changed(quantity, x)[0]) for x in (-1.0, 1.0))
-    return replace(quantity, moved=partial(_moved, quantity=quantity, less=-less, more=more))
 
+    def moved(trace: Trace, x: float) -> Trace:
+        return displaced(quantity.moved(trace, x), x, by=less if x <= 0.0 else -more)
 
-def _moved(trace: Trace, x: float, *, quantity: Input, less: float, more: float) -> Trace:
-    return displaced(quantity.moved(trace, x), x, by=-(more if x > 0.0 else less))
+    return replace(quantity, moved=moved)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
