@@ -24,6 +24,7 @@ from labpipe.results.least_squares import (
     finite_samples,
     line_in,
     polynomial_weights,
+    require_samples,
     slope_of_line,
     zero_of_line,
 )
@@ -241,8 +242,7 @@ def unloaded(
     finite = finite_samples(displacement, force)
     branch = _Branch(finite, time[finite], displacement[finite], force[finite])
     f = branch.force
-    if len(f) < 2 * _MIN_SAMPLES:
-        fail("too_few_samples", f"{len(f)} samples, {2 * _MIN_SAMPLES} are needed")
+    require_samples(len(f), 2 * _MIN_SAMPLES, "")
     least = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
@@ -281,9 +281,7 @@ class _Branch:
         time = self.time
         middle = time[min(int((self.force > 0.0).sum()), len(time) - 1)]
         near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
-        if near.sum() < _MIN_SAMPLES:
-            message = f"{int(near.sum())} samples near zero force, {_MIN_SAMPLES} are needed"
-            fail("too_few_samples", message)
+        require_samples(int(near.sum()), _MIN_SAMPLES, " near zero force")
         return ThroughZero(self.samples(near), time[near] - middle, limit)
 
     def slack_or_followed(self, limit: float, least: float, like: Unloaded | None) -> Unloaded:
@@ -563,8 +561,7 @@ def work_over(trace: Trace, stretch: slice) -> Reading:
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         fail("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(force) < MIN_LOOP_SAMPLES:
-        fail("too_few_samples", f"{len(force)} samples in the cycle, {MIN_LOOP_SAMPLES} are needed")
+    require_samples(len(force), MIN_LOOP_SAMPLES, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])

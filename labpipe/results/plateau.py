@@ -24,7 +24,7 @@ from labpipe.records.result import Result
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import cut_short
 from labpipe.results.kinds import Computed, Kind, Number, marked_slips, to_result
-from labpipe.results.least_squares import CommonPath, finite_samples
+from labpipe.results.least_squares import CommonPath, finite_samples, require_samples
 from labpipe.results.reduced_test import NO_LOADING, Choose, ReducedTest, Stiffness, measured
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
@@ -289,9 +289,7 @@ class _Stretches:
     def require_first(self) -> None:
         """Require a parabola through the first of them."""
         count = int(self.products[0, 0, 0])
-        if count < _MIN_TANGENT_SAMPLES:
-            message = f"{count} samples in the stretch, {_MIN_TANGENT_SAMPLES} are needed"
-            fail("too_few_samples", message)
+        require_samples(count, _MIN_TANGENT_SAMPLES)
         if not self.is_enough[0]:
             fail("no_travel", "the displacement jumps over the stretch")
 

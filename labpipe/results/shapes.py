@@ -19,6 +19,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, fail,
 from labpipe.records.quality import Reason, info_note
 from labpipe.results.cycles import rectangle
 from labpipe.results.kinds import Computed, Errors, Kind, force_scale
+from labpipe.results.least_squares import require_samples
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
@@ -49,8 +50,7 @@ def secant_stiffness(time: Floats, displacement: Floats, force: Floats, chosen: 
     """
     chosen = chosen & ~np.isnan(displacement) & ~np.isnan(force)
     count = int(chosen.sum())
-    if count < 8:
-        fail("too_few_samples", f"{count} samples in the stretch, 8 are needed")
+    require_samples(count, 8)
     t, d, f = time[chosen], displacement[chosen], force[chosen]
     weight = t - t.mean()
     travel = float(weight @ (d - d.mean()))

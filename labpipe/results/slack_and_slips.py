@@ -21,7 +21,7 @@ from labpipe.results.kinds import (
     Kind,
     force_scale,
 )
-from labpipe.results.least_squares import finite_samples, zero_of_line
+from labpipe.results.least_squares import finite_samples, require_samples, zero_of_line
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, doubts_of_slack, measured
 from labpipe.uncertainty.autocorrelation import cubic_basis, smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
@@ -591,8 +591,7 @@ def toe_line(
     """
     finite = finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    if len(d) < _MIN_REGION_SAMPLES:
-        fail("too_few_samples", f"{len(d)} samples, {_MIN_REGION_SAMPLES} are needed")
+    require_samples(len(d), _MIN_REGION_SAMPLES, "")
     top = int(np.argmax(f))
     first, last = (
         _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)

@@ -42,6 +42,8 @@ from labpipe.results.least_squares import (
     finite_samples,
     line_in,
     polynomial_weights,
+    require_samples,
+    require_travel,
     slope_of_line,
     zero_of_line,
 )
@@ -163,8 +165,7 @@ def take_up(
     """
     max_extrapolation = 0.02  # share of the branch
     finite = finite_samples(displacement, force)
-    if len(finite) < 2 * _MIN_FOOT_SAMPLES:
-        fail("too_few_samples", f"{len(finite)} samples, {2 * _MIN_FOOT_SAMPLES} are needed")
+    require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
     d, f = displacement[finite], force[finite]
     limit = _NOISE_DEVIATIONS * float(fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
@@ -304,10 +305,8 @@ def window_slope(
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
     samples = samples_of(finite_samples(displacement, force))
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
-    if fit.n < _MIN_WINDOW_SAMPLES:
-        fail("too_few_samples", f"{fit.n} samples in the stretch, {_MIN_WINDOW_SAMPLES} are needed")
-    if np.ptp(displacement[fit.window]) == 0.0:
-        fail("no_travel", "the displacement does not change over the stretch")
+    require_samples(fit.n, _MIN_WINDOW_SAMPLES)
+    require_travel(displacement[fit.window])
     return fit
 
 
@@ -540,11 +539,8 @@ def compliance_window(displacement: Floats, force: Floats, *, start: float, stop
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
     inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
-    if len(inside) < MIN_LINE_SAMPLES:
-        message = f"{len(inside)} samples in the stretch, {MIN_LINE_SAMPLES} are needed"
-        fail("too_few_samples", message)
-    if np.ptp(force[inside]) == 0.0:
-        fail("no_travel", "the force does not change over the stretch")
+    require_samples(len(inside), MIN_LINE_SAMPLES)
+    require_travel(force[inside], "force")
     return samples_of(inside)
 
 
@@ -833,11 +829,8 @@ class LineStiffness(Window):
         trace : one curve
         """
         chosen = self.samples(trace)
-        if len(chosen) < MIN_LINE_SAMPLES:
-            message = f"{len(chosen)} samples in the stretch, {MIN_LINE_SAMPLES} are needed"
-            fail("too_few_samples", message)
-        if np.ptp(trace.displacement[chosen]) == 0.0:
-            fail("no_travel", "the displacement does not change over the stretch")
+        require_samples(len(chosen), MIN_LINE_SAMPLES)
+        require_travel(trace.displacement[chosen])
         return Reading(on_part(slope_of_line, samples_of(chosen)), len(chosen), is_cut=True)
 
 

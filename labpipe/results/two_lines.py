@@ -16,7 +16,7 @@ from labpipe.records.estimates import fail, or_failure
 from labpipe.records.quality import Reason
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import Computed, marked_slips
-from labpipe.results.least_squares import CommonPath, finite_samples
+from labpipe.results.least_squares import CommonPath, finite_samples, require_samples
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -32,8 +32,7 @@ def _sort_samples(displacement: Floats, finite: Ints) -> Ints:
     """Sort the samples of a stretch of increasing displacement."""
     min_samples = 16
     d = displacement[finite]
-    if len(d) < min_samples:
-        fail("too_few_samples", f"{len(d)} samples in the stretch, {min_samples} are needed")
+    require_samples(len(d), min_samples)
     if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
         fail("not_increasing", f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m")
     return finite[np.argsort(d, kind="stable")]
