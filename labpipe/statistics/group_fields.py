@@ -148,7 +148,8 @@ def _dependent(
 ) -> set[str]:
     """Return the fields that depend on others, and are not a difference themselves."""
     dependent: set[str] = set()
-    if all(_has_bundles(group) for group in (first, second)):
+    samples = (*first.samples, *second.samples)
+    if first.samples and second.samples and all(sample.specimen.bundle for sample in samples):
         dependent.add(TYPE)
     elif TYPE in differences:
         dependent |= set(OF_SECTION)
@@ -158,18 +159,9 @@ def _dependent(
         dependent.add("tape")
     if "conduit" in differences:
         dependent |= {BORE, *OF_SECTION}
-    if any(_are_of_one_kind(group) for group in (first, second)):
+    if any(sample.specimen.bundle and len(sample.specimen.bundle.wires) == 1 for sample in samples):
         dependent.add("arrangement")
     return dependent
-
-
-def _has_bundles(group: Group) -> bool:
-    return bool(group.samples) and all(sample.specimen.bundle for sample in group.samples)
-
-
-def _are_of_one_kind(group: Group) -> bool:
-    bundles = [sample.specimen.bundle for sample in group.samples]
-    return any(bundle is not None and len(bundle.wires) == 1 for bundle in bundles)
 
 
 def in_order(name: str, word: str) -> tuple[object, ...]:
@@ -189,8 +181,13 @@ def in_order(name: str, word: str) -> tuple[object, ...]:
         return 0, TAPINGS.index(word)
     if word in {NONE, NOT_SAID}:
         return (0,)
-    parts = split(r"(\d+)", word)
-    return 1, tuple((int(part), "") if part.isdecimal() else (0, part) for part in parts)
+    return 1, natural_order(word)
+
+
+def natural_order(text: str) -> tuple[tuple[int, str], ...]:
+    """Return a sort key with 7 before 12."""
+    parts = split(r"(\d+)", text)
+    return tuple((int(part), "") if part.isdecimal() else (0, part) for part in parts)
 
 
 MIN_SIZE_STEP = 0.05
@@ -266,12 +263,9 @@ def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
         for name in sizes
     }
     texts = {name: [fields.get(name, NOT_SAID) for fields in all_fields] for name in labels}
-    return candidates | {name: word for name, word in texts.items() if not _names_tests(word)}
-
-
-def _names_tests(texts: Sequence[str]) -> bool:
-    """Return whether each test has its own value, such as a serial number."""
-    return max(Counter(texts).values(), default=0) == 1
+    # Texts that name the tests, each another one, divide nothing.
+    divides = {name: max(Counter(word).values(), default=0) != 1 for name, word in texts.items()}
+    return candidates | {name: word for name, word in texts.items() if divides[name]}
 
 
 def _size_texts(sizes: Sequence[float | None]) -> list[str]:
