@@ -14,14 +14,7 @@ from labpipe.records.arrays import ArrayRecord, Ints, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.result import (
-    Contribution,
-    InputFile,
-    Instrument,
-    Result,
-    Specimen,
-    apart_from,
-)
+from labpipe.records.result import Contribution, InputFile, Instrument, Result, Specimen, apart_from
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,18 +12,9 @@ import numpy as np
 
 from labpipe.errors import Fault
 from labpipe.records.arrays import Floats
-from labpipe.records.declarations import (
-    Distance,
-    Length,
-    Output,
-    Ratio,
-    Snake,
-    StiffnessName,
-)
+from labpipe.records.declarations import Distance, Length, Output, Ratio, Snake, StiffnessName
 from labpipe.records.estimates import Failure, fail, or_failure
-from labpipe.results.kinds import (
-    Outcome,
-)
+from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import OfStiffness
 from labpipe.uncertainty.extractors import Trace, combine

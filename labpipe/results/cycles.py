@@ -28,12 +28,7 @@ from labpipe.results.least_squares import (
     slope_of_line,
     zero_of_line,
 )
-from labpipe.results.reduced_test import (
-    NO_LOADING,
-    FailurePoint,
-    ReducedTest,
-    sense_of_loading,
-)
+from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 
@@ -510,12 +505,7 @@ class Energy(OfCycle):
     result: ClassVar = "energy"
     outputs: ClassVar = (
         Output(
-            "energy",
-            "J",
-            "Energy dissipated",
-            (*CURVE, "start"),
-            first=1,
-            is_raised_by_slips=True,
+            "energy", "J", "Energy dissipated", (*CURVE, "start"), first=1, is_raised_by_slips=True
         ),
     )
     whole: ClassVar = 2
@@ -709,11 +699,7 @@ class PeakForce(OfCycle):
 
 
 def _peak_of_samples(
-    trace: Trace,
-    *,
-    number: int,
-    test: ReducedTest,
-    samples: Callable[[Trace], ForceSamples | None],
+    trace: Trace, *, number: int, test: ReducedTest, samples: Callable[[Trace], ForceSamples | None]
 ) -> Reading:
     """Choose the largest sample of the force; with noise, among all its samples."""
     reading = peak_of(test, trace, number)

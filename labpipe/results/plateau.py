@@ -11,13 +11,7 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.causes import TANGENT
 from labpipe.records.curve import Branch, FittedLine
-from labpipe.records.declarations import (
-    CURVE,
-    Length,
-    Output,
-    Share,
-    StiffnessName,
-)
+from labpipe.records.declarations import CURVE, Length, Output, Share, StiffnessName
 from labpipe.records.estimates import Failure, UnavailableError, fail, or_failure
 from labpipe.records.quality import Finding, Reason, info_note
 from labpipe.records.result import Result

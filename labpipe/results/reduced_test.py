@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, median
-from labpipe.records.curve import (
-    Aligned,
-    Bending,
-    Branch,
-    Curve,
-    Direction,
-    Shape,
-    Slip,
-)
+from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
 from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Doubt, Findings, Reason

@@ -155,11 +155,7 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
         )
         fail("below_noise", message)
     at = law_points(
-        law.knots,
-        law.compliance,
-        law.compliance_covariance,
-        np.array([entry.at]),
-        scale_error=0.0,
+        law.knots, law.compliance, law.compliance_covariance, np.array([entry.at]), scale_error=0.0
     )
     value, error = (
         (at.secant, at.secant_error) if entry.kind == "secant" else (at.tangent, at.tangent_error)

@@ -16,11 +16,7 @@ from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, fail, or_failure
 from labpipe.results.curve_replicates import displaced, loading_of
-from labpipe.results.kinds import (
-    Computed,
-    Kind,
-    force_scale,
-)
+from labpipe.results.kinds import Computed, Kind, force_scale
 from labpipe.results.least_squares import finite_samples, require_samples, zero_of_line
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, doubts_of_slack, measured
 from labpipe.uncertainty.autocorrelation import cubic_basis, smooth_stretches
@@ -705,7 +701,4 @@ class SlackResult(Kind):
         return Computed((self.number(slack, during=during),))
 
 
-KINDS = (
-    SlipResults,
-    SlackResult,
-)
+KINDS = (SlipResults, SlackResult)

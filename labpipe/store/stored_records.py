@@ -14,14 +14,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.store.datasets import Target, array, text, texts
 from labpipe.store.hdf5_objects import get_number, has_attribute, set_number, set_text, set_texts
-from labpipe.store.layout import (
-    TEXT,
-    Attribute,
-    attributes_of,
-    columns_of,
-    fields_of,
-    stem_of,
-)
+from labpipe.store.layout import TEXT, Attribute, attributes_of, columns_of, fields_of, stem_of
 
 _R = TypeVar("_R")
 _ENDS = ("lower", "upper", "level")

@@ -274,11 +274,7 @@ def test_what_is_beyond_an_elastic_beam() -> None:
     """Where it slips through, and a stretch in which geometry decides."""
     for low, high, messages in (
         (0.0, 0.2, ["slips through at 61.76 mm, the stiffness goes up to 200 mm"]),
-        (
-            0.01,
-            0.03,
-            ["from 10 mm to 30 mm the load on an elastic beam rises 0.2", "at least 0.5"],
-        ),
+        (0.01, 0.03, ["from 10 mm to 30 mm the load on an elastic beam rises 0.2", "at least 0.5"]),
     ):
         failure = or_failure(stiffness_ratio)(Rollers(0.1), low=low, high=high)
         assert isinstance(failure, Failure)

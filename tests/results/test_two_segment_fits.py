@@ -7,13 +7,7 @@ from numpy.typing import ArrayLike
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Failure, or_failure
-from labpipe.results.two_lines import (
-    Hinges,
-    Segments,
-    doubts_of_break,
-    require_bend,
-    require_kink,
-)
+from labpipe.results.two_lines import Hinges, Segments, doubts_of_break, require_bend, require_kink
 
 D = np.linspace(0.002, 0.02, 181)
 F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
@@ -146,14 +140,7 @@ def test_displacements_of_their_own_are_noise_of_the_force() -> None:
     assert found.break_point == pytest.approx(same.break_point, abs=1e-9)
     assert found.first == pytest.approx(same.first, rel=1e-6)
     spread = float(found.first.std())
-    truly = [
-        np.polyfit(
-            (D + e)[at & (D < 0.0093)],
-            F[at & (D < 0.0093)],
-            1,
-        )[0]
-        for e in off * at
-    ]
+    truly = [np.polyfit((D + e)[at & (D < 0.0093)], F[at & (D < 0.0093)], 1)[0] for e in off * at]
     assert spread == pytest.approx(np.std(truly), rel=0.3)
 
 
@@ -236,10 +223,7 @@ def test_a_break_that_may_be_an_end() -> None:
 
 def test_an_interval_of_the_break_that_ends_at_an_end() -> None:
     """A break near 17 mm, of which replicates say that it may be off by -2.4 mm now and then."""
-    hinges, slopes = (
-        hinges_of(D, F),
-        (5000.0 + np.arange(40) % 2, np.full(40, 2700.0)),
-    )
+    hinges, slopes = (hinges_of(D, F), (5000.0 + np.arange(40) % 2, np.full(40, 2700.0)))
     at = np.full(40, 0.0093)
     at[3] -= 2.4e-3
     drawn, smooth = segments(at, *slopes), segments(0.0093, 5000.0, 2700.0)

@@ -14,11 +14,7 @@ from labpipe.records.group import Group, GroupNumber, Sample, SampleCurve, Verdi
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, Severity, worded
 from labpipe.records.result import Contribution, Result, Status
-from labpipe.statistics.group_fields import (
-    Part,
-    differing_fields,
-    divide,
-)
+from labpipe.statistics.group_fields import Part, differing_fields, divide
 from labpipe.statistics.group_fields import in_order as field_order
 from labpipe.statistics.group_notes import (
     grouping_notes,

@@ -26,12 +26,7 @@ from labpipe.store.read import read_outcome, read_raw, read_result
 from labpipe.store.write import write_result
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
-from tests.store.builders_result import (
-    build_result,
-    counted_in_rows,
-    differences,
-    with_slips,
-)
+from tests.store.builders_result import build_result, counted_in_rows, differences, with_slips
 
 
 @pytest.fixture(scope="module")
