@@ -61,8 +61,9 @@ class ArrayRecord:
 
     def __post_init__(self) -> None:
         kind: Any = type(self)
-        lengths = {axis: len(getattr(self, name)) for name, axis in _tuples_of(kind)}
-        for name, dtype, axes in _arrays_of(kind):
+        arrays, tuples = _fields_with_axes(kind)
+        lengths = {axis: len(getattr(self, name)) for name, axis in tuples}
+        for name, dtype, axes in arrays:
             array = np.asarray(getattr(self, name), dtype=dtype).view()
             shape = tuple(self._length(axis, lengths) for axis in axes)
             if not _fits(array, shape) or any(
@@ -82,32 +83,25 @@ class ArrayRecord:
         return len(entries) if isinstance(entries, tuple) else lengths.get(axis)
 
 
-def axes_of(kind: Any, container: type) -> list[tuple[str, Any, tuple[Any, ...]]]:
-    """Return name, type and axes of the fields of a record that are arrays, or tuples."""
-    hints = get_type_hints(kind, include_extras=True).items()
-    parts = ((name, get_args(hint)) for name, hint in hints if get_origin(hint) is Annotated)
-    return [
-        (name, values, tuple(axis for axis in marks if isinstance(axis, str | int)))
-        for name, (values, *marks) in parts
-        if get_origin(values) is container
-    ]
-
-
 def dtype_of(array_type: Any) -> Any:
     """Return the number type of an array type such as `Floats`."""
     return get_args(get_args(array_type)[1])[0]
 
 
 @cache
-def _arrays_of(kind: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
-    """Return name, number type and axes of every array of a record."""
-    return tuple((name, dtype_of(array), axes) for name, array, axes in axes_of(kind, np.ndarray))
-
-
-@cache
-def _tuples_of(kind: Any) -> tuple[tuple[str, Any], ...]:
-    """Return name and axis of every annotated tuple of a record."""
-    return tuple((name, axis) for name, _, (axis, *_) in axes_of(kind, tuple))
+def _fields_with_axes(
+    kind: Any,
+) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]]]:
+    """Return name, number type and axes of arrays, and name and axis of annotated tuples."""
+    arrays, tuples = [], []
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        values, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        axes = tuple(axis for axis in marks if isinstance(axis, str | int))
+        if axes and get_origin(values) is np.ndarray:
+            arrays.append((name, dtype_of(values), axes))
+        elif axes and get_origin(values) is tuple:
+            tuples.append((name, axes[0]))
+    return arrays, tuples
 
 
 def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Annotated, TypeAlias
+from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Unit
 from labpipe.records.quality import Reason
+
+Time = TypeVar("Time", float, Floats)
+"""One time, or many."""
 
 AT_REST = -1
 """Branch number of samples that belong to no branch: before, after and between movements."""
@@ -100,16 +103,12 @@ class ClockFit(ArrayRecord):
     event_errors: Annotated[Floats, "event", Unit("s")]
     method: str
 
-    def to_force_seconds(self, marker_time: float) -> float:
-        """Force-clock time of one marker-clock time, s."""
+    def to_force_time(self, marker_time: Time) -> Time:
+        """Return the force-clock time of marker-clock times, s."""
         return self.offset + (1.0 + self.drift) * marker_time
 
-    def to_force_time(self, marker_time: Floats) -> Floats:
-        """Force-clock time of marker-clock times, s."""
-        return self.offset + (1.0 + self.drift) * marker_time
-
-    def to_marker_time(self, force_time: Floats) -> Floats:
-        """Marker-clock time of force-clock times, s."""
+    def to_marker_time(self, force_time: Time) -> Time:
+        """Return the marker-clock time of force-clock times, s."""
         return (force_time - self.offset) / (1.0 + self.drift)
 
 

@@ -102,12 +102,16 @@ class ForceSamples:
         reach = _filter_reach(filters)
         if reach is None or len(signal.time) < 2.0 * len(trace.time):
             return None
-        time = test.clocks.times_on_curve(signal)
-        frames = _frames_of(time, trace.time)
+        time = test.clocks.to_curve(signal.time, signal.clock)
+        middles = 0.5 * (trace.time[1:] + trace.time[:-1])
+        ends_of_frames = np.searchsorted(time, middles, side="right")
+        counts = np.diff(ends_of_frames, prepend=0, append=len(time))
+        frames = np.repeat(np.arange(len(counts)), counts)
         ends = [at for branch in trace.branches for at in (branch.start_time, branch.stop_time)]
         cuts = cuts_of(test.clocks, ends, signal)
         smooth = _between_frames(trace, time, cuts, reach)
-        left = _less_frame_means(signal.values - smooth, frames)
+        left = signal.values - smooth
+        left -= (np.bincount(frames, left) / np.maximum(np.bincount(frames), 1))[frames]
         np.nan_to_num(left, copy=False)
         return cls(time, smooth, left, frames, filters, tuple(cuts), reach, test.seed)
 
@@ -199,12 +203,6 @@ class PeakSamples:
         return filtered[:, first - part.start : stop - part.start]
 
 
-def _frames_of(time: Floats, frames: Floats) -> Ints:
-    """Return the nearest frame of each time, both increasing: shape (n,)."""
-    ends = np.searchsorted(time, 0.5 * (frames[1:] + frames[:-1]), side="right")
-    return np.repeat(np.arange(len(frames)), np.diff(ends, prepend=0, append=len(time)))
-
-
 def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int) -> Floats:
     """Interpolate the force of a curve, with extrapolation to the start of the next piece.
 
@@ -249,13 +247,6 @@ def _extrapolated(at: Floats, time: Floats, values: Floats) -> Floats:
         (before, after), (low, high) = time[pair], values[pair]
         interpolated[there] = low + (high - low) / (after - before) * (at[there] - before)
     return interpolated
-
-
-def _less_frame_means(values: Floats, frames: Ints) -> Floats:
-    """Subtract the mean of each frame."""
-    count = np.bincount(frames)
-    mean = np.bincount(frames, values) / np.maximum(count, 1)
-    return values - mean[frames]
 
 
 def _filter_reach(filters: Sequence[Filter]) -> int | None:
@@ -304,7 +295,13 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         _on_grid(measured, starts), time=grid_time, displacement=records[0], force=records[1]
     )
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
-    inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
+
+    def smooth(change: Floats) -> Floats:
+        """Smooth the effect of an input: its noise would raise the largest of many samples."""
+        parts = spline_intervals_of(grid)
+        return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
+
+    inputs = tuple(_inputs(test, starts, smooth))
     replicates = draw_replicates(
         measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
     )
@@ -473,15 +470,6 @@ def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[
     for act in acts:
         parts = [act(part) for part in parts]
     return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
-
-
-def _without_noise(change: Floats, *, grid: Trace, cuts: Sequence[int]) -> Floats:
-    """Smooth the effect of an input on a record.
-
-    Its noise would raise the largest of many samples, for either sign of the input.
-    """
-    parts = spline_intervals_of(grid)
-    return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
 
 def _inputs(test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]) -> Iterator[Input]:

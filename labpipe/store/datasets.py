@@ -62,13 +62,6 @@ def place_of(array: NDArray[Any]) -> tuple[object, ...]:
     return (array.ctypes.data, array.shape, array.strides, array.dtype.str)
 
 
-def chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Return the shape of a chunk: whole rows, about `CHUNK_BYTES`, at most all rows."""
-    rest = tuple(max(size, 1) for size in shape[1:])
-    rows = max(CHUNK_BYTES // (itemsize * prod(rest)), 1)
-    return (max(min(rows, shape[0]), 1), *rest)
-
-
 def same_content(dataset: Any, array: NDArray[Any]) -> bool:
     """Return whether a dataset reads back as exactly this array, NaN patterns included.
 
@@ -132,17 +125,6 @@ def fletcher32(data: bytes) -> int:
     return second << 16 | first
 
 
-def string_array(texts: tuple[str, ...]) -> NDArray[Any]:
-    """Return texts as UTF-8 of fixed width, the only type that all programs read.
-
-    They are declared ASCII, which Octave reads (see `layout`), and end in a zero, for h5dump.
-    With a width of one byte the netCDF library would read single characters.
-    """
-    encoded = [text.encode() for text in texts]
-    longest = max([1, *(len(text) for text in encoded)])
-    return np.array(encoded, dtype=f"S{longest + 1}")
-
-
 @dataclass(frozen=True, slots=True)
 class Target:
     """An open group, the threads for compression, and the datasets already written.
@@ -188,8 +170,13 @@ class Target:
         NaN and their bit patterns are kept. An empty array has no chunks.
         """
         if isinstance(values, tuple):
-            values = string_array(values)
-        chunk = chunk_shape(values.shape, values.dtype.itemsize)
+            # UTF-8 of fixed width, which all programs read, declared ASCII, which Octave reads. They
+            # end in a zero, for h5dump; of one byte, netCDF would read single characters.
+            encoded = [text.encode() for text in values]
+            values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
+        rest = tuple(max(size, 1) for size in values.shape[1:])
+        rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(rest)), 1)  # at most all rows
+        chunk = (max(min(rows, len(values)), 1), *rest)
         dataset = make_dataset(self.group, name, values, chunk)
         set_text(dataset, "unit", kind.unit or unit)
         set_text(dataset, "axes", ", ".join(kind.axes))

@@ -136,6 +136,7 @@ def scales_of(datasets: Mapping[str, Field]) -> dict[str, str]:
 def attributes_of(record: Any) -> Mapping[str, Attribute]:
     """Return the fields of a type of record that are numbers, texts, intervals or reasons."""
     stored = {field.name for field in fields(record) if field.compare}
+    stored -= {field.stated_in for field in fields_of(record).values()}
     attributes: dict[str, Attribute] = {}
     for name, (hint, axes, unit) in _annotations(record):
         kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)

@@ -18,6 +18,7 @@ from labpipe.store.layout import TEXT, Attribute, attributes_of, columns_of, fie
 
 _R = TypeVar("_R")
 _ENDS = ("lower", "upper", "level")
+_REASONS = Reason, tuple[Reason, ...]
 _CODES, _MESSAGES = "reason_codes", "reason_messages"
 
 
@@ -88,20 +89,14 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
     record : of a type whose annotations define the layout
     skip : names of fields that are elsewhere
     """
-    for name, attribute in _attributes(type(record), skip).items():
-        _write_attribute(target.group, name, attribute, getattr(record, name))
-
-
-def _attributes(kind: Any, skip: Container[str]) -> dict[str, Attribute]:
-    """Return the attributes of a type of record, without those stated by a unit."""
-    units = {field.stated_in for field in fields_of(kind).values()}
-    attributes = attributes_of(kind).items()
-    return {name: of for name, of in attributes if name not in units and name not in skip}
+    for name, attribute in attributes_of(type(record)).items():
+        if name not in skip:
+            _write_attribute(target.group, name, attribute, getattr(record, name))
 
 
 def _write_attribute(group: Any, name: str, attribute: Attribute, value: Any) -> None:
     kind, unit, _ = attribute
-    if _is_reason(kind):
+    if kind in _REASONS:
         reasons = value if isinstance(value, tuple) else (value,) if value else ()
         set_texts(group, _CODES, [reason.code for reason in reasons])
         set_texts(group, _MESSAGES, [reason.message for reason in reasons])
@@ -118,10 +113,6 @@ def _write_attribute(group: Any, name: str, attribute: Attribute, value: Any) ->
             set_text(group, f"{name}_unit", unit.symbol)
 
 
-def _is_reason(kind: Any) -> bool:
-    return kind in (Reason, tuple[Reason, ...])
-
-
 def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict[str, Any]:
     """Read what `write_attributes` wrote, by name of the field.
 
@@ -131,13 +122,13 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
     kind : its type
     skip : names of fields that are elsewhere
     """
-    attributes = _attributes(kind, skip).items()
-    return {name: _read_attribute(group, name, attribute) for name, attribute in attributes}
+    attributes = attributes_of(kind).items()
+    return {name: _read_attribute(group, name, of) for name, of in attributes if name not in skip}
 
 
 def _read_attribute(group: Any, name: str, attribute: Attribute) -> Any:
     kind, _, is_optional = attribute
-    if _is_reason(kind):
+    if kind in _REASONS:
         pairs = zip(texts(group, _CODES), texts(group, _MESSAGES), strict=True)
         reasons = tuple(Reason(*pair) for pair in pairs)
         return next(iter(reasons), None) if kind is Reason else reasons

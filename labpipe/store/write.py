@@ -115,7 +115,12 @@ def _write_root(target: Target, result: TestResult) -> None:
     if result.instruments:
         write_table(target, layout.INSTRUMENTS, Instrument, result.instruments)
     _write_results(target.inside(layout.RESULTS), result.results)
-    if budget := [row for entry in result.results for row in _budget_of(entry)]:
+    budget = [
+        BudgetRow(entry.name, row.cause, row.change, entry.unit, share, row.is_common)
+        for entry in result.results
+        for row, share in zip(entry.budget, entry.shares, strict=True)
+    ]
+    if budget:
         write_table(target, layout.BUDGETS, BudgetRow, budget)
     write_table(target, layout.QUALITY, QualityNote, result.quality)
 
@@ -191,10 +196,3 @@ def _row_of(result: Result) -> ResultRow:
         ", ".join(result.codes),
         result.why,
     )
-
-
-def _budget_of(result: Result) -> list[BudgetRow]:
-    return [
-        BudgetRow(result.name, row.cause, row.change, result.unit, share, row.is_common)
-        for row, share in zip(result.budget, result.shares, strict=True)
-    ]

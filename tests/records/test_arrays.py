@@ -101,7 +101,7 @@ def test_clocks_there_and_back(offset: float, drift: float, time: float) -> None
     events, about = np.array([1.0, 2.0]), Interval(0.0, 1.0)
     fit = ClockFit(offset, drift, about, about, 0.0, events, events, events, "made up")
     there = fit.to_force_time(np.array([time]))
-    assert there[0] == fit.to_force_seconds(time) == offset + (1 + drift) * time
+    assert there[0] == fit.to_force_time(time) == offset + (1 + drift) * time
     assert fit.to_marker_time(there)[0] == pytest.approx(time, abs=1e-9)
 
 
