@@ -136,8 +136,13 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
 
     Returns
     -------
-    The ratio; a failure ``beyond_elastica`` if the beam would slip through, or is less than half as
-    stiff as at first.
+    The ratio.
+
+    Raises
+    ------
+    UnavailableError
+        ``beyond_elastica`` if the beam would slip through, or is less than half as stiff as at
+        first.
 
     Examples
     --------

@@ -218,8 +218,12 @@ def unloaded(
 
     Returns
     -------
-    The end and its samples, or a failure: ``force_not_zero`` if the branch ends before the force is
-    zero, ``too_few_samples``.
+    The end and its samples.
+
+    Raises
+    ------
+    UnavailableError
+        ``force_not_zero`` if the branch ends before the force is zero, ``too_few_samples``.
 
     Notes
     -----
@@ -544,9 +548,10 @@ def work_over(trace: Trace, stretch: slice) -> Reading:
     trace : one curve
     stretch : of its samples
 
-    Returns
-    -------
-    One number, or a failure: ``gap`` if samples are missing, ``too_few_samples``.
+    Raises
+    ------
+    UnavailableError
+        ``gap`` if samples are missing, ``too_few_samples``.
     """
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):

@@ -65,9 +65,13 @@ class Tangents:
 
         Returns
         -------
-        Tangents up to the first place without one, or a failure of the one at the end:
-        ``not_reached`` (the curve is shorter than two of them), ``too_few_samples`` (8),
-        ``no_travel``.
+        Tangents up to the first place without one.
+
+        Raises
+        ------
+        UnavailableError
+            Without one at the end: ``not_reached`` (the curve is shorter than two of them),
+            ``too_few_samples`` (8), ``no_travel``.
 
         Notes
         -----

@@ -39,7 +39,12 @@ def secant_stiffness(time: Floats, displacement: Floats, force: Floats, chosen: 
 
     Returns
     -------
-    N/m, or a failure ``too_few_samples`` or ``no_travel``.
+    N/m.
+
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples`` or ``no_travel``.
 
     Notes
     -----

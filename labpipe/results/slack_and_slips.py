@@ -566,9 +566,14 @@ def toe_line(
 
     Returns
     -------
-    The samples, or a failure: ``too_few_samples`` (fewer than 8 in the region), ``not_rising`` if
-    the force does not rise there, ``not_reached`` if the branch begins above the lower share. The
-    slack is the zero of the line through them: `labpipe.results.least_squares.zero_of_line`.
+    The samples. The slack is the zero of the line through them:
+    `labpipe.results.least_squares.zero_of_line`.
+
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples`` (fewer than 8 in the region), ``not_rising`` if the force does not
+        rise there, ``not_reached`` if the branch begins above the lower share.
 
     Notes
     -----
@@ -625,7 +630,12 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
 
     Returns
     -------
-    One number, m, or a failure of `toe_line`.
+    One number, m.
+
+    Raises
+    ------
+    UnavailableError
+        As `toe_line`.
     """
     stretch = loading_of(trace)
     region = toe_line(

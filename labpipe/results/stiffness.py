@@ -144,9 +144,13 @@ def take_up(
 
     Returns
     -------
-    The samples, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` if the branch
-    begins under a force too large for extrapolation, ``no_force`` if its force is never above its
-    noise.
+    The samples.
+
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples`` (16 are needed), ``not_unloaded`` if the branch begins under a force
+        too large for extrapolation, ``no_force`` if its force is never above its noise.
 
     Notes
     -----
@@ -289,7 +293,12 @@ def window_slope(
 
     Returns
     -------
-    The window, or a failure ``not_reached``, ``too_few_samples`` or ``no_travel``.
+    The window.
+
+    Raises
+    ------
+    UnavailableError
+        ``not_reached``, ``too_few_samples`` or ``no_travel``.
 
     Notes
     -----
@@ -427,7 +436,12 @@ def loading_slope(
 
     Returns
     -------
-    The samples, or a failure of `take_up` or `window_slope`.
+    The samples.
+
+    Raises
+    ------
+    UnavailableError
+        As `take_up` or `window_slope`.
 
     Notes
     -----
@@ -500,9 +514,10 @@ def unloading_slope(
     over : m, the length after the turn; its first tenth, where the motion turns, is excluded
     sense : 1 if loading increases the displacement, else -1
 
-    Returns
-    -------
-    The samples, or a failure as `window_slope` has it.
+    Raises
+    ------
+    UnavailableError
+        As `window_slope`.
     """
     turn = turn_at(time, displacement, at=part.start_time, first=part.start, stop=part.stop)
     start, branch = float(turn.of(displacement)), slice(part.start, part.stop)
@@ -526,10 +541,11 @@ def compliance_window(displacement: Floats, force: Floats, *, start: float, stop
         are ignored
     start, stop : N, force window; below it grips and joints settle
 
-    Returns
-    -------
-    The samples, or a failure: ``too_few_samples``, ``no_travel`` if the force is constant,
-    ``not_reached`` if it does not reach `stop`.
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples``, ``no_travel`` if the force is constant, ``not_reached`` if it does not
+        reach `stop`.
     """
     finite = finite_samples(displacement, force)
     f = force[finite]
@@ -710,9 +726,10 @@ class Window(Kind):
         ----------
         displacement : shape (n,), m, of a loading branch
 
-        Returns
-        -------
-        The samples, or a failure ``not_reached``.
+        Raises
+        ------
+        UnavailableError
+            ``not_reached``.
         """
         low, high = self.start, self.stop
         finite = displacement[~np.isnan(displacement)]

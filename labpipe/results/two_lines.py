@@ -172,8 +172,13 @@ class Hinges:
         Returns
         -------
         Equidistant places, the first and the last with eight samples beyond (an eighth of fewer
-        than 64 samples, at least four), or a failure: ``too_few_samples`` (fewer than 16),
-        ``not_increasing`` if the displacement does not increase over the stretch.
+        than 64 samples, at least four).
+
+        Raises
+        ------
+        UnavailableError
+            ``too_few_samples`` (fewer than 16), ``not_increasing`` if the displacement does not
+            increase over the stretch.
         """
         order = _sort_samples(displacement, finite_samples(displacement, force))
         scan = _Scan.of(displacement[order], force[order])
