@@ -170,8 +170,8 @@ class Target:
         NaN and their bit patterns are kept. An empty array has no chunks.
         """
         if isinstance(values, tuple):
-            # UTF-8 of fixed width, which all programs read, declared ASCII, which Octave reads. They
-            # end in a zero, for h5dump; of one byte, netCDF would read single characters.
+            # UTF-8 of fixed width, which all programs read, declared ASCII, which Octave reads;
+            # with a final zero, for h5dump. Of one byte, netCDF would read single characters.
             encoded = [text.encode() for text in values]
             values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
         rest = tuple(max(size, 1) for size in values.shape[1:])

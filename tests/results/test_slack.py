@@ -31,8 +31,7 @@ def test_where_the_force_takes_up_without_noise() -> None:
         (D[103:], F[103:], 0.002, 1e-6),
         (path, passing, 0.001, 1e-5),
     ):
-        taut = or_failure(take_up)(d, f)
-        assert isinstance(taut, TakeUp)
+        taut = take_up(d, f)
         assert taut.of(d, f) == pytest.approx(place, abs=off)
         assert f[taut.sample] > 0.0
     assert isinstance(first := or_failure(take_up)(D[103:], F[103:]), TakeUp)
@@ -56,8 +55,7 @@ def test_says_why_not() -> None:
 
 def test_take_up_of_many_rows() -> None:
     """0.5 N less over 500 N/m: 1 mm later. A row that falls has no place."""
-    found = or_failure(take_up)(D, F)
-    assert isinstance(found, TakeUp)
+    found = take_up(D, F)
     rows = found.of(D, np.array([F, F - 0.5, -F]))
     np.testing.assert_allclose(rows, [0.002, 0.003, np.nan], atol=1e-12)
     moved = found.of(D + np.array([[0.0], [0.004]]), F)
@@ -66,19 +64,16 @@ def test_take_up_of_many_rows() -> None:
 
 def test_take_up_without_a_line_is_at_the_first_sample() -> None:
     path = np.full(40, 0.001)
-    found = or_failure(take_up)(path, np.where(np.arange(40) < 30, 0.0, 5.0))
-    assert isinstance(found, TakeUp)
+    found = take_up(path, np.where(np.arange(40) < 30, 0.0, 5.0))
     assert not found.is_line
     assert found.of(path + np.array([[0.0], [1.0]]), path).tolist() == [0.001, 1.001]
 
 
 def test_take_up_of_a_curve_without_noise() -> None:
     """What passes for zero on the curve that was measured passes for it here too."""
-    measured = or_failure(take_up)(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
-    assert isinstance(measured, TakeUp)
+    measured = take_up(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
     assert measured.limit == pytest.approx(4 * 0.004, rel=0.2)
-    again = or_failure(take_up)(D, F, limit=measured.limit)
-    assert isinstance(again, TakeUp)
+    again = take_up(D, F, limit=measured.limit)
     assert F[again.sample - 1] <= measured.limit < F[again.sample]
     last = np.arange(len(D))[again.foot][-1]
     assert last - again.sample == 7 or F[last] <= 5.0 * measured.limit < F[last + 1]
@@ -97,8 +92,7 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
     path = D + noise_rows(kind, 1e-5, force.shape, seed=2)
     force[:, 250:260] = np.nan
     path[:, gaps] = np.nan
-    found = or_failure(take_up)(path[0], force[0], limit=limit)
-    assert isinstance(found, TakeUp)
+    found = take_up(path[0], force[0], limit=limit)
     places, samples = found.of_each(path, force)
     limits = limits_by_noise(limit, force[:, found.samples])
     for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
@@ -112,7 +106,6 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
 def test_how_far_a_line_is_followed_back() -> None:
     """0.1 mm before the first sample, or 1 mm, of a branch of 10 mm."""
     near, far = (or_failure(take_up)(D[100:], F[100:] + load) for load in (0.05, 0.5))
-    assert isinstance(near, TakeUp)
     assert near.of(D[100:], F[100:] + 0.05) == pytest.approx(0.0019)
     assert isinstance(far, Failure)
     assert far.code == "not_unloaded"
