@@ -17,9 +17,10 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
 from labpipe.records.estimates import Estimate, Failure, fail, or_failure
 from labpipe.records.quality import Reason
+from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import ForceSamples, PeakSamples, traced
-from labpipe.results.kinds import Computed, Errors, Kind, Number
+from labpipe.results.kinds import Computed, Errors, Kind
 from labpipe.results.least_squares import (
     finite_samples,
     line_in,
@@ -369,9 +370,10 @@ class OfCycle(Kind):
 
     def _of_cycle(
         self, test: ReducedTest, branches: list[Branch], decider: Callable[[int], Decide]
-    ) -> Number:
+    ) -> Result:
         number = branches[0].cycle
         return self.number(
+            test,
             or_failure(test.measure_one)(decider(number), self.plain(test, branches)),
             during=_time_of_part(branches, self.reads),
             doubts=cut_short(test, branches[: self.whole], self.outputs[0].rests_on)

@@ -191,8 +191,8 @@ class FailureResult(Kind):
         doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
         at_end, (of_place, of_force) = (during[1], during[1]), self.methods(test)
         return Computed((
-            self.number(place, method=of_place, during=at_end, doubts=doubts),
-            self.number(force, method=of_force, output=1, during=during, doubts=doubts),
+            self.number(test, place, method=of_place, during=at_end, doubts=doubts),
+            self.number(test, force, method=of_force, output=1, during=during, doubts=doubts),
         ))  # fmt: skip
 
 
@@ -315,7 +315,7 @@ class EnergyToBreak(Kind):
         failure = _failure(test)
         outcome = test.measure_one(partial(_work, test))
         doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
-        return Computed((self.number(outcome, during=during, doubts=doubts),))
+        return Computed((self.number(test, outcome, during=during, doubts=doubts),))
 
 
 def _work(test: ReducedTest, trace: Trace) -> Reading:

@@ -17,7 +17,7 @@ from labpipe.records.quality import Finding, Reason, info_note
 from labpipe.records.result import Result
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import cut_short
-from labpipe.results.kinds import Computed, Kind, Number, marked_slips, to_result
+from labpipe.results.kinds import Computed, Kind, marked_slips
 from labpipe.results.least_squares import CommonPath, finite_samples, require_samples
 from labpipe.results.reduced_test import NO_LOADING, Choose, ReducedTest, Stiffness, measured
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -365,8 +365,8 @@ class Plateau(Kind):
     def compute(self, test: ReducedTest) -> Computed:
         """Measure the plateau; without the slope at the end nothing is said of an onset."""
         computed = super(Plateau, self).compute(test)
-        is_available = not isinstance(computed.numbers[0].outcome, Failure)
-        return computed if is_available else replace(computed, numbers=computed.numbers[:1])
+        is_available = computed.results[0].value is not None
+        return computed if is_available else replace(computed, results=computed.results[:1])
 
     @property
     def method(self) -> str:
@@ -386,8 +386,8 @@ class Plateau(Kind):
             or cut_short(test, first, CURVE)
             or _missing_end(test, first[0])
         )
-        number = self.number(outcome, during=test.while_loading(), doubts=doubts)
-        onset, findings = self._onset(test, initial, to_result(test, number))
+        number = self.number(test, outcome, during=test.while_loading(), doubts=doubts)
+        onset, findings = self._onset(test, initial, number)
         _, f = _loading(traced(test))
         start, stop = tangents.ends
         slope, level = float(tangents.slope_at_end(f)), tangents.level_at(start, f)
@@ -482,7 +482,7 @@ class Plateau(Kind):
 
     def _onset(
         self, test: ReducedTest, initial: Stiffness, end: Result
-    ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
+    ) -> tuple[tuple[Result, ...], tuple[Finding, ...]]:
         """Return the onset of the plateau, or a note if there is none, which is not a failure."""
         surely = end.interval is not None and end.interval.upper < self.slope_below
         outcomes = or_failure(self._measured_onset)(test, initial) if surely else None
@@ -493,7 +493,7 @@ class Plateau(Kind):
         doubts = marked_slips(test, initial.bends_with) or _missing_end(test, test.cycles[0][0])
         during, method = test.while_loading(), f"{method} loading"
         return tuple(
-            self.number(outcome, output=place, method=method, during=during, doubts=doubts)
+            self.number(test, outcome, output=place, method=method, during=during, doubts=doubts)
             for place, outcome in enumerate(outcomes, start=1)
         ), ()
 

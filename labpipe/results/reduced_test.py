@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -294,6 +294,10 @@ class ReducedTest:
             if doubt.quantity == quantity and self._touches(doubt, during):
                 reasons.setdefault(doubt.reason.code, doubt.reason)
         return tuple(reasons.values())
+
+    def doubts_of(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
+        """Return the doubts about a number from a time interval of several quantities."""
+        return [why for quantity in quantities for why in self.why_doubtful(quantity, during)]
 
     def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:

@@ -91,7 +91,7 @@ class TipTravel(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the largest distance of the last point of the shape from its start."""
-        return Computed((self.number(_tip_travel(test)),))
+        return Computed((self.number(test, _tip_travel(test)),))
 
 
 def _tip_travel(test: ReducedTest) -> Estimate:
@@ -142,7 +142,7 @@ class MomentCurvature(Kind):
         )
         during = test.while_loading()
         return Computed(
-            (self.number(outcome, {SCALE_OF_FORCE: scale}, during=during, doubts=doubts),)
+            (self.number(test, outcome, {SCALE_OF_FORCE: scale}, during=during, doubts=doubts),)
         )
 
 
@@ -271,7 +271,9 @@ class MidSpan(Window):
         during, methods = test.while_loading(), self.methods(test)
         return Computed(
             tuple(
-                self.number(outcome, error, output=place, method=methods[place], during=during)
+                self.number(
+                    test, outcome, error, output=place, method=methods[place], during=during
+                )
                 for place, (outcome, error) in enumerate(zip(outcomes, errors, strict=True))
             )
         )
@@ -419,7 +421,7 @@ class Twist(Kind):
         turned = or_failure(_at_turn)(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
-        number = self.number(turned, during=test.while_loading())
+        number = self.number(test, turned, during=test.while_loading())
         return Computed((number,), findings=(info_note("twist_section", "markers", text),))
 
 

@@ -544,8 +544,10 @@ class SlipResults(Kind):
             slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
             doubts = doubts_of_slack(test.slack) if isinstance(test.slack, Measured) else ()
             numbers += [
-                self.number(place, slack, method=method, during=during, doubts=doubts, part=part),
-                self.number(lost, scale, output=1, method=method, during=during, part=part),
+                self.number(
+                    test, place, slack, method=method, during=during, doubts=doubts, part=part
+                ),
+                self.number(test, lost, scale, output=1, method=method, during=during, part=part),
             ]
         return Computed(tuple(numbers))
 
@@ -708,7 +710,7 @@ class SlackResult(Kind):
         """Return the displacement at which the line of the linear region meets zero force."""
         during = test.while_loading()
         slack = test.slack or test.unavailable(NO_LOADING).failure
-        return Computed((self.number(slack, during=during),))
+        return Computed((self.number(test, slack, during=during),))
 
 
 KINDS = (SlipResults, SlackResult)

@@ -669,6 +669,7 @@ class Hardening(Kind):
             values = [own[0] / plain[0]] if own and plain else None
             numbers.append(
                 self.number(
+                    test,
                     or_failure(_above_noise)(test, decide, values, base),
                     doubts=doubts + stiffness.doubts(test, later),
                     during=(first[0].start_time, later[0].stop_time),
@@ -749,7 +750,7 @@ def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
     method, window = _secant_method(kind), (kind.start, kind.stop)
     decide, during = partial(_secant, low=kind.start, high=kind.stop), test.while_loading(*window)
     outcome = test.measure_one(decide)
-    number = kind.number(outcome, method=method, during=during)
+    number = kind.number(test, outcome, method=method, during=during)
     return Computed((number,), {name: Stiffness(decide, outcome.as_estimate, during, window)})
 
 
@@ -818,7 +819,7 @@ class LineStiffness(Window):
         if slope.value <= 0.0:
             falls = Reason("negative_slope", "the force falls where the frame pulls")
             doubts = (falls, *doubts)
-        number = self.number(slope, during=during, doubts=doubts)
+        number = self.number(test, slope, during=during, doubts=doubts)
         made_of = Stiffness(
             self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
         )
@@ -882,6 +883,7 @@ class OfStiffness(Kind):
         if stiffness is None:
             raise test.unavailable(Failure("no_stiffness", f"{self.of} is not available"))
         number = self.number(
+            test,
             or_failure(self.outcome)(test, stiffness),
             during=self.during(test, stiffness),
             doubts=marked_slips(test, stiffness.bends_with) + self.doubts(test, stiffness),
@@ -1031,7 +1033,8 @@ class ComplianceResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Fit displacement against force, with a rigid bar."""
-        return Computed((self.number(test.measure_one(self.decide), during=test.while_loading()),))
+        compliance = test.measure_one(self.decide)
+        return Computed((self.number(test, compliance, during=test.while_loading()),))
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of displacement against force over the window.

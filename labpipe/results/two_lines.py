@@ -467,7 +467,7 @@ class TwoSegments(_TwoLines):
         sides = ((one, 1, (max(start, 0.0), at)), (other, 2, (max(at, 0.0), stop)))
         return Computed(
             tuple(
-                self.number(number, output=output, during=during, doubts=doubts)
+                self.number(test, number, output=output, during=during, doubts=doubts)
                 for output, (number, doubts) in enumerate(numbers)
             ),
             {
@@ -502,7 +502,7 @@ class Kink(_TwoLines):
         during = test.while_loading(*fit.hinges.ends)
         return Computed(
             tuple(
-                self.number(number, output=output, during=during, doubts=doubts)
+                self.number(test, number, output=output, during=during, doubts=doubts)
                 for output, number in enumerate((place, level))
             ),
             lines=fit.lines("before_kink", "behind_kink"),
