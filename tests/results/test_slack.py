@@ -105,7 +105,7 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
 
 def test_how_far_a_line_is_followed_back() -> None:
     """0.1 mm before the first sample, or 1 mm, of a branch of 10 mm."""
-    near, far = (or_failure(take_up)(D[100:], F[100:] + load) for load in (0.05, 0.5))
+    near, far = take_up(D[100:], F[100:] + 0.05), or_failure(take_up)(D[100:], F[100:] + 0.5)
     assert near.of(D[100:], F[100:] + 0.05) == pytest.approx(0.0019)
     assert isinstance(far, Failure)
     assert far.code == "not_unloaded"
