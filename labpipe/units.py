@@ -99,28 +99,7 @@ _PLAIN = {
     ("N/V", "N/(V)"): 1.0,
 }
 # Coherent units; but for those above, no two of them convert.
-_SI = {
-    "1",
-    "m",
-    "s",
-    "N",
-    "V",
-    "kg",
-    "J",
-    "Pa",
-    "N/m",
-    "m/s",
-    "1/s",
-    "Hz",
-    "rad",
-    "m^2",
-    "1/m",
-    "N*m",
-    "K",
-    "N*m^2",
-    "m/N",
-    "kg/m",
-}
+_SI = frozenset("1 m s N V kg J Pa N/m m/s 1/s Hz rad m^2 1/m N*m K N*m^2 m/N kg/m".split())
 
 _COHERENT = {
     unit: (factor, coherent)

@@ -15,8 +15,8 @@ from labpipe.process.motion import Motion
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction, Shape
+from labpipe.records.declarations import LIMITS, Limits
 from labpipe.records.estimates import Failure
-from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import (
     Finding,
     Findings,

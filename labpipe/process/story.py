@@ -41,8 +41,7 @@ from labpipe.process.steps import run_steps
 from labpipe.process.zeros import check_begin, check_break, check_zeros, rezero_at_rest
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
-from labpipe.records.declarations import FitShape
-from labpipe.records.limits import Limits
+from labpipe.records.declarations import FitShape, Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Status

@@ -23,6 +23,7 @@ from labpipe.protocol.source import ChannelSource, Role, Source
 from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import FileStem, Remark, Text
 from labpipe.records.declarations import (
+    LIMITS,
     Area,
     Compliance,
     Distance,
@@ -32,6 +33,7 @@ from labpipe.records.declarations import (
     Key,
     LargerThan,
     Length,
+    Limits,
     LinearMass,
     Mass,
     Moment,
@@ -45,7 +47,6 @@ from labpipe.records.declarations import (
     Uncertainty,
     WholeNumber,
 )
-from labpipe.records.limits import LIMITS, Limits
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.figure_data import DrawnShapes
-from labpipe.records.group import Band, Group, Sample, SampleCurve
+from labpipe.records.group import Band, DrawnShapes, Group, Sample, SampleCurve
 from labpipe.report.figure_page import (
     GREY,
     Look,

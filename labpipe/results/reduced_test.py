@@ -10,8 +10,8 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
+from labpipe.records.declarations import LIMITS, Limits
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
-from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
 from labpipe.uncertainty.extractors import Decide, Reading, Trace

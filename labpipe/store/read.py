@@ -23,7 +23,7 @@ from labpipe.records.curve import (
     Slip,
     SlipDecision,
 )
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
+from labpipe.records.group import DrawnLaw, DrawnShapes
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
 from labpipe.records.result import (

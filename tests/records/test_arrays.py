@@ -25,8 +25,7 @@ from labpipe.records.arrays import (
     times_of,
 )
 from labpipe.records.curve import ClockFit, Curve, Interval, Series, Shape
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
-from labpipe.records.group import SampleCurve
+from labpipe.records.group import DrawnLaw, DrawnShapes, SampleCurve
 from labpipe.records.recording import Clock, MarkerTracks, RigidBody
 from labpipe.records.wire import WireLayout
 from labpipe.records.wire_calibration import Prediction, Profile

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.curve import FittedLine
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
-from labpipe.records.group import Group, Outlier
+from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
 from labpipe.report.figure_page import style
 from labpipe.report.group_dots import dot_rows, draw_dots, numbers_to_draw
 from labpipe.report.group_figures import MAX_SLIP_PANELS, draw_slips, group_drawings, stems
