@@ -99,7 +99,10 @@ _PLAIN = {
     ("N/V", "N/(V)"): 1.0,
 }
 # Coherent units; but for those above, no two of them convert.
-_SI = frozenset("1 m s N V kg J Pa N/m m/s 1/s Hz rad m^2 1/m N*m K N*m^2 m/N kg/m".split())
+_SI = {
+    *("1", "m", "s", "kg", "K", "rad", "V", "m^2", "1/m", "m/s", "1/s", "Hz", "kg/m"),
+    *("N", "J", "Pa", "N/m", "m/N", "N*m", "N*m^2"),
+}
 
 _COHERENT = {
     unit: (factor, coherent)
