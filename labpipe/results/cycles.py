@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -71,133 +71,25 @@ _MIN_FOOT_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThroughZero:
-    """The force continues below zero: parabolas through force and displacement there.
+class Unloaded:
+    """How an unloading ends, with the samples for its residual displacement chosen.
 
     Parameters
     ----------
-    near : samples of the branch
-    time : shape (near,), s, from about when the force is zero
+    how : the force continues below zero; the string is slack and the displacement at rest; or the
+        foot of the force is followed to zero
     limit : N, up to which a force counts as zero
+    n : samples used for the displacement
+    of : returns the displacement at zero force, m, shape (...), from displacements and forces of
+        the branch, shape (..., n)
+    of_each : the same for rows with noise, each with its own foot; None if it is `of`
     """
 
-    near: Samples
-    time: Floats
+    how: Literal["through zero", "at rest", "followed"]
     limit: float
-
-    @property
-    def n(self) -> int:
-        """Number of samples used for the displacement."""
-        return len(self.time)
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the displacement at zero force, m, shape (...), from curves (..., n)."""
-        weights = polynomial_weights(self.time, degree=2).T
-        level, slope, bend = np.moveaxis(force[..., self.near] @ weights, -1, 0)
-        at = np.zeros_like(level)
-        for _ in range(4):  # Newton steps, from near the root
-            step = ratio(level + at * (slope + at * bend), slope + 2.0 * at * bend)
-            at = np.clip(at - step, self.time[0], self.time[-1])
-        place, speed, curve = np.moveaxis(displacement[..., self.near] @ weights, -1, 0)
-        value: Floats = place + at * (speed + at * curve)
-        return value
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AtRest:
-    """The string is slack and the displacement at rest: its mean.
-
-    Parameters
-    ----------
-    rest, n : samples of the branch, and their number
-    limit : N, up to which a force counts as zero
-    """
-
-    rest: Samples
     n: int
-    limit: float
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the mean displacement, m, shape (...), from curves (..., n)."""
-        del force
-        value: Floats = displacement[..., self.rest].mean(axis=-1)
-        return value
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FollowedToZero:
-    """The foot of the force is extrapolated to zero, with the displacement of the last second.
-
-    Parameters
-    ----------
-    samples, foot, near : samples of the branch: all without NaN, and two parts
-    time, foot_time, near_time : shape (samples,), (foot,), (near,), s, from the end of the foot
-    is_line : whether a line through the foot falls to zero; else zero is at its end
-    limit, least : N, up to which a force counts as zero, and that limit without noise
-    """
-
-    samples: Samples
-    foot: Samples
-    near: Samples
-    time: Floats
-    foot_time: Floats
-    near_time: Floats
-    is_line: bool
-    limit: float
-    least: float
-
-    @property
-    def n(self) -> int:
-        """Number of samples used for the displacement."""
-        return len(self.near_time)
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the displacement at zero force, m, shape (...); NaN if a line does not fall.
-
-        Parameters
-        ----------
-        displacement, force : shape (..., n), m, N, of the branch
-        """
-        at = _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
-        d = displacement[..., self.near]
-        ahead = at - self.near_time.mean()
-        value: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
-        return value
-
-    def of_each(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the displacement at zero force of branches with noise, each with its own foot.
-
-        Parameters
-        ----------
-        displacement, force : shape (rows, n), m, N, of the branch
-
-        Returns
-        -------
-        Shape (rows,), m; NaN if the force does not return to zero.
-        """
-        d, f, time = displacement[:, self.samples], force[:, self.samples], self.time
-        limit = np.full((len(f), 1), self.limit)
-        if self.limit > self.least:
-            limit = np.maximum(limits_by_noise(self.limit, f), self.least)[:, np.newaxis]
-        begin, end = _last_flagged(f > _FOOT_LIMITS * limit), _last_flagged(f > limit)
-        stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
-        numbers = np.arange(stretch.start, stretch.stop)
-        foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
-        middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
-        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_FOOT_SAMPLES)
-        at = np.where(falls, middle - ratio(level, slope), time[end])
-        part = slice(
-            *np.searchsorted(time, [at.min() - _TIME_BEFORE_ZERO, at.max() + _TIME_BEFORE_ZERO])
-        )
-        t, start = time[part], at[:, np.newaxis] - _TIME_BEFORE_ZERO
-        near = (t >= start) & (t <= at[:, np.newaxis])
-        middle, level, slope = line_in(near, t, d[:, part])
-        ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
-        return np.where(ended, level + slope * (at - middle), np.nan)
-
-
-Unloaded: TypeAlias = ThroughZero | AtRest | FollowedToZero
-"""How an unloading ends, with the samples for its residual displacement."""
+    of: Callable[[Floats, Floats], Floats]
+    of_each: Callable[[Floats, Floats], Floats] | None = None
 
 
 def unloaded(
@@ -240,8 +132,7 @@ def unloaded(
     # Standard deviations of noise above which a force is not zero.
     noise_deviations = 4.0
     finite = finite_samples(displacement, force)
-    branch = _Branch(finite, time[finite], displacement[finite], force[finite])
-    f = branch.force
+    t, d, f = (values[finite] for values in (time, displacement, force))
     require_samples(len(f), 2 * _MIN_SAMPLES, "")
     least = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
@@ -252,72 +143,121 @@ def unloaded(
         message = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
         fail("force_not_zero", message)
     goes_on = bool(np.median(f[-_MIN_SAMPLES:]) < -limit)
-    if goes_on if like is None else isinstance(like, ThroughZero):
-        return branch.through_zero(limit)
-    return branch.slack_or_followed(limit, least, like)
+    if goes_on if like is None else like.how == "through zero":
+        return _through_zero(finite, t, f, limit)
+    last, far = int(above[-1]), np.flatnonzero(f > _FOOT_LIMITS * limit)
+    foot = slice(int(far[-1]) if len(far) else 0, last + 1)
+    from_end, at, slope = t - t[last], np.nan, 0.0
+    if foot.stop - foot.start >= _MIN_FOOT_SAMPLES:
+        at = float(zero_of_line(from_end[foot], -f[foot]))
+        slope = float(slope_of_line(from_end[foot], f[foot]))
+    falls = not np.isnan(at)
+    zero = float(t[last]) + at if falls else float(t[last])
+    rest = t > zero + 0.2
+    has_stopped = falls and slope * (t[-1] - zero) < -3.0 * limit
+    rests = has_stopped and _is_slack(t[rest], d, f[rest], rest, limit)
+    if rests if like is None else like.how == "at rest" and rest.any():
+        mean = partial(_mean, rest=samples_of(finite[rest]))
+        return Unloaded("at rest", limit, int(rest.sum()), mean)
+    near = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
+    if near.sum() < _MIN_SAMPLES:
+        fail("too_few_samples", f"{int(near.sum())} samples in the 1 s to {zero:.3f} s")
+    of_foot, of_near = ((samples_of(finite[part]), from_end[part]) for part in (foot, near))
+    of = partial(_follow, foot=of_foot if falls else None, near=of_near)
+    each = partial(
+        _follow_each, samples=samples_of(finite), time=from_end, limit=limit, least=least
+    )
+    return Unloaded("followed", limit, int(near.sum()), of, each)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Branch:
-    """An unloading branch without NaN.
+def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Unloaded:
+    """Choose the samples around the zero of a force that continues below it."""
+    middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
+    near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
+    require_samples(int(near.sum()), _MIN_SAMPLES, " near zero force")
+    samples, after = samples_of(finite[near]), time[near] - middle
+    weights = polynomial_weights(after, degree=2).T
 
-    Parameters
-    ----------
-    numbers : shape (n,), samples of the branch
-    time, displacement, force : shape (n,), s, m, N
+    def of(displacement: Floats, force: Floats) -> Floats:
+        level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
+        at = np.zeros_like(level)
+        for _ in range(4):  # Newton steps, from near the root
+            step = ratio(level + at * (slope + at * bend), slope + 2.0 * at * bend)
+            at = np.clip(at - step, after[0], after[-1])
+        place, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
+        value: Floats = place + at * (speed + at * curve)
+        return value
+
+    return Unloaded("through zero", limit, len(after), of)
+
+
+def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
+    """Return whether force and displacement rest within their noise."""
+    if rest.sum() < _MIN_SAMPLES or np.abs(force).max() > 2.0 * limit:
+        return False
+    at, values = time - time.mean(), path[rest]
+    slope = float(slope_of_line(at, values))
+    noise = values - values.mean() - slope * at
+    still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(path))
+    return abs(slope) * float(np.ptp(at)) <= still
+
+
+def _mean(displacement: Floats, force: Floats, *, rest: Samples) -> Floats:
+    del force
+    value: Floats = displacement[..., rest].mean(axis=-1)
+    return value
+
+
+def _follow(
+    displacement: Floats,
+    force: Floats,
+    *,
+    foot: tuple[Samples, Floats] | None,
+    near: tuple[Samples, Floats],
+) -> Floats:
+    """Return the displacement where the line through the foot is zero; NaN if it does not fall.
+
+    Samples come with their times, s, from the end of the foot, where the force is zero without it.
     """
+    at = np.zeros(()) if foot is None else zero_of_line(foot[1], -force[..., foot[0]])
+    samples, time = near
+    d = displacement[..., samples]
+    value: Floats = d.mean(axis=-1) + slope_of_line(time, d) * (at - time.mean())
+    return value
 
-    numbers: Ints
-    time: Floats
-    displacement: Floats
-    force: Floats
 
-    def samples(self, chosen: Flags | slice) -> Samples:
-        """Return the numbers of chosen samples in the branch."""
-        return samples_of(self.numbers[chosen])
+def _follow_each(
+    displacement: Floats,
+    force: Floats,
+    *,
+    samples: Samples,
+    time: Floats,
+    limit: float,
+    least: float,
+) -> Floats:
+    """Follow the foot of each row to zero; NaN if its force does not return to zero.
 
-    def through_zero(self, limit: float) -> ThroughZero:
-        """Choose the samples around the zero of the force."""
-        time = self.time
-        middle = time[min(int((self.force > 0.0).sum()), len(time) - 1)]
-        near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
-        require_samples(int(near.sum()), _MIN_SAMPLES, " near zero force")
-        return ThroughZero(self.samples(near), time[near] - middle, limit)
-
-    def slack_or_followed(self, limit: float, least: float, like: Unloaded | None) -> Unloaded:
-        """Choose the samples for a force that stays near zero."""
-        last = int(np.flatnonzero(self.force > limit)[-1])
-        far = np.flatnonzero(self.force > _FOOT_LIMITS * limit)
-        foot = slice(int(far[-1]) if len(far) else 0, last + 1)
-        end = float(self.time[last])
-        from_end = self.time - end
-        at, slope = np.nan, 0.0
-        if foot.stop - foot.start >= _MIN_FOOT_SAMPLES:
-            at = float(_zero_time(from_end[foot], self.force[foot]))
-            slope = float(slope_of_line(from_end[foot], self.force[foot]))
-        falls = not np.isnan(at)
-        zero = end + at if falls else end
-        rest = self.time > zero + 0.2
-        has_stopped = falls and slope * (self.time[-1] - zero) < -3.0 * limit
-        rests = has_stopped and self._is_slack(rest, limit)
-        if rests if like is None else isinstance(like, AtRest) and rest.any():
-            return AtRest(self.samples(rest), int(rest.sum()), limit)
-        near = (self.time >= zero - _TIME_BEFORE_ZERO) & (self.time <= zero)
-        if near.sum() < _MIN_SAMPLES:
-            fail("too_few_samples", f"{int(near.sum())} samples in the 1 s to {zero:.3f} s")
-        places = samples_of(self.numbers), self.samples(foot), self.samples(near)
-        times = from_end, from_end[foot], from_end[near]
-        return FollowedToZero(*places, *times, falls, limit, least)
-
-    def _is_slack(self, rest: Flags, limit: float) -> bool:
-        """Return whether force and displacement rest within their noise."""
-        if rest.sum() < _MIN_SAMPLES or np.abs(self.force[rest]).max() > 2.0 * limit:
-            return False
-        at, values = self.time[rest] - self.time[rest].mean(), self.displacement[rest]
-        slope = float(slope_of_line(at, values))
-        noise = values - values.mean() - slope * at
-        still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(self.displacement))
-        return abs(slope) * float(np.ptp(at)) <= still
+    `least` is the limit without noise.
+    """
+    d, f = displacement[:, samples], force[:, samples]
+    limits = np.full((len(f), 1), limit)
+    if limit > least:
+        limits = np.maximum(limits_by_noise(limit, f), least)[:, np.newaxis]
+    begin, end = _last_flagged(f > _FOOT_LIMITS * limits), _last_flagged(f > limits)
+    stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
+    numbers = np.arange(stretch.start, stretch.stop)
+    foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
+    middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
+    falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_FOOT_SAMPLES)
+    at = np.where(falls, middle - ratio(level, slope), time[end])
+    part = slice(
+        *np.searchsorted(time, [at.min() - _TIME_BEFORE_ZERO, at.max() + _TIME_BEFORE_ZERO])
+    )
+    t, start = time[part], at[:, np.newaxis] - _TIME_BEFORE_ZERO
+    near = (t >= start) & (t <= at[:, np.newaxis])
+    middle, level, slope = line_in(near, t, d[:, part])
+    ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
+    return np.where(ended, level + slope * (at - middle), np.nan)
 
 
 def _last_flagged(flags: Flags) -> Ints:
@@ -325,11 +265,6 @@ def _last_flagged(flags: Flags) -> Ints:
     count: int = flags.shape[1]
     last: Ints = np.where(flags.any(axis=1), count - 1 - np.argmax(flags[:, ::-1], axis=1), -1)
     return last
-
-
-def _zero_time(time: Floats, force: Floats) -> Floats:
-    """Return when a falling line is zero, s, shape (...), or NaN."""
-    return zero_of_line(time, -force)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -604,7 +539,7 @@ class ResidualDisplacement(OfCycle):
         """Choose the samples for the displacement at zero force after unloading."""
         ending, part = self._ends(trace, number, like), cycle_of(trace, number)[1]
         branch = slice(part.start, part.stop)
-        in_noise = on_part(ending.of_each, branch) if isinstance(ending, FollowedToZero) else None
+        in_noise = on_part(ending.of_each, branch) if ending.of_each else None
         return Reading(on_part(ending.of, branch), ending.n, in_noise)
 
     def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded:

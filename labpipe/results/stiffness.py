@@ -319,26 +319,9 @@ def window_slope(
     return fit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Turn:
-    """Value of a signal at the start of a branch, from a parabola.
-
-    Parameters
-    ----------
-    samples : of the signal
-    weights : shape (samples,), of the samples in the value
-    """
-
-    samples: Samples
-    weights: Floats
-
-    def of(self, values: Floats) -> Floats:
-        """Return the value at the turn, shape (...), of a signal of shape (..., n)."""
-        value: Floats = np.vecdot(values[..., self.samples], self.weights)
-        return value
-
-
-def turn_at(time: Floats, values: Floats, *, at: float, first: int, stop: int) -> Turn:
+def turn_at(
+    time: Floats, values: Floats, *, at: float, first: int, stop: int
+) -> Callable[[Floats], Floats]:
     """Choose the samples for the value at the turn at the start of a branch.
 
     Parameters
@@ -349,15 +332,17 @@ def turn_at(time: Floats, values: Floats, *, at: float, first: int, stop: int) -
 
     Returns
     -------
-    A parabola through the first tenth of the branch after the turn, at most 50 samples; the first
+    A function of values of shape (..., n) that returns those at the turn, shape (...): of the
+    parabola through the first tenth of the branch after the turn, at most 50 samples; the first
     sample of the branch if that has fewer than 8.
     """
     start = max(first, int(np.searchsorted(time, at)))
     begin = np.arange(start, start + min(50, (stop - start) // 10))
     begin = begin[~np.isnan(values[begin])]
     if len(begin) < _MIN_WINDOW_SAMPLES:
-        return Turn(samples_of(np.array([first])), np.ones(1))
-    return Turn(samples_of(begin), polynomial_weights(time[begin] - at, degree=2)[0])
+        return lambda values: np.asarray(values[..., first])
+    samples, weights = samples_of(begin), polynomial_weights(time[begin] - at, degree=2)[0]
+    return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -472,39 +457,9 @@ def _start_of_motion(time: Floats, displacement: Floats, start: float, over: flo
     return 0 if np.isnan(at) else int(np.searchsorted(time, at))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UnloadingSlope:
-    """Stiffness over a length after a turn.
-
-    Parameters
-    ----------
-    turn : of the curve
-    branch : samples of the curve
-    slope : of the branch
-    sense : 1 if loading increases the displacement, else -1
-    ahead : m, from the displacement at the turn to that in the middle of the window
-    """
-
-    turn: Turn
-    branch: slice
-    slope: WindowSlope
-    sense: float
-    ahead: float
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the stiffness, N/m, shape (...), of a curve of shape (..., n), m, N, or NaN.
-
-        The window has the same distance from the turn of each row.
-        """
-        d, f = displacement[..., self.branch], force[..., self.branch]
-        middle = d[..., self.slope.window].mean(axis=-1)
-        later = self.sense * (middle - self.turn.of(displacement) - self.ahead)
-        return self.slope.of(d, f, later)
-
-
 def unloading_slope(
     time: Floats, displacement: Floats, force: Floats, part: Branch, *, over: float, sense: float
-) -> UnloadingSlope:
+) -> tuple[Callable[[Floats, Floats], Floats], int]:
     """Choose the samples for the stiffness after a turn.
 
     Parameters
@@ -514,19 +469,28 @@ def unloading_slope(
     over : m, the length after the turn; its first tenth, where the motion turns, is excluded
     sense : 1 if loading increases the displacement, else -1
 
+    Returns
+    -------
+    A function of curves of shape (..., n), m, N, that returns the stiffness, N/m, shape (...), or
+    NaN; the window has the same distance from the turn of each row. And the number of samples.
+
     Raises
     ------
     UnavailableError
         As `window_slope`.
     """
-    turn = turn_at(time, displacement, at=part.start_time, first=part.start, stop=part.stop)
-    start, branch = float(turn.of(displacement)), slice(part.start, part.stop)
-    off = sense * (start - displacement[branch])
-    slope = window_slope(
-        time[branch], displacement[branch], force[branch], off, low=0.1 * over, high=over
-    )
-    ahead = float(displacement[branch][slope.window].mean()) - start
-    return UnloadingSlope(turn, branch, slope, sense, ahead)
+    at_turn = turn_at(time, displacement, at=part.start_time, first=part.start, stop=part.stop)
+    start, branch = float(at_turn(displacement)), slice(part.start, part.stop)
+    d, f = displacement[branch], force[branch]
+    slope = window_slope(time[branch], d, f, sense * (start - d), low=0.1 * over, high=over)
+    ahead = float(d[slope.window].mean()) - start
+
+    def stiffness(displacement: Floats, force: Floats) -> Floats:
+        d, f = displacement[..., branch], force[..., branch]
+        later = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - ahead)
+        return slope.of(d, f, later)
+
+    return stiffness, slope.n
 
 
 MIN_LINE_SAMPLES = 5
@@ -586,8 +550,8 @@ class UnloadingStiffness(OfCycle):
     def _read(self, trace: Trace, number: int) -> Reading:
         part, d = unloading_of(cycle_of(trace, number)), trace.displacement
         sense = sense_of(trace, d)
-        fit = unloading_slope(trace.time, d, trace.force, part, over=self.over, sense=sense)
-        return Reading(on_part(fit.of, slice(None)), fit.slope.n)
+        slope, n = unloading_slope(trace.time, d, trace.force, part, over=self.over, sense=sense)
+        return Reading(on_part(slope, slice(None)), n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
