@@ -21,9 +21,9 @@ from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
 from labpipe.virtual_lab.specimens import StrandedWire
 
-MOST_SCATTER = 1.25
+MAX_SCATTER = 1.25
 """Farthest that a sample's factor, or its inverse, may be from 1."""
-_INVERSES = np.array([1.0 / MOST_SCATTER, 1.0, MOST_SCATTER])
+_INVERSES = np.array([1.0 / MAX_SCATTER, 1.0, MAX_SCATTER])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,7 @@ def observe_loading(
     ------
     ValueError
         If the wire is neither one of strands nor a bundle, its factor is farther from 1 than
-        `MOST_SCATTER`, the string is slack at first, or the mechanics have no solution.
+        `MAX_SCATTER`, the string is slack at first, or the mechanics have no solution.
     """
     random = np.random.default_rng([seed, 43])
     cell = scenario.load_cell
@@ -105,15 +105,12 @@ def _stranded(test: MechanicalTest) -> StrandedWire | BundleModel:
     wire = test.wire
     if not isinstance(wire, StrandedWire | BundleModel) or test.slack is not None:
         message = (
-            f"wire={type(wire).__name__}, slack={test.slack}: allowed are a StrandedWire or a "
+            f"wire={type(wire).__name__}, slack={test.slack}: expected a StrandedWire or a "
             f"BundleModel, and None"
         )
         raise ValueError(message)
-    if not 1.0 / MOST_SCATTER <= wire.factor <= MOST_SCATTER:
-        message = (
-            f"factor={wire.factor!r}: allowed are numbers from {1.0 / MOST_SCATTER:g} to "
-            f"{MOST_SCATTER:g}"
-        )
+    if not 1.0 / MAX_SCATTER <= wire.factor <= MAX_SCATTER:
+        message = f"factor={wire.factor!r}: must be from {1.0 / MAX_SCATTER:g} to {MAX_SCATTER:g}"
         raise ValueError(message)
     return wire
 

@@ -161,7 +161,7 @@ def against_mujoco() -> None:
     if find_spec("mujoco") is None:
         print("MuJoCo is not installed")
         return
-    from labpipe.decks.mujoco_sliders import NODES as HINGES
+    from labpipe.decks.mujoco_sliders import DEFAULT_NODES as HINGES
     from labpipe.decks.mujoco_sliders import mujoco_plane_deck
     from labpipe.law.table_sliders import sliders_of
     from tests.builders.wire_tables import LENGTH, wire_table

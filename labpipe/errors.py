@@ -65,7 +65,7 @@ CODES = MappingProxyType(
         "bad_sheet": "test.yaml or the protocol is wrong, or is not there",
         "missing_export": "an export that test.yaml names is not there",
         "missing_channel": "an export has no such channel, or several that could be meant",
-        "unreadable_export": "an export is damaged, or is not what it is said to be",
+        "unreadable_export": "an export is damaged, or has another format than stated",
         "cannot_process": "the recordings do not hold what the protocol asks for",
         "bad_result": "an earlier result.h5 that is to be processed again cannot be used",
         "disk_full": "there is no room for the results, or a quota is used up",
@@ -191,18 +191,18 @@ def refusal(error: Exception) -> str:
     )
 
 
-def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
+def nearest(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
     """Sort known words so that those most like `word` come first.
 
     Parameters
     ----------
     word : what was written
-    known : what would have been valid
-    most : maximum number of words
+    choices : what would have been valid
+    limit : maximum number of words
 
     Returns
     -------
-    At most `most` of the known words, nearest first.
+    At most `limit` of the known words, nearest first.
 
     Examples
     --------
@@ -214,7 +214,7 @@ def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
     def likeness(candidate: str) -> float:
         return difflib.SequenceMatcher(None, word.casefold(), candidate.casefold()).ratio()
 
-    return sorted(known, key=likeness, reverse=True)[:most]
+    return sorted(choices, key=likeness, reverse=True)[:limit]
 
 
 def in_test_sheet(key: str, value: str, **more: str) -> str:

@@ -131,7 +131,7 @@ def _registry() -> pint.UnitRegistry[float]:
 
 @cache
 def si_factor(unit: str, si_unit: str) -> float:
-    """Factor that turns a number in `unit` into a number in `si_unit`.
+    """Return the factor that turns a number in `unit` into a number in `si_unit`.
 
     Parameters
     ----------

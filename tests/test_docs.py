@@ -16,6 +16,7 @@ import pytest
 from labpipe.cli import _parser as parser_of
 from labpipe.cli import main
 from labpipe.errors import CODES
+from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
@@ -24,7 +25,6 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.outline import RESULTS
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.readers import READERS
 from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *ROOT.glob("*/README.md")])
 IMAGES = sorted((DOCS / "images").iterdir())
-MOST_BYTES = 200_000
+MAX_BYTES = 200_000
 MEASURING = (
     *("readers", "signal", "markers", "bending", "law", "uncertainty", "wire", "results"),
     *("process", "campaign", "studies"),
@@ -188,7 +188,7 @@ def test_links_lead_somewhere_and_to_every_page(path: Path) -> None:
 
 @pytest.mark.parametrize("path", IMAGES, ids=name_of)
 def test_pictures_are_small_and_shown_with_a_caption(path: Path) -> None:
-    assert path.stat().st_size < MOST_BYTES
+    assert path.stat().st_size < MAX_BYTES
     # each caption says what it shows
     origin = r"(?:Synthetic data|Computed, not measured|Measured by others)\. "
     shown = rf"!\[[^\]]+\]\((?:docs|\.\.)/images/{re.escape(path.name)}\)\n\n\*{origin}"

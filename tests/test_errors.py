@@ -72,7 +72,7 @@ def test_a_name_that_the_system_cannot_write() -> None:
 
 def test_nearest_ignores_case_and_keeps_to_the_most() -> None:
     known = ["Time", "Force", "Displacement", "Forces"]
-    assert nearest("FORCE", known, most=2) == ["Force", "Forces"]
+    assert nearest("FORCE", known, limit=2) == ["Force", "Forces"]
     assert nearest("x", []) == []
 
 
@@ -81,4 +81,4 @@ def test_nearest_ignores_case_and_keeps_to_the_most() -> None:
 def test_nearest_only_sorts(word: str, known: list[str]) -> None:
     found = nearest(word, known)
     assert len(found) == min(5, len(known))
-    assert sorted(nearest(word, known, most=99)) == sorted(known)
+    assert sorted(nearest(word, known, limit=99)) == sorted(known)

@@ -44,7 +44,7 @@ def open(path: PathLike) -> Test:
     >>> labpipe.open("processed/A2/A2-085-1").results  # doctest: +SKIP
     """
     file = _only_one(path_of(path), find_results, "labpipe.table(path) reads many tests.")
-    return Test(read_outcome(file), whole=lambda: read_result(file), folder=file.parent)
+    return Test(read_outcome(file), read_full=lambda: read_result(file), folder=file.parent)
 
 
 def process(source: PathLike, *, follow_links: bool = False) -> Test:

@@ -49,17 +49,17 @@ class Export:
 
     @property
     def file(self) -> Path:
-        """The export."""
+        """Return the export."""
         return self._inspection.file
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """The output of ``labpipe inspect --json``."""
+        """Return the output of ``labpipe inspect --json``."""
         return dict(as_json(self._inspection))
 
     @property
     def channels(self) -> pd.DataFrame:
-        """The channels of all clocks.
+        """Return the channels of all clocks.
 
         ``clock``, ``name``, ``path``, ``unit`` (SI if the export states one, else none),
         ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (samples).
@@ -77,12 +77,12 @@ class Export:
 
     @property
     def notes(self) -> pd.DataFrame:
-        """Quality notes of the reader: ``code``, ``severity``, ``where``, ``message``."""
+        """Return the notes of the reader: ``code``, ``severity``, ``where``, ``message``."""
         return quality_frame(self._inspection.recording.notes)
 
     @property
     def data(self) -> Recordings:
-        """The recording as tables, by the name of the file without its ending, as `Test.raw`."""
+        """Return the recording as tables by file name without its ending, like `Test.raw`."""
         return Recordings({self.file.stem: self._inspection.recording})
 
     def __repr__(self) -> str:

@@ -73,8 +73,8 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     frame = frame.loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
     entries = [result for _, results in rows for result in results]
     for name in ("result", *_NUMBERS, *_TEXTS):
-        kind = "float64" if name in _NUMBERS else "str"
-        frame[name] = pd.Series([entry[name] for entry in entries], dtype=kind)
+        dtype = "float64" if name in _NUMBERS else "str"
+        frame[name] = pd.Series([entry[name] for entry in entries], dtype=dtype)
     if by:
         frame = frame.sort_values(list(by), kind="stable", ignore_index=True)
     frame.attrs["left_out"] = left_out

@@ -58,7 +58,7 @@ def _what(result: TestResult) -> str:
 def _row(result: Result, test: TestResult) -> str:
     factor, unit = shown_in(result.name, result.unit, test.display)
     value = float("nan") if result.value is None else result.value
-    written = write_number(value, result.interval, factor, apart=result.apart)
+    written = write_number(value, result.interval, factor, estimate=result.distinct_estimate)
     number = f"{written.value} {unit_words(unit)}" if result.value is not None else written.value
     state = "" if result.status is Status.OK else f"{result.status}: {result.why}"
     cells = [as_label(result.name), number, written.interval, state]

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     import datetime
 
     import pandas as pd
+    from matplotlib.figure import Figure
 
     from labpipe.api.data_sets import Dataset
     from labpipe.records.result import Instrument, Result, Specimen
-    from labpipe.report.figures import Figure
 
 _RESULT, _FIGURE, _PART, _CURVE, _SHAPE = "result", "figure", "part", "curve", "shape"
 
@@ -55,67 +55,67 @@ class Test:
         self,
         outcome: TestResult,
         *,
-        whole: Callable[[], TestResult] | None = None,
+        read_full: Callable[[], TestResult] | None = None,
         folder: Path | None = None,
         units: Units | None = None,
     ) -> None:
         self._outcome = outcome
-        self._read_whole = whole
+        self._read_full = read_full
         self._units = units or Units()
         self.folder = folder
 
     @cached_property
-    def _whole(self) -> TestResult:
-        return self._outcome if self._read_whole is None else self._read_whole()
+    def _full(self) -> TestResult:
+        return self._outcome if self._read_full is None else self._read_full()
 
     @property
     def name(self) -> str:
-        """Name of the test."""
+        """Return the name of the test."""
         return self._outcome.test
 
     @property
     def protocol(self) -> str:
-        """Name of its protocol."""
+        """Return the name of its protocol."""
         return self._outcome.protocol
 
     @property
     def specimen(self) -> Specimen:
-        """The specimen; dimensions in m."""
+        """Return the specimen; dimensions in m."""
         return self._outcome.specimen
 
     @property
     def date(self) -> datetime.date | None:
-        """Day of the test; None if neither sheet nor exports state it."""
+        """Return the day of the test; None if neither sheet nor exports state it."""
         return self._outcome.date
 
     @property
     def operator(self) -> str:
-        """Person who ran the test; empty if the sheet does not state it."""
+        """Return the person who ran the test; empty if the sheet does not state it."""
         return self._outcome.operator
 
     @property
     def instruments(self) -> tuple[Instrument, ...]:
-        """Instruments whose certificates the protocol states."""
+        """Return the instruments whose certificates the protocol states."""
         return self._outcome.instruments
 
     @property
     def summary(self) -> dict[str, object]:
-        """The content of ``summary.json``, in SI units."""
+        """Return the content of ``summary.json``, in SI units."""
         return summary(self._outcome)
 
     @property
     def display(self) -> Test:
-        """The same test with numbers in the display units of its protocol."""
+        """Return the same test with numbers in the display units of its protocol."""
         return Test(
             self._outcome,
-            whole=lambda: self._whole,
+            read_full=lambda: self._full,
             folder=self.folder,
             units=Units(dict(self._outcome.display)),
         )
 
     @property
     def results(self) -> pd.DataFrame:
-        """The results, in the order of the protocol.
+        """Return the results, in the order of the protocol.
 
         By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (ends of the 95 % interval; NaN
         where not available), ``unit``, ``status``, ``code``, ``reason``.
@@ -149,7 +149,7 @@ class Test:
 
     @property
     def curve(self) -> pd.DataFrame:
-        """Force against displacement, after all steps and corrections.
+        """Return the force against displacement, after all steps and corrections.
 
         ``time``, ``displacement``, ``force``, ``branch`` (from 0 in order of travel, -1 outside)
         and ``cycle`` (from 1, 0 outside); units in ``attrs["units"]``.
@@ -165,7 +165,7 @@ class Test:
 
     @property
     def shape(self) -> pd.DataFrame:
-        """Positions along the specimen by ``time``, in columns (point, axis).
+        """Return the positions along the specimen by ``time``, in columns (point, axis).
 
         x is along the undeformed specimen from the clamped end, y in the plane of bending.
 
@@ -174,24 +174,24 @@ class Test:
         ProcessingError
             If the test has no shapes.
         """
-        shape = self._whole.shape
+        shape = self._full.shape
         if shape is None:
             raise self._missing(_SHAPE)
         return shape_frame(shape, self._units)
 
     @property
     def raw(self) -> Recordings:
-        """The recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
-        return Recordings(self._whole.recordings)
+        """Return the recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
+        return Recordings(self._full.recordings)
 
     @property
     def quality(self) -> pd.DataFrame:
-        """The quality notes: ``code``, ``severity``, ``where``, ``message``."""
+        """Return the quality notes: ``code``, ``severity``, ``where``, ``message``."""
         return quality_frame(self._outcome.quality)
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """Names of the figures of the protocol."""
+        """Return the names of the figures of the protocol."""
         return self._outcome.figures
 
     def figure(self, name: str) -> Figure:
@@ -215,7 +215,7 @@ class Test:
 
         if name not in FIGURES:
             raise self._unknown(_FIGURE, name, list(FIGURES))
-        return draw_figure(self._whole, name)
+        return draw_figure(self._full, name)
 
     def dataset(self, part: str) -> Dataset:
         """Return a part of the test as an xarray Dataset with axes and units, in SI.
@@ -233,10 +233,10 @@ class Test:
         """
         from labpipe.api.data_sets import PARTS, dataset_of
 
-        parts = [*PARTS, *self._whole.recordings]
+        parts = [*PARTS, *self._full.recordings]
         if part not in parts:
             raise self._unknown(_PART, part, parts)
-        dataset = dataset_of(self._whole, part)
+        dataset = dataset_of(self._full, part)
         if dataset is None:
             raise self._missing(part)
         return dataset
@@ -255,12 +255,12 @@ class Test:
     def _repr_html_(self) -> str:
         return page_of(self._outcome)
 
-    def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
-        examples = ", ".join(nearest(name, names, most=7))
+    def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
+        examples = ", ".join(nearest(name, names, limit=7))
         text = error_text(
             self.name,
             "",
-            expected=f"a {kind} such as {examples}" if names else f"a {kind}",
+            expected=f"a {what} such as {examples}" if names else f"a {what}",
             found=repr(name) if names else "none",
             remedy="Choose one of these." if names else "Look at `quality`.",
         )

@@ -119,7 +119,7 @@ class MarkerLayout:
 
     @property
     def length(self) -> float:
-        """Arc length of the tip, m."""
+        """Return the arc length of the tip, m."""
         return self.ends.length
 
     def fit(self, markers: Floats, *, more: int = 0) -> FrameFits:
@@ -342,12 +342,12 @@ def weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Fl
     return np.asarray(along @ rise.T - (length - arc_length) * (along @ powers(u, terms).T))
 
 
-def moments(at: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
+def moments(curves: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
     """Return the bending moment at stations under a force at the tip.
 
     Parameters
     ----------
-    at : the curves at the stations, shape (n, stations)
+    curves : the curves at the stations, shape (n, stations)
     tip : the curves at the tip, shape (n, 1)
     pull : shape (n, 2), N, along x and y
 
@@ -356,7 +356,9 @@ def moments(at: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
     shape (n, stations), N m: M(s) = Py (x_L - x) - Px (y_L - y), positive where it bends towards
     the pull.
     """
-    return np.asarray(pull[:, 1:] * (tip.x - at.x) - pull[:, :1] * (tip.y - at.y), dtype=np.float64)
+    return np.asarray(
+        pull[:, 1:] * (tip.x - curves.x) - pull[:, :1] * (tip.y - curves.y), dtype=np.float64
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -411,12 +413,12 @@ class BendingTest:
 
     @cached_property
     def layout(self) -> MarkerLayout:
-        """Layout of the markers."""
+        """Return the layout of the markers."""
         return marker_layout(self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip)
 
     @cached_property
     def specimen_at_rest(self) -> SpecimenAtRest:
-        """The specimen at rest.
+        """Return the specimen at rest.
 
         Raises
         ------
@@ -425,13 +427,13 @@ class BendingTest:
         """
         branch = np.where(self.rest, 0, -1)
         frames = mean_frames(self.shape, np.zeros(len(branch)), branch, per_mean=1)
-        whole = np.isfinite(frames.markers).all(axis=(1, 2))
-        n_frames = int(whole.sum())
+        is_complete = np.isfinite(frames.markers).all(axis=(1, 2))
+        n_frames = int(is_complete.sum())
         if n_frames < 2:
             message = f"rest: expected frames at rest that show all markers, found {n_frames}"
             raise ValueError(message)
-        fit = self.layout.fit(frames.markers[whole])
-        markers = frames.markers[whole].mean(axis=0)
+        fit = self.layout.fit(frames.markers[is_complete])
+        markers = frames.markers[is_complete].mean(axis=0)
         return SpecimenAtRest(
             markers=markers,
             coefficients=fit.coefficients.mean(axis=0)[None],

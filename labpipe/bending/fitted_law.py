@@ -134,9 +134,11 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
     compliance = _uniform_compliance(shapes, measured)
     for _ in range(max_rounds):
         moved, design = shapes.predict(compliance)
-        left = _centred(np.where(seen, measured - moved, 0.0)[..., None], seen, loaded.rest_weight)
+        residuals = _centred(
+            np.where(seen, measured - moved, 0.0)[..., None], seen, loaded.rest_weight
+        )
         design = _centred(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
-        flat, residual = design.reshape(-1, design.shape[2]), left.ravel()
+        flat, residual = design.reshape(-1, design.shape[2]), residuals.ravel()
         normal = flat.T @ flat
         better = _solve(normal, flat.T @ residual + normal @ compliance)
         change = float(np.abs(better - compliance).max() / np.abs(better).max())
@@ -145,13 +147,13 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
             break
     spread = _inverse(normal)
     pushes = np.einsum("kj,nmj->knm", spread, design)
-    covariance = _covariance(pushes[:, :-1], left[:-1, :, 0], seen)
+    covariance = _covariance(pushes[:, :-1], residuals[:-1, :, 0], seen)
     return LawFit(
         basis=basis,
         compliance=compliance,
         covariance=covariance,
         sensitivity=pushes[:, :-1],
-        residual=float(np.sqrt((left[:-1] ** 2).sum() / max(int(seen.sum()), 1))),
+        residual=float(np.sqrt((residuals[:-1] ** 2).sum() / max(int(seen.sum()), 1))),
         n=int(seen.sum()),
         variance=float(np.trace(covariance @ normal)) / len(compliance),
     )
@@ -204,23 +206,23 @@ def _inverse(normal: Floats) -> Floats:
     return np.asarray(inverse, dtype=np.float64)
 
 
-def _covariance(pushes: Floats, left: Floats, seen: Flags) -> Floats:
+def _covariance(pushes: Floats, residuals: Floats, seen: Flags) -> Floats:
     """Return the covariance of the compliances from residuals of shape (n, 2 markers)."""
     freedom = max(float(seen.sum()) - len(pushes) - seen.shape[1], 1.0)
-    between = _long_run(left, seen) * float(seen.sum()) / freedom
-    middle = np.einsum("knm,ml,jnl->kj", pushes, between, pushes, optimize=True)
+    covariance = _long_run(residuals, seen) * float(seen.sum()) / freedom
+    middle = np.einsum("knm,ml,jnl->kj", pushes, covariance, pushes, optimize=True)
     return np.asarray(middle, dtype=np.float64)
 
 
-def _long_run(left: Floats, seen: Flags) -> Floats:
+def _long_run(residuals: Floats, seen: Flags) -> Floats:
     """Return the long-run covariance between columns of residuals, with Bartlett's weights."""
-    count = len(left)
+    count = len(residuals)
     lags = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
     weights = seen.astype(np.float64)
-    total = left.T @ left / np.maximum(weights.T @ weights, 1.0)
+    total = residuals.T @ residuals / np.maximum(weights.T @ weights, 1.0)
     for lag in range(1, lags + 1):
         together = np.maximum(weights[lag:].T @ weights[:-lag], 1.0)
-        later = left[lag:].T @ left[:-lag] / together
+        later = residuals[lag:].T @ residuals[:-lag] / together
         total += (1.0 - lag / (lags + 1.0)) * (later + later.T)
     return np.asarray(total, dtype=np.float64)
 
@@ -287,7 +289,7 @@ class Loaded:
 
     @property
     def moved(self) -> Floats:
-        """Movement of the markers from rest, shape (n, 2 markers), m: x of all, then y."""
+        """Return the displacements from rest, shape (n, 2 markers), m: x of all markers, then y."""
         moved = self.markers - self.markers_at_rest
         return np.concatenate([moved[..., 0], moved[..., 1]], axis=1)
 
@@ -334,9 +336,9 @@ class LawShapes:
         moved = _centres(self.loaded, sine, cosine) - self.still
         along = -line.integral(sine[..., None] * turns)
         across = line.integral(cosine[..., None] * turns)
-        at = line.markers
-        along = along[:, at] - height * cosine[:, at, None] * turns[:, at]
-        across = across[:, at] - height * sine[:, at, None] * turns[:, at]
+        markers = line.markers
+        along = along[:, markers] - height * cosine[:, markers, None] * turns[:, markers]
+        across = across[:, markers] - height * sine[:, markers, None] * turns[:, markers]
         return moved, np.concatenate([along, across], axis=1)
 
     def _directions(self, compliance: Floats) -> tuple[Floats, Floats]:
@@ -348,9 +350,9 @@ class LawShapes:
 def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
     """Return the marker centres, shape (n, 2 markers): x of all, then y."""
     line, height = loaded.line, loaded.centre_offset
-    at = line.markers
-    x = line.integral(cosine)[:, at] - height * sine[:, at]
-    y = line.integral(sine)[:, at] + height * cosine[:, at]
+    markers = line.markers
+    x = line.integral(cosine)[:, markers] - height * sine[:, markers]
+    y = line.integral(sine)[:, markers] + height * cosine[:, markers]
     return np.concatenate([x, y], axis=1)
 
 
@@ -400,9 +402,9 @@ class LawBasis:
         shape (n, points, knots).
         """
         plain = self.values(moment) - self.values(rest)
-        way = moment - rest
-        turned = (way * rest < 0.0) & (np.abs(way) < 2.0 * np.abs(rest))
-        plain[turned] = 2.0 * self.values(0.5 * way[turned])
+        moment_change = moment - rest
+        turned = (moment_change * rest < 0.0) & (np.abs(moment_change) < 2.0 * np.abs(rest))
+        plain[turned] = 2.0 * self.values(0.5 * moment_change[turned])
         return plain
 
 

@@ -25,15 +25,14 @@ from labpipe.bending.fitted_law import (
     refine_law,
 )
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import Reason
 
 N_MEANS = 80
 """Means over consecutive frames for the fit of the first loading."""
-_NORMAL_95 = 1.959963984540054
 N_CLOUD_ROWS = 50
 """Rows of the cloud in the first loading."""
-N_STATIONS = 17
+N_CLOUD_STATIONS = 17
 """Places along the specimen."""
 
 
@@ -258,12 +257,12 @@ def law_points(
     reached = basis.values(fine) @ compliance
     inside = (curvature >= 0.0) & (curvature <= reached[-1] * (1.0 + 1e-12))
     moment = np.where(inside, np.interp(curvature, reached, fine), np.nan)
-    at = np.nan_to_num(moment)
-    slopes = basis.slopes(at)
+    finite_moment = np.nan_to_num(moment)
+    slopes = basis.slopes(finite_moment)
     with np.errstate(divide="ignore", invalid="ignore"):
         softness = slopes @ compliance
-        by_law = -basis.values(at) / softness[:, None]
-        bend = _slope_of_slope(knots, compliance, at)
+        by_law = -basis.values(finite_moment) / softness[:, None]
+        bend = _slope_of_slope(knots, compliance, finite_moment)
         by_slope = -(slopes + bend[:, None] * by_law) / softness[:, None] ** 2
         secant, tangent = moment / curvature, 1.0 / softness
         moment_error = _error(by_law, covariance, scale_error * moment)
@@ -322,16 +321,20 @@ def tabulate(
     covariance = fit.covariance + sum(np.outer(change, change) for change in common)
     largest = float(fit.basis.values(fit.basis.knots[-1:])[0] @ fit.compliance)
     curvature = largest * (np.arange(n_rows) / (n_rows - 1)) ** 2
-    at = law_points(fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error)
-    floor = _NORMAL_95 * curvature_noise
+    points = law_points(
+        fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error
+    )
+    floor = NORMAL_95 * curvature_noise
     is_known = np.asarray(
-        (curvature > floor) & (_NORMAL_95 * at.moment_error < at.moment), dtype=np.bool_
+        (curvature > floor) & (NORMAL_95 * points.moment_error < points.moment), dtype=np.bool_
     )
     return MeasuredLaw(
         curvature=curvature,
-        **_with_ends("moment", at.moment, at.moment_error, np.isfinite(at.moment_error)),
-        **_with_ends("secant", at.secant, at.secant_error, is_known),
-        **_with_ends("tangent", at.tangent, at.tangent_error, is_known),
+        **_with_ends(
+            "moment", points.moment, points.moment_error, np.isfinite(points.moment_error)
+        ),
+        **_with_ends("secant", points.secant, points.secant_error, is_known),
+        **_with_ends("tangent", points.tangent, points.tangent_error, is_known),
         is_known=is_known,
         reason=_unknown_reason(curvature, is_known, floor),
         floor=floor,
@@ -347,7 +350,7 @@ def tabulate(
 
 def _with_ends(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict[str, Floats]:
     """Return a column with the ends of its interval; a moment is kept without its ends."""
-    half = _NORMAL_95 * np.where(is_shown, error, np.nan)
+    half = NORMAL_95 * np.where(is_shown, error, np.nan)
     middle = value if name == "moment" else np.where(is_shown, value, np.nan)
     return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
 
@@ -389,7 +392,7 @@ def bending_cloud(test: BendingTest) -> BendingCloud:
     count = int((test.branch == test.first).sum())
     frames = test.frames(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
     length, rest, means = test.layout.length, test.specimen_at_rest, frames.means
-    places = np.linspace(0.0, length, N_STATIONS)
+    places = np.linspace(0.0, length, N_CLOUD_STATIONS)
     now = curves_at(frames.coefficients, length, places)
     curvature = now.curvature - curves_at(rest.coefficients, length, places).curvature
     moment = test.moments(frames.coefficients, means.force, places)

@@ -50,10 +50,10 @@ def find_campaign(folder: Path) -> CampaignFolders:
     if not folder.is_dir():
         state = "a file" if folder.exists() else "nothing of that name"
         raise _no_campaign(folder, "the folder of a campaign", state)
-    there = folder.resolve()
-    for above in (there, *there.parents):
+    start = folder.resolve()
+    for above in (start, *start.parents):
         if above.name in {RAW, PROCESSED}:
-            name = there.relative_to(above)
+            name = start.relative_to(above)
             raw, processed = (_as_typed(above.parent / top / name) for top in (RAW, PROCESSED))
             if (raw / SHEET_NAME).is_file():
                 raise _no_campaign(
@@ -82,8 +82,8 @@ def name_of_campaign(folder: Path) -> str:
 
 def _as_typed(path: Path) -> Path:
     """Return a path relative to the working folder if it is below it, for messages in files."""
-    here = Path.cwd().resolve()
-    return path.relative_to(here) if path.is_relative_to(here) else path
+    current = Path.cwd().resolve()
+    return path.relative_to(current) if path.is_relative_to(current) else path
 
 
 def _no_campaign(folder: Path, expected: str, state: str) -> UsageError:
@@ -145,12 +145,12 @@ class OutcomeFiles:
 
     @property
     def has_results(self) -> bool:
-        """Whether there are complete results."""
+        """Return whether there are complete results."""
         return f"{SUMMARY_FILE}:" in self.marks and f"{RESULT_FILE}:" in self.marks
 
     @property
     def has_failure(self) -> bool:
-        """Whether the last attempt failed."""
+        """Return whether the last attempt failed."""
         return f"{FAILURE_FILE}:" in self.marks
 
 
@@ -168,9 +168,9 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     outcomes = {}
     for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES):
         is_finish_interrupted = bool(hidden & {*STAGES}) and _finish_interrupted(Path(place))
-        there = os.listdir(place) if is_finish_interrupted else files  # noqa: PTH208  names, as from the walk
-        if {*_OUTCOME} & {*there}:
-            outcomes[label] = OutcomeFiles(Path(place), _marks(place, there))
+        names = os.listdir(place) if is_finish_interrupted else files  # noqa: PTH208  names, as from the walk
+        if {*_OUTCOME} & {*names}:
+            outcomes[label] = OutcomeFiles(Path(place), _marks(place, names))
     return outcomes
 
 
@@ -212,9 +212,9 @@ def _walk(
     top: Path, refused: list[str], *, skipped: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
     """Yield folders below a folder, without hidden ones and links: files and hidden names."""
-    left = [("", str(top))]
-    while left:
-        label, place = left.pop()
+    pending = [("", str(top))]
+    while pending:
+        label, place = pending.pop()
         try:
             with os.scandir(place) as entries:
                 every = list(entries)
@@ -229,7 +229,7 @@ def _walk(
             continue
         files = [entry.name for entry in seen if entry.name not in folders]
         yield label, place, files, {entry.name for entry in every if entry.name.startswith(".")}
-        left += [
+        pending += [
             (f"{label}/{name}" if label else name, f"{place}/{name}")
             for name in sorted(folders, reverse=True)
             if name != skipped
@@ -237,7 +237,7 @@ def _walk(
 
 
 def _is_text(name: str) -> bool:
-    """Whether a name is valid text: on Linux it may be any bytes."""
+    """Return whether a name is valid text: on Linux it may be any bytes."""
     return name.isascii() or not any("\ud800" <= sign <= "\udfff" for sign in name)
 
 

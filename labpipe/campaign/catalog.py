@@ -109,7 +109,7 @@ class TestRow:
 
     @property
     def attempt(self) -> str:
-        """Key of the last attempt; empty without any."""
+        """Return the key of the last attempt; empty without any."""
         return self.failed_run or self.run
 
 

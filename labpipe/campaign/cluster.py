@@ -27,8 +27,7 @@ from labpipe import __version__
 from labpipe.campaign.executors import Outcome, failed_outcome, outcome_of, outcome_of_call
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess
 from labpipe.errors import ProcessingError, UsageError, error_text
-from labpipe.process.run import PROCESSING_VERSION, SUMMARY_FILE
-from labpipe.process.test_runner import Task, refuse
+from labpipe.process.run import PROCESSING_VERSION, SUMMARY_FILE, Task, refuse
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -37,8 +36,6 @@ Versions: TypeAlias = tuple[str, int]
 """Version of labpipe, and processing version."""
 _METADATA = "labpipe"
 """Key of the scheduler metadata that counts unfinished starts of tests."""
-_MAX_LOST_WORKERS = 2
-"""Workers that a test may lose before it is refused."""
 _CONNECT_TIMEOUT = 10.0
 """s to wait for the scheduler, and for a first worker."""
 _UPDATE_INTERVAL = 5.0
@@ -101,6 +98,7 @@ def process_on_worker(
     address : of the worker
     ended : outcome of the test; the versions of this labpipe if they differ
     """
+    max_lost_workers = 2  # workers that a test may lose before it is refused
     from distributed import get_client, get_worker
 
     address = str(get_worker().address)
@@ -110,7 +108,7 @@ def process_on_worker(
         return address, FilesNotVisible()
     client, counter = get_client(), [_METADATA, test.run, str(test.task.sheet)]
     times = int(client.get_metadata(counter, 0))
-    if times >= _MAX_LOST_WORKERS:
+    if times >= max_lost_workers:
         return address, LostWorkers(times)
     client.set_metadata(counter, times + 1)
     with _worker_process() as process:
@@ -179,12 +177,12 @@ def process_on_cluster(
     ProcessingError
         If the scheduler or all workers are lost during the run; started tests continue.
     """
-    left = iter(tasks)
-    first = list(islice(left, 1))
+    remaining = iter(tasks)
+    first = list(islice(remaining, 1))
     if not first:
         return
     with _without_logging(), _connect(address) as client:
-        scheduler = _ClusterRun(client, chain(first, left), address, limit)
+        scheduler = _ClusterRun(client, chain(first, remaining), address, limit)
         try:
             yield from scheduler.outcomes()
         finally:
@@ -409,7 +407,7 @@ class _ClusterRun:
 
 
 def _is_seen(outcome: Outcome, until: float) -> bool:
-    """Whether the results of a worker are visible here; waits for a slow drive."""
+    """Return whether the results of a worker are visible here; waits for a slow drive."""
     if outcome.folder is None or outcome.state == "failed":
         return True
     wanted = json.dumps(outcome.run)
@@ -434,12 +432,12 @@ class _ClusterWorkers:
 
     @property
     def fit(self) -> frozenset[str]:
-        """Addresses of the usable workers."""
+        """Return the addresses of the usable workers."""
         return frozenset(self._threads.keys() - self.unfit.keys())
 
     @property
     def threads(self) -> int:
-        """Number of tests that they run at the same time."""
+        """Return the number of tests that they run at the same time."""
         return sum(self._threads[worker] for worker in self.fit)
 
     def wait_for_workers(self) -> None:

@@ -53,12 +53,12 @@ class Stamp:
 
     @property
     def looks(self) -> tuple[int, int, int, int]:
-        """State that is compared."""
+        """Return the state that is compared."""
         return self.size, self.modified, self.changed, self.number
 
     @property
     def is_sure(self) -> bool:
-        """Whether any later change of the file changes its state.
+        """Return whether any later change of the file changes its state.
 
         False for a hash taken too soon after the last change, or before it (clock set back).
         """
@@ -253,11 +253,11 @@ class ContentKeys:
             key: specimen[key] for key in specimen if key not in _OF_SPECIMEN
         }
         written = self._protocol_text(sheet.protocol, sheet_path.parent)
-        kind = json.dumps([written, sorted(sheet.files), processing_keys], sort_keys=True)
-        if kind not in self._resolved:
+        cache_key = json.dumps([written, sorted(sheet.files), processing_keys], sort_keys=True)
+        if cache_key not in self._resolved:
             protocol = resolve(sheet, sheet_path, follow_links=True)
-            self._resolved[kind] = _Resolved(dump_protocol(protocol), protocol)
-        return self._resolved[kind]
+            self._resolved[cache_key] = _Resolved(dump_protocol(protocol), protocol)
+        return self._resolved[cache_key]
 
 
 def _about(sheet: TestSheet) -> dict[str, str]:

@@ -22,11 +22,12 @@ DECISIONS: Final = "decisions.json"
 SCHEMA: Final = 1
 ACCEPT, REJECT = "accept", "reject"
 NO_SUCH_TEST: Final = "there is no such test"
-OPEN_AGAIN: Final = "open again: exports, sheet, protocol or labpipe changed since"
+NEEDS_NEW_DECISION: Final = (
+    "needs a new decision: exports, sheet, protocol or labpipe changed since"
+)
 OTHER_KEY: Final = "exports, sheet, protocol or labpipe changed since the decision"
-_TEXTS = ("test", "run", "decision", "because", "by", "when")
-_NEEDED = ("test", "run", "decision", "because", "by")
-_MOST_BYTES = 50_000_000
+_TEXT_KEYS = ("test", "run", "decision", "because", "by", "when")
+_REQUIRED_KEYS = ("test", "run", "decision", "because", "by")
 _REPAIR = "Repair the file, or move it away and decide again; the file was not changed."
 
 
@@ -61,13 +62,13 @@ class DecisionFile:
     ----------
     decisions : the readable ones, in order
     faults : what is wrong with the file or with single decisions, as messages
-    is_whole : whether the file could be read; there are no decisions otherwise
-    document : its complete content
+    is_readable : False if the file cannot be read; `decisions` is then empty
+    document : parsed JSON of the file
     """
 
     decisions: tuple[Decision, ...] = ()
     faults: tuple[str, ...] = ()
-    is_whole: bool = True
+    is_readable: bool = True
     document: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -77,7 +78,8 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
     Parameters
     ----------
     folder : of the results of the campaign
-    campaign : its name, to report files of another one; empty if not known
+    campaign : name of the expected campaign; decisions of another one are reported; empty if
+        unknown
 
     Returns
     -------
@@ -93,7 +95,8 @@ def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
     Parameters
     ----------
     path : of the file
-    campaign : its name, to report files of another one; empty if not known
+    campaign : name of the expected campaign; decisions of another one are reported; empty if
+        unknown
 
     Returns
     -------
@@ -101,7 +104,7 @@ def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
     """
     document = _document(path)
     if isinstance(document, str):
-        return DecisionFile(faults=(document,), is_whole=False)
+        return DecisionFile(faults=(document,), is_readable=False)
     return decisions_in(document, path, campaign)
 
 
@@ -112,7 +115,8 @@ def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") ->
     ----------
     document : with a list ``decisions``
     path : of the document, for messages
-    campaign : its name, to report documents of another one; empty if not known
+    campaign : name of the expected campaign; decisions of another one are reported; empty if
+        unknown
 
     Returns
     -------
@@ -137,8 +141,9 @@ def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") ->
 
 def _document(path: Path) -> dict[str, Any] | str:
     """Read the content of the file, or return a message."""
+    max_file_bytes = 50_000_000
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size > max_file_bytes:
             return _file_error(path, "", f"{path.stat().st_size} bytes")
         document = json.loads(path.read_text(encoding="utf-8-sig"))
     except json.JSONDecodeError as error:
@@ -179,16 +184,16 @@ def _decision(path: Path, number: int, entry: object) -> Decision | str:
         return error_text(
             path, place, expected="a decision", found=repr(entry)[:60], remedy=_REPAIR
         )
-    missing = [key for key in _NEEDED if not str(entry.get(key) or "").strip()]
+    missing = [key for key in _REQUIRED_KEYS if not str(entry.get(key) or "").strip()]
     if missing:
-        state = f"none of {', '.join(missing)}"
+        state = f"missing or empty: {', '.join(missing)}"
         expected = "test, run, decision, because and by"
         return error_text(path, place, expected=expected, found=state, remedy=_REPAIR)
     if entry["decision"] not in {ACCEPT, REJECT}:
         state = repr(entry["decision"])[:60]
         expected = f"{ACCEPT} or {REJECT}"
         return error_text(path, place, expected=expected, found=state, remedy=_REPAIR)
-    texts = {key: encodable(entry.get(key) or "") for key in (*_TEXTS, "note")}
+    texts = {key: encodable(entry.get(key) or "") for key in (*_TEXT_KEYS, "note")}
     return Decision(**texts)
 
 
@@ -202,7 +207,7 @@ def by_test_and_run(decisions: Iterable[Decision]) -> dict[tuple[str, str], Deci
     return {(decision.test, decision.run): decision for decision in decisions}
 
 
-def in_force(decisions: Iterable[Decision], *, run: str) -> Decision | None:
+def applicable_decision(decisions: Iterable[Decision], *, run: str) -> Decision | None:
     """Return the decision that applies to a test: the last one on its key.
 
     A test that was rejected on another key stays rejected until a person decides again.
@@ -216,7 +221,7 @@ def in_force(decisions: Iterable[Decision], *, run: str) -> Decision | None:
     current = next((decision for decision in newest_first if decision.run == run), None)
     if current is None and newest_first and newest_first[0].decision == REJECT:
         last = newest_first[0]
-        return replace(last, because=f"{last.because} ({OPEN_AGAIN})")
+        return replace(last, because=f"{last.because} ({NEEDS_NEW_DECISION})")
     return current
 
 
@@ -228,7 +233,7 @@ def unapplied_decisions(
     Parameters
     ----------
     decisions : in order
-    runs : present key of each test, by test
+    runs : current key of each test, by test
 
     Yields
     ------
@@ -269,10 +274,10 @@ def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) ->
     # s to wait for another process that writes
     lock_timeout = 30.0
     with locked(folder, patience=lock_timeout):
-        earlier = read_decisions(folder)
-        if not earlier.is_whole:
-            raise UsageError("\n".join(earlier.faults))
-        document = {"schema": SCHEMA, "campaign": campaign, "decisions": [], **earlier.document}
+        stored = read_decisions(folder)
+        if not stored.is_readable:
+            raise UsageError("\n".join(stored.faults))
+        document = {"schema": SCHEMA, "campaign": campaign, "decisions": [], **stored.document}
         document["decisions"] = [*document["decisions"], *map(decision_entry, decisions)]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         with replacing(folder / DECISIONS) as temporary:
@@ -286,7 +291,7 @@ def decision_entry(decision: Decision) -> dict[str, str]:
     ----------
     decision : any
     """
-    texts = {key: getattr(decision, key) for key in _TEXTS}
+    texts = {key: getattr(decision, key) for key in _TEXT_KEYS}
     return texts | ({"note": decision.note} if decision.note else {})
 
 
@@ -295,24 +300,24 @@ def now() -> str:
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 
-def largest_move(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> float:
-    """Compare the results of a test before and after.
+def largest_change(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> float:
+    """Return the largest relative change between two sets of results of a test.
 
     Parameters
     ----------
-    before, after : results
+    before, after : earlier and later results
 
     Returns
     -------
-    The largest change in widths of the earlier interval; infinite if a result was added, lost or
-    failed, or changed without an interval.
+    The largest change of a value, divided by the width of its earlier interval; infinite if a
+    result was added or removed, has no value, or changed without an interval.
     """
     if [row.name for row in before] != [row.name for row in after]:
         return float("inf")
-    return max(map(_relative_move, before, after), default=0.0)
+    return max(map(_relative_change, before, after), default=0.0)
 
 
-def _relative_move(before: ResultRow, after: ResultRow) -> float:
+def _relative_change(before: ResultRow, after: ResultRow) -> float:
     if before.value == after.value:
         return 0.0
     numbers = (before.value, before.lower, before.upper, after.value)
@@ -329,22 +334,22 @@ def carry_over(
 
     Parameters
     ----------
-    decision : on the results before
-    run : key of the results after
-    before, after : the results
+    decision : on the earlier results
+    run : key of the later results
+    before, after : earlier and later results
 
     Returns
     -------
-    The same decision on the new key, with a note; None if a number moved by more than a tenth of
+    The same decision on the new key, with a note; None if a value changed by more than a tenth of
     its interval, which needs a new decision.
     """
-    max_move = 0.1
-    moved = largest_move(before, after)
-    if moved > max_move:
+    max_change = 0.1
+    change = largest_change(before, after)
+    if change > max_change:
         return None
     note = (
         f"carried over from {decision.run}: only the processing version changed, and no number"
-        f" moved by more than {moved:.2g} of its interval"
+        f" changed by more than {change:.2g} of its interval"
     )
     return Decision(
         decision.test, run, decision.decision, decision.because, decision.by, decision.when, note
@@ -357,18 +362,18 @@ def decision_folder(test: Path, shared: Path) -> Path:
     Parameters
     ----------
     test : folder of its results
-    shared : folder of the campaign, used while none has decisions
+    shared : folder of the campaign, used if no folder above the test contains decisions
 
     Returns
     -------
     The nearest folder above the test with decisions, resolved.
     """
-    around = test.resolve().parents
-    return next((parent for parent in around if (parent / DECISIONS).is_file()), shared.resolve())
+    parents = test.resolve().parents
+    return next((parent for parent in parents if (parent / DECISIONS).is_file()), shared.resolve())
 
 
 def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
-    """Find the decisions on tests by their results.
+    """Find the decisions on tests by their result files.
 
     Parameters
     ----------
@@ -376,12 +381,13 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
 
     Returns
     -------
-    Decisions on each test by file, in order, for any key; only of campaigns with decisions.
+    Decisions on each test by result file, in order and for all keys. Files of campaigns without
+    decisions are left out.
 
     Raises
     ------
     StoreError
-        If the decisions cannot be read: rejected tests must stay out.
+        If decisions cannot be read, because a rejected test might then be included.
     """
     decisions: dict[Path, tuple[Decision, ...]] = {}
     read: dict[Path, dict[str, list[Decision]]] = {}
@@ -392,7 +398,7 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
             continue
         if home not in read:
             stored = read_decisions(home)
-            if not stored.is_whole:
+            if not stored.is_readable:
                 raise StoreError("\n".join(stored.faults))
             read[home] = {}
             for decision in stored.decisions:
@@ -407,7 +413,8 @@ def label_of(file: Path, shared: Path) -> str:
     Parameters
     ----------
     file : a result.h5
-    shared : folder of the campaign, used while none has decisions
+
+    shared : folder of the campaign, used if no folder above the test contains decisions
     """
     test = file.resolve().parent
     home = decision_folder(test, shared)
@@ -423,7 +430,7 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
 
     Returns
     -------
-    left : the others, in order
+    kept : files of the other tests, in order
     rejected : reason, person and time by file
 
     Raises
@@ -433,13 +440,13 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
     """
     rejected = {}
     for file, decisions in decisions_on(files).items():
-        decision = in_force(decisions, run=read_run(file)) if decisions else None
+        decision = applicable_decision(decisions, run=read_run(file)) if decisions else None
         if decision is not None and decision.decision == REJECT:
             rejected[file] = decision_sentence(decision)
-    left = [file for file in files if file not in rejected]
-    if not left:
+    kept = [file for file in files if file not in rejected]
+    if not kept:
         raise UsageError("\n".join(f"{file}: rejected: {why}" for file, why in rejected.items()))
-    return left, rejected
+    return kept, rejected
 
 
 def decision_sentence(decision: Decision) -> str:
@@ -460,12 +467,12 @@ class ImportedDecisions:
     ----------
     added : new decisions, in order
     n_known : number of decisions that were stored already
-    left : decisions that were not imported, and why
+    not_imported : decisions that were not imported, and why
     """
 
     added: list[Decision] = field(default_factory=list)
     n_known: int = 0
-    left: list[tuple[Decision, str]] = field(default_factory=list)
+    not_imported: list[tuple[Decision, str]] = field(default_factory=list)
 
 
 def import_decision_file(
@@ -497,7 +504,7 @@ def import_decision_file(
         expected, (state, remedy) = "a file saved by a report page", fault
         raise UsageError(error_text(file, "", expected=expected, found=state, remedy=remedy))
     read = read_decision_file(file, campaign)
-    if not read.is_whole:
+    if not read.is_readable:
         raise UsageError("\n".join(read.faults))
     return import_decisions(folder, campaign, read.decisions), read.faults
 
@@ -533,22 +540,22 @@ def import_decisions(
     stored = {file: {*labelled} for file, labelled in decisions_on([*named]).items()}
     labels = {file: label_of(file, folder) for file in named}
     runs = {file: _run_of(file) for file in named}
-    taken = ImportedDecisions()
+    imported = ImportedDecisions()
     at_home: dict[Path, list[Decision]] = {}
     for decision in wanted:
         file, why = _find_decided_result(decision, files.get(decision.test, ()), runs)
         if file is None:
-            taken.left.append((decision, why))
+            imported.not_imported.append((decision, why))
             continue
         labelled = replace(decision, test=labels[file])
         if labelled in stored.get(file, ()):
-            taken.n_known += 1
+            imported.n_known += 1
         else:
-            taken.added.append(decision)
+            imported.added.append(decision)
             at_home.setdefault(decision_folder(file.parent, folder), []).append(labelled)
     for home, new in at_home.items():
         add_decisions(home, campaign, new)
-    return taken
+    return imported
 
 
 def _results(folder: Path) -> dict[str, list[Path]]:

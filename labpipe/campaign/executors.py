@@ -20,8 +20,16 @@ from labpipe.campaign.workers import (
 )
 from labpipe.errors import LabpipeError, UsageError, error_text
 from labpipe.process.output_paths import refuse_repeated
-from labpipe.process.run import Processed, Say, name_of, results_folder_of
-from labpipe.process.test_runner import Refused, Task, attempt, refuse
+from labpipe.process.run import (
+    Processed,
+    Refused,
+    Say,
+    Task,
+    attempt,
+    name_of,
+    refuse,
+    results_folder_of,
+)
 from labpipe.records.result import Status
 
 __all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local", "process_tests"]

@@ -53,17 +53,17 @@ def settings_of(protocol: Protocol) -> Settings:
     return dict(_flat({key: data[key] for key in _SECTIONS if data.get(key) is not None}, ""))
 
 
-def _flat(data: object, at: str) -> Iterator[tuple[str, str]]:
+def _flat(data: object, path: str) -> Iterator[tuple[str, str]]:
     inner: dict[str, Any] = {}
     if isinstance(data, dict):
         inner = {str(key): value for key, value in data.items()}
     elif isinstance(data, list) and any(isinstance(item, dict) for item in data):
         inner = _by_label(data)
-        yield at, ", ".join(inner)
+        yield path, ", ".join(inner)
     else:
-        yield at, str(data)
+        yield path, str(data)
     for key, value in inner.items():
-        yield from _flat(value, f"{at}.{key}" if at else key)
+        yield from _flat(value, f"{path}.{key}" if path else key)
 
 
 def _by_label(items: Sequence[Any]) -> dict[str, Any]:
@@ -320,7 +320,7 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
     unknown = [name for name in wanted if name not in fields]
     if not unknown:
         return
-    best = nearest(unknown[0], fields, most=1)[0]
+    best = nearest(unknown[0], fields, limit=1)[0]
     message = error_text(
         option,
         "",

@@ -58,12 +58,12 @@ def is_on_this_machine(path: Path) -> bool:
     -------
     False also if it is not known.
     """
-    place, kind, depth = path.resolve(), "", 0
+    place, file_system, depth = path.resolve(), "", 0
     # On Windows, a list of all drives has those of the network, which may take seconds to answer.
     for mount in psutil.disk_partitions(all=sys.platform != "win32"):
         if place.is_relative_to(mount.mountpoint) and len(mount.mountpoint) >= depth:
-            kind, depth = mount.fstype.lower(), len(mount.mountpoint)
-    return bool(kind) and kind not in _SHARED and not kind.startswith("fuse")
+            file_system, depth = mount.fstype.lower(), len(mount.mountpoint)
+    return bool(file_system) and file_system not in _SHARED and not file_system.startswith("fuse")
 
 
 MAX_CLAIM_AGE = 24 * 3600.0

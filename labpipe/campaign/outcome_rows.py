@@ -80,7 +80,7 @@ class StoredOutcome:
 
     @property
     def attempt(self) -> str:
-        """Key of the last attempt."""
+        """Return the key of the last attempt."""
         return self.failed_run if self.has_failed else self.run
 
 

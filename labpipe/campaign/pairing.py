@@ -44,12 +44,12 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Name of the folder."""
+        """Return the name of the folder."""
         return self.folder.name
 
     @property
     def sheet(self) -> Path:
-        """Path of its test sheet, which may be missing."""
+        """Return the path of its test sheet, which may be missing."""
         return self.folder / SHEET_NAME
 
 
@@ -272,9 +272,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     if early:
         return PairingOutcome(None, missing=early)
     copies = _copy_exports(candidate)
-    around = neighbours_in(candidate.folder.resolve().parent)
-    seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=around)
-    missing = _missing(seen, plan, around.protocols_beside(candidate.folder), waited)
+    neighbours = neighbours_in(candidate.folder.resolve().parent)
+    seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=neighbours)
+    missing = _missing(seen, plan, neighbours.protocols_beside(candidate.folder), waited)
     if seen.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unread=seen.unread)
@@ -301,7 +301,7 @@ def _with_sheet(candidate: Candidate) -> PairingOutcome:
 
 
 def _differs(path: Path, copy: Path) -> bool:
-    """Whether an export has changed since it was copied, by size and time."""
+    """Return whether an export has changed since it was copied, by size and time."""
     if not copy.exists():
         return False
     one, other = path.stat(), copy.stat()

@@ -96,9 +96,9 @@ def query_results(catalog: Catalog, where: str) -> Iterator[Answer]:
     with catalog.reading() as connection:
         fields = _fields(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
-        most, passed = base_steps + steps_per_result * results, count(1)
+        max_steps, passed = base_steps + steps_per_result * results, count(1)
         connection.set_authorizer(_authorize_reads)
-        connection.set_progress_handler(lambda: next(passed) > most, _STEPS_PER_CHECK)
+        connection.set_progress_handler(lambda: next(passed) > max_steps, _STEPS_PER_CHECK)
         try:
             yield _answer(connection, where, fields)
         finally:
@@ -142,7 +142,7 @@ def _condition_error(where: str, error: Exception, columns: list[str]) -> UsageE
     remedy = "See the columns in docs/how-to/run-a-campaign.md."
     missing = re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message)
     if missing:
-        close = ", ".join(nearest(missing[1], columns, most=3))
+        close = ", ".join(nearest(missing[1], columns, limit=3))
         remedy = f"Nearest: {close}. Write text in single quotes: type = 'A1'."
     elif "interrupted" in message:
         message, remedy = "one that takes too long", "Limit its recursive part."

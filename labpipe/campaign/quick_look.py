@@ -22,8 +22,6 @@ from labpipe.statistics.means import t_quantile
 
 MAX_NUMBERS: Final = 3
 """Numbers in a verdict."""
-MIN_GROUP_TESTS: Final = 6
-"""Tests needed to judge what is outside the spread; with fewer, only the range is shown."""
 _IGNORED_FIELDS = ("spool", "sample", "uncertainty")
 """Fields of the specimen that may differ within a group."""
 
@@ -228,8 +226,8 @@ def actions_for(codes: Iterable[str], *, outside: bool = False) -> str:
     chosen += ["compare the set-up with that of the other tests before dismounting"] * outside
     if not chosen:
         return "nothing to check: the specimen can be dismounted"
-    left = len(chosen) - max_actions
-    more = f"; and {left} more in summary.json" if left > 0 else ""
+    n_hidden = len(chosen) - max_actions
+    more = f"; and {n_hidden} more in summary.json" if n_hidden > 0 else ""
     return f"while it is mounted: {'; '.join(chosen[:max_actions])}{more}"
 
 
@@ -265,6 +263,8 @@ def _main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry
 
 
 def _number(result: _Entry, group: Group, folder: Path, display: Mapping[str, str]) -> _Number:
+    # Tests needed to judge what is outside the spread; with fewer, only the range is shown.
+    min_group_tests = 6
     name, value = result["name"], float(result["value"])
     scale = shown_in(name, result["unit"], display)
     others = np.array(group.of(name, but=folder))
@@ -272,7 +272,7 @@ def _number(result: _Entry, group: Group, folder: Path, display: Mapping[str, st
     n = len(others)
     if n == 0:
         return _Number(name, text, "first of its group")
-    if n < MIN_GROUP_TESTS:
+    if n < min_group_tests:
         low, high = sorted(scale.factor * np.array([others.min(), others.max()]))
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
         return _Number(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")

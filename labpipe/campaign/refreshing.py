@@ -41,9 +41,9 @@ from labpipe.campaign.decisions import (
     Decision,
     DecisionFile,
     add_decisions,
+    applicable_decision,
     by_test_and_run,
     carry_over,
-    in_force,
     read_decisions,
 )
 from labpipe.campaign.machine import Claim
@@ -56,8 +56,6 @@ from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import locked
 
 _WITHOUT_SHEET = "without test.yaml"
-PATIENCE = 30.0
-"""s to wait for another process that makes the catalog."""
 
 
 @dataclass(slots=True)
@@ -94,7 +92,7 @@ class Overview:
 
     @property
     def counts(self) -> Counter[str]:
-        """Number of tests by state."""
+        """Return the number of tests by state."""
         return Counter(map(self.state_of, self.rows))
 
 
@@ -123,6 +121,7 @@ def open_campaign(campaign: CampaignFolders, *, start_empty: bool = False) -> It
 def _open_or_make_catalog(
     campaign: CampaignFolders, notes: list[str], *, start_empty: bool
 ) -> Catalog:
+    lock_timeout = 30.0  # s to wait for another process that makes the catalog
     folder = campaign.processed
     if not start_empty:
         with suppress(NoCatalog):
@@ -133,7 +132,7 @@ def _open_or_make_catalog(
     if not can_write(path):
         notes.append(f"{path}: the folder is read-only: the catalog was made in memory")
         return new_catalog(folder)
-    with locked(folder, patience=PATIENCE):
+    with locked(folder, patience=lock_timeout):
         try:
             catalog = open_catalog(folder)
         except NoCatalog as why:
@@ -171,7 +170,7 @@ class CatalogSync:
         self.campaign, self.catalog, self.notes = campaign, catalog, notes
         self._keys = ContentKeys()
         self._decisions = DecisionFile()
-        self._in_force: dict[tuple[str, str], Decision] = {}
+        self._decision_by_run: dict[tuple[str, str], Decision] = {}
 
     def refresh(self) -> Overview:
         """Update the catalog from all files.
@@ -210,8 +209,8 @@ class CatalogSync:
         sheet = self.campaign.raw / folder / SHEET_NAME
         files = find_outcome(self.campaign, folder)
         row, seen = self.catalog.row_of(folder), self.catalog.seen_of(folder)
-        there = sheet if sheet.is_file() else None
-        entry = self._new_entry(folder, there, files, row, seen)
+        sheet_file = sheet if sheet.is_file() else None
+        entry = self._new_entry(folder, sheet_file, files, row, seen)
         if entry is not None:
             self.catalog.put([entry])
             return entry.row
@@ -251,7 +250,7 @@ class CatalogSync:
         """Read the decisions of the campaign, for later updates."""
         campaign = self.campaign
         self._decisions = read_decisions(campaign.processed, campaign.name)
-        self._in_force = by_test_and_run(self._decisions.decisions)
+        self._decision_by_run = by_test_and_run(self._decisions.decisions)
         self._on_test: dict[str, list[Decision]] = {}
         for decision in self._decisions.decisions:
             self._on_test.setdefault(decision.test, []).append(decision)
@@ -259,7 +258,10 @@ class CatalogSync:
     def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
         runs = {folder: row.attempt for folder, row in rows.items()}
         decisions = [
-            (decision, self._in_force.get((decision.test, runs.get(decision.test, ""))) is decision)
+            (
+                decision,
+                self._decision_by_run.get((decision.test, runs.get(decision.test, ""))) is decision,
+            )
             for decision in self._decisions.decisions
         ]
         self.catalog.put_decisions(decisions)
@@ -295,7 +297,7 @@ class CatalogSync:
         return Entry(new_row, renewed, outcome.inputs, outcome.results)
 
     def _is_current(self, row: TestRow, content: Content | None) -> bool:
-        """Whether a row is still valid for the present content and decisions."""
+        """Return whether a row is still valid for the present content and decisions."""
         if row.state == PENDING:
             return True
         is_stale = content is not None and content.key != row.attempt
@@ -308,16 +310,16 @@ class CatalogSync:
         return row.state == REJECTED and facts == (row.why, row.decided_by, row.decided)
 
     def _rejection(self, folder: str, run: str) -> Decision | None:
-        decision = in_force(self._on_test.get(folder, ()), run=run)
+        decision = applicable_decision(self._on_test.get(folder, ()), run=run)
         return decision if decision is not None and decision.decision == REJECT else None
 
     def _decision_on(
         self, folder: str, outcome: StoredOutcome, row: TestRow | None
     ) -> Decision | None:
         """Return the rejection of a test; carry it over if only the processing version changed."""
-        if (folder, outcome.attempt) in self._in_force or row is None or outcome.has_failed:
+        if (folder, outcome.attempt) in self._decision_by_run or row is None or outcome.has_failed:
             return self._rejection(folder, outcome.attempt)
-        old = self._in_force.get((folder, row.run))
+        old = self._decision_by_run.get((folder, row.run))
         if old is None or not outcome.run or not self._has_same_inputs(row, outcome):
             return self._rejection(folder, outcome.attempt)
         before = self.catalog.results_of(folder)
@@ -329,7 +331,7 @@ class CatalogSync:
         return self._rejection(folder, outcome.run)
 
     def _has_same_inputs(self, row: TestRow, outcome: StoredOutcome) -> bool:
-        """Whether exports, sheet and protocol of a test are those of its row."""
+        """Return whether exports, sheet and protocol of a test are those of its row."""
         texts = (outcome.sheet, outcome.protocol_text)
         same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
         return same and self.catalog.inputs_of(row.folder) == outcome.inputs

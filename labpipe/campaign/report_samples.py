@@ -119,12 +119,12 @@ def _thin(result: TestResult, branch: Branch) -> SampleCurve:
 
 def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
     """Return the end of a branch: its last sample, or the last one before the failure."""
-    at = next(
+    stop = next(
         (result.value for result in result.results if result.name == "failure_displacement"), None
     )
-    if at is None or branch.direction is not Direction.LOADING:
+    if stop is None or branch.direction is not Direction.LOADING:
         return branch.stop
-    beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)
+    beyond = np.flatnonzero(displacement[branch.start : branch.stop] > stop)
     return branch.start + int(beyond[0]) if len(beyond) else branch.stop
 
 

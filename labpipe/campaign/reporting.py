@@ -14,10 +14,10 @@ from labpipe.campaign.campaign_folders import name_of_campaign
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
+    applicable_decision,
     decision_entry,
     decision_sentence,
     decisions_on,
-    in_force,
     label_of,
 )
 from labpipe.campaign.grouping import (
@@ -52,7 +52,7 @@ from labpipe.protocol.schema import Groups
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
 from labpipe.report.page_facts import report_id, samples_of
-from labpipe.report.page_tests import page_file
+from labpipe.report.page_tables import page_file
 from labpipe.report.single_test import render_test
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
@@ -325,7 +325,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
         sized = replace(drawable, result=replace(result, specimen=specimen))
         sample = sample_of(sized, source=str(file), label=label_of(file, shared))
         read.decisions.extend(decided.get(file, ()))
-        decision = in_force(decided.get(file, ()), run=result.run)
+        decision = applicable_decision(decided.get(file, ()), run=result.run)
         if decision is not None:
             sample = replace(sample, decided=decision_sentence(decision))
         if decision is not None and decision.decision == REJECT:
@@ -383,10 +383,10 @@ def _group(
     )
     numbers = {number.name: number for number in group.numbers}
     first = [numbers.pop(name) for name in settings.main if name in numbers]
-    whole = {sample.source: sample for sample in samples}
+    by_source = {sample.source: sample for sample in samples}
     return replace(
         group,
-        samples=tuple(whole[sample.source] for sample in group.samples),
+        samples=tuple(by_source[sample.source] for sample in group.samples),
         numbers=(*first, *numbers.values()),
         notes=(*grouping_notes(not_said, renamed), *group.notes),
     )

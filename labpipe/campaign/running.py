@@ -170,8 +170,8 @@ class _Run:
                 if not self._in_use:
                     break
                 time.sleep(_RETRY_PAUSE)
-                left, self._in_use = self._in_use, []
-                self._process(executor, left, again)
+                unfinished, self._in_use = self._in_use, []
+                self._process(executor, unfinished, again)
         finally:
             for folder in self._at_work.values():
                 self._sync.catalog.release(folder)
@@ -272,7 +272,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
         if code and not chosen:
             codes = sorted({row.code for row in failed.values()})
             state = ", ".join(codes) if codes else "no failures"
-            near = nearest(code, codes, most=1)
+            near = nearest(code, codes, limit=1)
             remedy = f"Nearest: {near[0]}." if near else "There is nothing to clear."
             raise UsageError(
                 error_text(campaign.processed, "", expected=f"failures with the code {code!r}",
@@ -328,7 +328,7 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     named = [row for row in overview.rows.values() if row.test == test]
     if len(named) == 1:
         return named[0]
-    similar = nearest(label, [*overview.rows], most=3)
+    similar = nearest(label, [*overview.rows], limit=3)
     state = f"{len(named)} of that name" if named else "none of that name"
     expected = f"a test of {campaign.name!r}"
     remedy = (

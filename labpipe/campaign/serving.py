@@ -30,9 +30,8 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.errors import LabpipeError, UsageError, error_text, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below
-from labpipe.report.lab_report import PAGE_FILE
-from labpipe.report.page_parts import allow_own_server
-from labpipe.report.page_tests import page_file
+from labpipe.report.lab_report import PAGE_FILE, allow_own_server
+from labpipe.report.page_tables import page_file
 from labpipe.report.wording import count_of
 from labpipe.units import whole_number
 
@@ -128,7 +127,7 @@ class ReportServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Address of the report."""
+        """Return the address of the report."""
         return f"http://{LOOPBACK}:{self.server_port}/{self.site.token}/"
 
 
@@ -232,9 +231,9 @@ class _Handler(BaseHTTPRequestHandler):
         self._end_headers(_NO_SCRIPT)
 
     def _send_file(self, file: Path) -> None:
-        kind = _TYPES.get(file.suffix.lower())
-        more = {} if kind else {"Content-Disposition": "attachment"}
-        self._send(file.read_bytes(), kind or "application/octet-stream", more=more)
+        content_type = _TYPES.get(file.suffix.lower())
+        more = {} if content_type else {"Content-Disposition": "attachment"}
+        self._send(file.read_bytes(), content_type or "application/octet-stream", more=more)
 
     def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
         text = json.dumps(content).encode()
@@ -243,14 +242,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _send(
         self,
         content: bytes,
-        kind: str,
+        content_type: str,
         *,
         policy: str = _NO_SCRIPT,
         status: HTTPStatus = HTTPStatus.OK,
         more: dict[str, str] | None = None,
     ) -> None:
         self.send_response(status)
-        self.send_header("Content-Type", kind)
+        self.send_header("Content-Type", content_type)
         self.send_header("Content-Length", str(len(content)))
         for name, value in (more or {}).items():
             self.send_header(name, value)
@@ -323,6 +322,6 @@ def _save(body: bytes, site: Site) -> dict[str, Any]:
 
 def _save_message(taken: ImportedDecisions) -> str:
     sentences = [f"{count_of(len(taken.added) + taken.n_known, 'decision')} saved."]
-    sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.left]
+    sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.not_imported]
     sentences += ["They take effect when the report is made again."] * bool(taken.added)
     return " ".join(sentences)

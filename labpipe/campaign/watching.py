@@ -145,7 +145,7 @@ class WatchedCampaign:
 
     @property
     def raw(self) -> Path:
-        """Folder of the exports."""
+        """Return the folder of the exports."""
         return self._folders.raw
 
     def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
@@ -383,7 +383,7 @@ class Watcher:
         return len(ready) > 1
 
     def _is_skipped(self, folder: Path) -> bool:
-        """Whether a test was handled a while ago and is skipped in this look."""
+        """Return whether a test was handled a while ago and is skipped in this look."""
         # Ten thousand tests are too many to check in every look.
         looks_between = 40
         test = self._tests.get(folder)
@@ -432,18 +432,18 @@ class Watcher:
         """Leave out tests that were processed before the watch."""
         sheets = {candidate.sheet for candidate in ready if candidate.sheet.exists()}
         unprocessed = set(self._campaign.unprocessed(sheets))
-        left = []
+        kept = []
         for candidate in ready:
             if candidate.sheet in sheets and candidate.sheet not in unprocessed:
                 self._tests[candidate.folder] = _Test(
                     self._marks(candidate), settled=-self.plan.patience
                 )
             else:
-                left.append(candidate)
-        return left
+                kept.append(candidate)
+        return kept
 
     def _is_ready(self, candidate: Candidate) -> bool:
-        """Whether all files of a test are still, and were not handled in this state."""
+        """Return whether all files of a test are still, and were not handled in this state."""
         test = self._tests.setdefault(candidate.folder, _Test())
         states = {path: self._files.look(path) for path in _paths(candidate)}
         for path, state in states.items():

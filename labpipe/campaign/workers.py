@@ -40,7 +40,7 @@ class ProcessDied:
 
     @property
     def how(self) -> str:
-        """Text on the signal or exit code."""
+        """Return the text on the signal or exit code."""
         if self.exit_code >= 0:
             return f"with exit code {self.exit_code}"
         with suppress(ValueError):
@@ -202,15 +202,15 @@ def as_completed(
     -----
     On an interrupt, started calls are completed.
     """
-    left = iter(arguments)
+    remaining = iter(arguments)
     running: dict[Future[T | ProcessDied | CallRaised], A] = {}
     with _submitting(jobs, limit) as submit:
-        for argument in islice(left, jobs):
+        for argument in islice(remaining, jobs):
             running[submit(partial(work, argument))] = argument
         while running:
             future = wait(running, return_when=FIRST_COMPLETED).done.pop()
             argument = running.pop(future)
-            for following in islice(left, 1):
+            for following in islice(remaining, 1):
                 running[submit(partial(work, following))] = following
             yield argument, future.result()
 

@@ -140,8 +140,8 @@ def _parser(typed: Collection[str]) -> argparse.ArgumentParser:
 def _demo(parser: argparse.ArgumentParser) -> None:
     where = "folder for raw/demo and processed/demo (default: working folder)"
     parser.add_argument("folder", nargs="?", type=_path, default=Path(), metavar="DIR", help=where)
-    whole = "process all 99 tests of three campaigns, report and calibrate; takes minutes"
-    parser.add_argument("--full", action="store_true", help=whole)
+    full_help = "process all 99 tests of three campaigns, report and calibrate; takes minutes"
+    parser.add_argument("--full", action="store_true", help=full_help)
     _figures(parser)
     _jobs(parser)
 
@@ -271,8 +271,8 @@ def _report_contents(parser: argparse.ArgumentParser) -> None:
         " of the specimen that differ within a type)"
     )
     parser.add_argument("--by", default="", metavar="FIELD[,FIELD...]", help=fields)
-    alone = "show only pairs of groups that differ in this field alone, such as taping"
-    parser.add_argument("--compare", default="", metavar="FIELD", help=alone)
+    alone_help = "show only pairs of groups that differ in this field alone, such as taping"
+    parser.add_argument("--compare", default="", metavar="FIELD", help=alone_help)
     sheet = "wire sheet; compares bundles with the bounds of slipping and sticking wires"
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
 
@@ -421,9 +421,9 @@ def _simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--name", default="synthetic-1", help="name of the test (default: %(default)s)"
     )
-    kind = "kind of specimen (default: %(default)s)"
+    kind_help = "kind of specimen (default: %(default)s)"
     kinds = ("wire", "taped-bundle", "conduit-bundle")
-    parser.add_argument("--kind", choices=kinds, default="wire", help=kind)
+    parser.add_argument("--kind", choices=kinds, default="wire", help=kind_help)
     which = "type of a bundle: TWB-B1-19-PVC, CWB-2a ... (default: the first with 19 wires)"
     parser.add_argument("--type", default=None, metavar="TYPE", help=which)
     parser.add_argument(

@@ -35,12 +35,12 @@ _DOUBTED = {
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
-    left, rejected = without_rejected(find_results(options.paths))
+    files, rejected = without_rejected(find_results(options.paths))
     for file, why in rejected.items():
         print(escaped(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr)
     with reading(len(options.paths)) as say:
         done = calibrate_tests(
-            left if rejected else options.paths,
+            files if rejected else options.paths,
             wires=options.wire,
             plan=options.plan,
             out=options.out,
@@ -74,7 +74,11 @@ def calibration_table(done: Calibrated) -> str:
         f"largest force)"
     ]
     lines += [_parameter(parameter) for parameter in calibration.parameters]
-    lines += [f"  {parameter.words}" for parameter in calibration.parameters if parameter.words]
+    lines += [
+        f"  {parameter.explanation}"
+        for parameter in calibration.parameters
+        if parameter.explanation
+    ]
     priors = [
         parameter.conflict.message
         for parameter in calibration.parameters
@@ -82,10 +86,10 @@ def calibration_table(done: Calibrated) -> str:
     ]
     lines += [f"  {message}" for message in priors]
     if calibration.friction_separability is not None:
-        lines.append(f"  {calibration.friction_separability.words}")
+        lines.append(f"  {calibration.friction_separability.explanation}")
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
-    printed_messages = {*(parameter.words for parameter in calibration.parameters), *priors}
+    printed_messages = {*(parameter.explanation for parameter in calibration.parameters), *priors}
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in calibration.notes
@@ -167,14 +171,14 @@ def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str
     for comparison in comparisons:
         curve = comparison.curve
         specimen = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
-        for kind, match in (("tests", comparison.tests), ("model", comparison.model)):
+        for compared_with, match in (("tests", comparison.tests), ("model", comparison.model)):
             if match is not None:
                 curve_name = (
                     curve.name
                     if len(curve.name) <= max_name_width
                     else f"{curve.name[: max_name_width - 1]}…"
                 )
-                name = f"  {curve_name:<{width}}  {f'{kind} of {specimen}':<22}"
+                name = f"  {curve_name:<{width}}  {f'{compared_with} of {specimen}':<22}"
                 lines.append(f"{name}{_numbers(match)}")
     notes = [note for comparison in comparisons for note in comparison.notes]
     return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]

@@ -1,4 +1,4 @@
-"""``labpipe campaign``."""
+"""Run the actions of ``labpipe campaign`` and print their results."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from labpipe.errors import UsageError, error_text
 from labpipe.report.wording import count_of
 
 _MAX_LISTED = 20
-"""Tests or files in a list."""
+"""Largest number of tests or files that a list shows."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -46,7 +46,7 @@ def _run(
 ) -> int:
     executor = executor_of(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     with counting("test") as (begin, show_ended):
-        ran = run_campaign(
+        summary = run_campaign(
             campaign,
             executor,
             again=again or (),
@@ -55,9 +55,9 @@ def _run(
             begin=begin,
             on_outcome=lambda folder, outcome: show_ended(f"{escaped(folder)}: {outcome.state}"),
         )
-    _print_notes(ran.overview)
-    print(_run_report(campaign, ran))
-    return _status_of(ran.overview)
+    _print_notes(summary.overview)
+    print(_run_report(campaign, summary))
+    return _exit_status(summary.overview)
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -68,8 +68,10 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.json:
         print(json.dumps(_as_json(campaign, overview, files), indent=2))
     else:
-        print("\n".join([_counts(campaign, overview), *_lists(overview, files)]))
-    return _status_of(overview)
+        print(
+            "\n".join([_state_counts_line(campaign, overview), *_attention_lines(overview, files)])
+        )
+    return _exit_status(overview)
 
 
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -112,13 +114,14 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if not options.test or not options.decision:
         raise UsageError(
             error_text("labpipe campaign decide", "", expected="a test and accept or reject",
-                      found="none", remedy="Or name a file saved by a report page with --from.")
+                      found="none",
+                      remedy="Name both, or import a file that a report page saved with --from.")
         )  # fmt: skip
     for key in ("because", "by"):
         if not getattr(options, key).strip():
             raise UsageError(
                 error_text(f"--{key}", "", expected="a text", found="none",
-                          remedy="It is kept with the decision.")
+                          remedy=f"Add --{key} TEXT; it is stored with the decision.")
             )  # fmt: skip
     decision = Decision("", "", options.decision, options.because.strip(), options.by.strip())
     row = decide(campaign, options.test, decision)
@@ -130,25 +133,25 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     """Import the decisions that a report page saved."""
     if options.test:
         raise UsageError(
-            error_text("--from", "", expected="no test beside it", found=options.test,
+            error_text("--from", "", expected="no test together with it", found=options.test,
                       remedy="Decide on a test, or import a file.")
         )  # fmt: skip
-    taken, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
+    imported, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
     for fault in faults:
         print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
-    for decision in taken.added:
+    for decision in imported.added:
         print(escaped(f"{decision.test}: {decision.decision}: {decision_sentence(decision)}"))
-    for decision, why in taken.left:
+    for decision, why in imported.not_imported:
         print(escaped(f"{decision.test}: {decision.decision} not imported: {why}"), file=sys.stderr)
-    print(f"{count_of(len(taken.added), 'decision')} imported, {taken.n_known} already known")
-    return 2 if faults or taken.left else 0
+    print(f"{count_of(len(imported.added), 'decision')} imported, {imported.n_known} already known")
+    return 2 if faults or imported.not_imported else 0
 
 
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
     overview = rebuild(campaign)
     _print_notes(overview)
-    print(_counts(campaign, overview))
-    return _status_of(overview)
+    print(_state_counts_line(campaign, overview))
+    return _exit_status(overview)
 
 
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -159,7 +162,7 @@ def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 
 def _print_with_time(text: str) -> None:
-    """Print a message of a watch with the time, without buffering."""
+    """Print a message of ``watch`` after the time of day, and flush it."""
     print(f"{datetime.now():%H:%M:%S}  {text}", flush=True)
 
 
@@ -179,29 +182,28 @@ def _print_notes(overview: Overview) -> None:
         print(f"labpipe campaign: {escaped(note)}", file=sys.stderr)
 
 
-def _status_of(overview: Overview) -> int:
+def _exit_status(overview: Overview) -> int:
     """Return the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
     if overview.bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
 
 
-def _run_report(campaign: CampaignFolders, ran: RunSummary) -> str:
-    done, total = len(ran.processed), len(ran.overview.rows)
-    lines = [_counts(campaign, ran.overview), f"  processed {done} of {total}"]
-    if ran.elsewhere:
-        lines.append(
-            f"  processed by another labpipe: {len(ran.elsewhere)}: {_first_names(ran.elsewhere)}"
-        )
-    failed = [row for row in ran.overview.rows.values() if row.state == FAILED]
+def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
+    done, total = len(summary.processed), len(summary.overview.rows)
+    lines = [_state_counts_line(campaign, summary.overview), f"  processed {done} of {total}"]
+    if summary.elsewhere:
+        names = _abbreviated_names(summary.elsewhere)
+        lines.append(f"  processed by another labpipe: {len(summary.elsewhere)}: {names}")
+    failed = [row for row in summary.overview.rows.values() if row.state == FAILED]
     lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
     if len(failed) > _MAX_LISTED:
         lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
-    lines += _open_decisions(ran.overview)
+    lines += _unapplied_decisions(summary.overview)
     return "\n".join(map(escaped, lines))
 
 
-def _counts(campaign: CampaignFolders, overview: Overview) -> str:
+def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
     counts = overview.counts
     states = (
         ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
@@ -209,8 +211,8 @@ def _counts(campaign: CampaignFolders, overview: Overview) -> str:
     return escaped(f"{campaign.name}: {states}  ->  {from_here(campaign.processed)}")
 
 
-def _lists(overview: Overview, files: dict[str, list[str]]) -> list[str]:
-    """List tests that need attention by state, then open decisions and unknown files."""
+def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[str]:
+    """List tests that need attention by state, then unapplied decisions and unknown files."""
     lines: list[str] = []
     descriptions: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
@@ -221,18 +223,18 @@ def _lists(overview: Overview, files: dict[str, list[str]]) -> list[str]:
     }
     for state, describe in descriptions.items():
         rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
-        lines += _listed(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
-    lines += _open_decisions(overview)
-    lines += _listed("unknown files", files["unknown"])
+        lines += _section_lines(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
+    lines += _unapplied_decisions(overview)
+    lines += _section_lines("unknown files", files["unknown"])
     return lines
 
 
-def _open_decisions(overview: Overview) -> list[str]:
-    """List decisions whose test has changed since or no longer exists."""
-    runs = {folder: row.attempt for folder, row in overview.rows.items()}
-    decisions = unapplied_decisions([decision for decision, _ in overview.decisions], runs)
-    return _listed(
-        "open decisions",
+def _unapplied_decisions(overview: Overview) -> list[str]:
+    """List decisions that are not applied because the test changed or no longer exists."""
+    current_keys = {folder: row.attempt for folder, row in overview.rows.items()}
+    decisions = unapplied_decisions([decision for decision, _ in overview.decisions], current_keys)
+    return _section_lines(
+        "decisions not applied",
         [
             f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
             for decision, why in decisions
@@ -245,7 +247,7 @@ def _claimant(overview: Overview, folder: str) -> str:
     return f"process {claim.pid} on {claim.host.split()[0]}"
 
 
-def _listed(heading: str, lines: list[str]) -> list[str]:
+def _section_lines(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
     more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
@@ -256,15 +258,15 @@ def _listed(heading: str, lines: list[str]) -> list[str]:
     ]
 
 
-def _first_names(names: list[str]) -> str:
+def _abbreviated_names(names: list[str]) -> str:
     return ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
 
 
 def _as_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
-    runs = {folder: row.attempt for folder, row in overview.rows.items()}
-    left = unapplied_decisions([decision for decision, _ in overview.decisions], runs)
+    current_keys = {folder: row.attempt for folder, row in overview.rows.items()}
+    unapplied = unapplied_decisions([decision for decision, _ in overview.decisions], current_keys)
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     return {
         "campaign": campaign.name,
@@ -279,7 +281,7 @@ def _as_json(
         },
         "decisions_not_applied": [
             {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
-            for decision, why in left
+            for decision, why in unapplied
         ],
         "files": files,
         "notes": overview.notes,

@@ -23,7 +23,6 @@ _DISPLAY_UNITS = {
     "1/m": (1.0, "1/m"),
     "J": (1e3, "mJ"),
 }
-_NAME_WIDTH = 32
 
 
 def run(options: argparse.Namespace) -> int:
@@ -118,11 +117,12 @@ def harness_table(solution: FollowedHarness) -> str:
 
 
 def _line(result: Result) -> str:
+    name_width = 32
     factor, unit = _DISPLAY_UNITS[result.unit]
     if result.value is None:
-        return f"  {result.name:<{_NAME_WIDTH}}{'-':>11}  {result.why}"
+        return f"  {result.name:<{name_width}}{'-':>11}  {result.why}"
     written = plain_numbers(result.value, result.interval, factor)
-    line = f"  {result.name:<{_NAME_WIDTH}}{written(result.value):>11} {unit_words(unit):<5}"
+    line = f"  {result.name:<{name_width}}{written(result.value):>11} {unit_words(unit):<5}"
     if result.interval is not None:
         line += f"  95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
     doubts = [result.status] if result.status is Status.DOUBTFUL else []
@@ -147,6 +147,6 @@ def _sweep(harness: FollowedHarness) -> Iterator[str]:
         if finding.status == "failed":
             yield f"  {1e3 * finding.length:>12.5g} mm        -  {finding.reasons[0].message}"
             continue
-        radius, way = 1e3 * finding.bend.radius, 1e3 * finding.bend_on_path.radius
+        radius, path_radius = 1e3 * finding.bend.radius, 1e3 * finding.bend_on_path.radius
         doubt = f"  doubtful: {finding.reasons[0].code}" if finding.reasons else ""
-        yield f"  {1e3 * finding.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm{doubt}"
+        yield f"  {1e3 * finding.length:>12.5g} mm{radius:>19.4g} mm{path_radius:>14.4g} mm{doubt}"

@@ -21,7 +21,6 @@ _HEADING = (
     *("first slip", "range", "force at 0.3 L"),
 )
 _UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
-_TEXT_COLUMNS = 3  # left-aligned
 _DEFLECTION = 0.3  # of the length
 
 
@@ -83,8 +82,9 @@ def _force(table: WireTable) -> str:
 
 
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:
+    text_columns = 3  # left-aligned
     cells = [
-        f"{cell:<{width}}" if column < _TEXT_COLUMNS else f"{cell:>{width}}"
+        f"{cell:<{width}}" if column < text_columns else f"{cell:>{width}}"
         for column, (cell, width) in enumerate(zip(row, widths, strict=True))
     ]
     return "  ".join(cells).rstrip()

@@ -12,8 +12,7 @@ from labpipe.campaign.executors import process_tests
 from labpipe.campaign.machine import default_jobs
 from labpipe.cli.terminal import from_here, name_width, progress, result_line, statuses_of
 from labpipe.process.output_paths import find_tests
-from labpipe.process.run import Processed
-from labpipe.process.test_runner import Refused
+from labpipe.process.run import Processed, Refused
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
 from labpipe.report.wording import shown_in

@@ -15,8 +15,7 @@ from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.report.lab_report import Letterhead
-from labpipe.report.logo import read_logo
+from labpipe.report.lab_report import Letterhead, read_logo
 from labpipe.report.saving import FORMATS
 
 
@@ -74,7 +73,7 @@ def _report_context(options: argparse.Namespace) -> ReportContext:
             "",
             expected=f"one or more of {', '.join(FORMATS)}",
             found=", ".join(map(repr, unknown)),
-            remedy=f"Nearest: {nearest(unknown[0], list(FORMATS), most=1)[0]}.",
+            remedy=f"Nearest: {nearest(unknown[0], list(FORMATS), limit=1)[0]}.",
         )
         raise UsageError(message)
     return ReportContext(letterhead_of(options), wanted, options.pages)

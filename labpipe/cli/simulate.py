@@ -79,11 +79,11 @@ def _conduit(options: argparse.Namespace, *, rate: float, fps: float) -> Path:
 
 
 def _type(options: argparse.Namespace, types: Container[str]) -> str:
-    kind = _DEFAULT_TYPES[options.kind] if options.type is None else str(options.type)
-    if kind not in types:
-        message = f"type={kind} of a {options.kind}"
+    specimen_type = _DEFAULT_TYPES[options.kind] if options.type is None else str(options.type)
+    if specimen_type not in types:
+        message = f"type={specimen_type} of a {options.kind}"
         raise ValueError(message)
-    return kind
+    return specimen_type
 
 
 def _check(*, rate: float, fps: float, cycles: int, name: str) -> None:

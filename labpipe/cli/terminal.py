@@ -121,8 +121,8 @@ def from_here(path: Path) -> Path:
     ----------
     path : absolute or relative
     """
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
+    current = Path.cwd()
+    return path.relative_to(current) if path.is_relative_to(current) else path
 
 
 def name_width(names: Iterable[str]) -> int:
@@ -161,8 +161,8 @@ def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
     if result.interval is None:
         return line
     interval = f"95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
-    if result.apart is not None:
-        interval = f"estimate {written(result.apart)}, {interval}"
+    if result.distinct_estimate is not None:
+        interval = f"estimate {written(result.distinct_estimate)}, {interval}"
     if result.largest_share is None:
         return f"{line} {interval}"
     cause, share = result.largest_share

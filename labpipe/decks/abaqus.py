@@ -23,13 +23,13 @@ from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
 
-def abaqus_deck(table: WireTable, *, most_points: int | None = None) -> str:
+def abaqus_deck(table: WireTable, *, max_table_points: int | None = None) -> str:
     """Write the beam section of a wire; the element set has the wire's label.
 
     Parameters
     ----------
     table : law of the wire
-    most_points : of the law, zero and the end included; None for all of its corners
+    max_table_points : of the law, zero and the end included; None for all of its corners
 
     Returns
     -------
@@ -45,8 +45,8 @@ def abaqus_deck(table: WireTable, *, most_points: int | None = None) -> str:
     Area and second moments are those of strands and insulation: in a nonlinear general section they
     serve mass and rotary inertia only. Density is mass per length over area.
     """
-    most = len(table.curvature) if most_points is None else most_points
-    law = thin(table.curvature, table.moment, most=most)
+    max_points = len(table.curvature) if max_table_points is None else max_table_points
+    law = thin(table.curvature, table.moment, max_points=max_points)
     label = abaqus_label(table.name)
     lines = [f"** {line}" for line in _comments(table, law, label)]
     # a keyword line that ends with a comma is continued

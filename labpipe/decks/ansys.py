@@ -20,7 +20,7 @@ from labpipe.decks.deck_losses import deck_losses, isotropic_loss
 from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
-MOST_POINTS = 20
+MAX_POINTS = 20
 """Points of a table without the origin."""
 
 _MAX_STRAIN = 0.01
@@ -53,9 +53,9 @@ def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     ten wire diameters d, and less to a longer one.
     """
     if section < 1:
-        message = f"section={section}: allowed are whole numbers >= 1"
+        message = f"section={section}: must be an integer >= 1"
         raise ValueError(message)
-    law = thin(table.curvature, table.moment, most=MOST_POINTS + 1)
+    law = thin(table.curvature, table.moment, max_points=MAX_POINTS + 1)
     lines = [f"! {line}" for line in _comments(table, law)]
     lines += [f"SECTYPE,{section},GENB,PLASTIC,{ansys_name(table.name)}"]
     lines += _linear("BSAX", _MAX_STRAIN, table.axial_stiffness)
@@ -86,7 +86,7 @@ def _comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
     return (
         *facts(table, on_one_line(table.name, 32)),
         "Beyond the last point the stiffness is zero: check the curvatures.",
-        f"BSM1, BSM2: {len(law.curvature) - 1} points and the origin, at most {MOST_POINTS} "
+        f"BSM1, BSM2: {len(law.curvature) - 1} points and the origin, at most {MAX_POINTS} "
         f"allowed;",
         f"the lines between them are within {law.error:.2g} of the wire's moment.",
         "PLASTIC: unloads with the first slope, hardens isotropically on reversal,",

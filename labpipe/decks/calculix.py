@@ -30,7 +30,6 @@ from labpipe.records.wire import WireTable
 
 _RECTANGLE = 0.55  # half-width of the rectangle, as a share of the radius
 _CELL_NODES = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
-_REVERSED_CELL = [0, 3, 2, 1, 7, 6, 5, 4]  # the nodes of a cell in the other sense
 _PLANE_TOLERANCE = 1e-6  # distance of nodes in a plane, over the radius
 
 
@@ -52,22 +51,22 @@ class BarMesh:
 
     @property
     def clamp(self) -> Flags:
-        """Nodes of the clamped face, x = 0."""
+        """Return the nodes of the clamped face, x = 0."""
         return self.nodes[:, 0] < _PLANE_TOLERANCE * self.radius
 
     @property
     def middle(self) -> Flags:
-        """Nodes at y = 0, in the neutral plane of bending."""
+        """Return the nodes at y = 0, in the neutral plane of bending."""
         return np.abs(self.nodes[:, 1]) < _PLANE_TOLERANCE * self.radius
 
     @property
     def tip(self) -> Flags:
-        """Nodes of the free face, x = length."""
+        """Return the nodes of the free face, x = length."""
         return self.nodes[:, 0] > self.length - _PLANE_TOLERANCE * self.radius
 
     @property
     def cut(self) -> Flags:
-        """Nodes of the plane of symmetry, z = 0."""
+        """Return the nodes of the plane of symmetry, z = 0."""
         return self.nodes[:, 2] < _PLANE_TOLERANCE * self.radius
 
 
@@ -85,7 +84,7 @@ def half_bar(radius: float, length: float, *, n_along: int) -> BarMesh:
         If there is not one brick.
     """
     if n_along < 1:
-        message = f"n_along={n_along}: allowed are whole numbers >= 1"
+        message = f"n_along={n_along}: must be an integer >= 1"
         raise ValueError(message)
     nodes, bricks = _unit_bar(n_along)
     return BarMesh(nodes * [length, radius, radius], bricks, length, radius)
@@ -112,10 +111,10 @@ def _unit_bar(n_along: int) -> tuple[Floats, Ints]:
 
 def _bricks(numbers: Ints, quads: Ints) -> Ints:
     """Return one layer of bricks on the quadrangles, from the nodes of its three stations."""
-    below, between, above = (number[quads] for number in numbers)
+    below, middle, above = (number[quads] for number in numbers)
     corners, sides = slice(0, 4), slice(4, 8)
     parts = (below[:, corners], above[:, corners], below[:, sides], above[:, sides])
-    return np.concatenate([*parts, between[:, corners]], axis=1)
+    return np.concatenate([*parts, middle[:, corners]], axis=1)
 
 
 def _half_disc() -> tuple[Floats, Ints]:
@@ -133,9 +132,9 @@ def _half_disc() -> tuple[Floats, Ints]:
 def _ring() -> Floats:
     """Return the lattice from the circle inwards to the rectangle, shape (9, 3, 2)."""
     side = np.linspace(0.0, _RECTANGLE, 3)
-    left = np.column_stack([np.full(3, -_RECTANGLE), side])
+    left_side = np.column_stack([np.full(3, -_RECTANGLE), side])
     top = np.column_stack([np.linspace(-_RECTANGLE, _RECTANGLE, 5), np.full(5, _RECTANGLE)])
-    inner = np.concatenate([left, top[1:-1], left[::-1] * [-1.0, 1.0]])
+    inner = np.concatenate([left_side, top[1:-1], left_side[::-1] * [-1.0, 1.0]])
     angle = np.linspace(np.pi, 0.0, len(inner))
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     share = np.array([0.0, 0.5, 1.0])[:, np.newaxis]
@@ -145,12 +144,13 @@ def _ring() -> Floats:
 
 def _quadrangles(lattice: Floats) -> Floats:
     """Return the nodes of every second cell of a lattice, (cells, 8, 2), turning from y to z."""
+    reversed_cell = [0, 3, 2, 1, 7, 6, 5, 4]  # the nodes of a cell in the other sense
     cells = [
         np.array([lattice[i + u, j + v] for u, v in _CELL_NODES])
         for i in range(0, lattice.shape[0] - 1, 2)
         for j in range(0, lattice.shape[1] - 1, 2)
     ]
-    return np.array([cell if _area(cell) > 0.0 else cell[_REVERSED_CELL] for cell in cells])
+    return np.array([cell if _area(cell) > 0.0 else cell[reversed_cell] for cell in cells])
 
 
 def _area(cell: Floats) -> float:
@@ -192,11 +192,11 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80
     moved by 0.6 of the length, or as far as the wire's law goes.
     """
     if n_steps < 1:
-        message = f"n_steps={n_steps}: allowed are whole numbers >= 1"
+        message = f"n_steps={n_steps}: must be an integer >= 1"
         raise ValueError(message)
     diameter = 2.0 * table.layout.wire_radius
     material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
-    max_tip_share = 0.6  # of the length; less where the law ends before
+    max_tip_share = 0.6  # of the length; less if the range of the law ends before
     reach = min(max_tip_share * table.spec.length, float(table.tip_deflection[-1]))
     lines = [f"** {line}" for line in (*_facts(table, material), *_loading(table, reach))]
     if reach > 0.0:

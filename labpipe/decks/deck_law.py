@@ -95,12 +95,12 @@ def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | No
 
 def _crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
     """Find curvatures between the points where linear moment over law moment is `ratio`."""
-    left, right = table.curvature[:-1], table.curvature[1:]
+    first, second = table.curvature[:-1], table.curvature[1:]
     slope = np.diff(table.moment) / np.diff(table.curvature)
-    apart = stiffness - ratio * slope
-    start = ratio * (table.moment[:-1] - slope * left)
-    at = start / np.where(apart == 0.0, np.inf, apart)
-    return at[(at > left) & (at < right)]
+    slope_difference = stiffness - ratio * slope
+    start = ratio * (table.moment[:-1] - slope * first)
+    crossing = start / np.where(slope_difference == 0.0, np.inf, slope_difference)
+    return crossing[(crossing > first) & (crossing < second)]
 
 
 def skew_bending_error(table: WireTable) -> float:
@@ -157,7 +157,7 @@ def abaqus_label(name: str) -> str:
     >>> abaqus_label("FLRY-B_0.35")
     'FLRY-B_0_35_f1a89d0a'
     """
-    return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", most=80)
+    return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
 
 
 def ansys_name(name: str) -> str:
@@ -177,8 +177,8 @@ def ansys_name(name: str) -> str:
     >>> ansys_name("FLRY-B 0.35")
     'FLRYB035'
     """
-    left = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
-    return (left if left[:1].isalpha() else f"W{left}")[:8]
+    remainder = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
+    return (remainder if remainder[:1].isalpha() else f"W{remainder}")[:8]
 
 
 def file_stem(name: str) -> str:
@@ -198,20 +198,20 @@ def file_stem(name: str) -> str:
     'A2'
     """
     max_length = 100
-    stem = _allowed_text(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", most=max_length)
+    stem = _allowed_text(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", max_length=max_length)
     is_device = re.fullmatch(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", stem, flags=re.IGNORECASE)
     return (
         _with_checksum(name, stem, max_length) if is_device or stem != stem.rstrip(". ") else stem
     )
 
 
-def on_one_line(name: str, most: int = 100) -> str:
+def on_one_line(name: str, max_length: int = 100) -> str:
     """Convert a name for a comment: printable ASCII on one line, shortened with dots.
 
     Parameters
     ----------
     name : of the wire, any text
-    most : characters, at least 4
+    max_length : characters, at least 4
 
     Examples
     --------
@@ -219,20 +219,24 @@ def on_one_line(name: str, most: int = 100) -> str:
     'a name th...'
     """
     line = re.sub(r"[^ -~]+", "?", _without_accents(" ".join(name.split())))
-    return line if len(line) <= most else line[: most - 3] + "..."
+    return line if len(line) <= max_length else line[: max_length - 3] + "..."
 
 
-def _allowed_text(name: str, *, allowed: str, first: str, most: int) -> str:
+def _allowed_text(name: str, *, allowed: str, first: str, max_length: int) -> str:
     label = re.sub(rf"[^{allowed}]+", "_", _without_accents(name))
     if not re.match(f"[{first}]", label):
         label = f"W{label}"
-    return label if label == name and len(label) <= most else _with_checksum(name, label, most)
+    return (
+        label
+        if label == name and len(label) <= max_length
+        else _with_checksum(name, label, max_length)
+    )
 
 
-def _with_checksum(name: str, label: str, most: int) -> str:
+def _with_checksum(name: str, label: str, max_length: int) -> str:
     digits = 8  # hexadecimal
     checksum = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{digits}x}"
-    return f"{label[: most - digits - 1].rstrip('. ')}_{checksum}"
+    return f"{label[: max_length - digits - 1].rstrip('. ')}_{checksum}"
 
 
 def _without_accents(name: str) -> str:

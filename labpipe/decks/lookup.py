@@ -103,7 +103,7 @@ def lookup_json(table: WireTable) -> str:
         "length": table.spec.length,
         "mass_per_length": mass_of(table),
     }
-    whole = {
+    document = {
         "schema": SCHEMA,
         "labpipe": __version__,
         "wire": table.name,
@@ -119,4 +119,4 @@ def lookup_json(table: WireTable) -> str:
         "loss_card": card_numbers(table),
         "units": {name: _UNITS[name] for name in numbers},
     }
-    return json.dumps(whole, indent=1) + "\n"
+    return json.dumps(document, indent=1) + "\n"

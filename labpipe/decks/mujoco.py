@@ -36,8 +36,6 @@ from labpipe.records.wire import WireTable
 CABLE = "wire"
 """Name of the flex; its vertices are bodies ``wire_2`` to ``wire_<edges>``."""
 
-MIN_EDGES = 3
-
 
 @dataclass(frozen=True, slots=True)
 class _Cable:
@@ -61,25 +59,25 @@ class _Cable:
 
     @property
     def spacing(self) -> float:
-        """Length of an edge, m: the first one is half inside the clamp."""
+        """Return the length of an edge, m: the first one is half inside the clamp."""
         return self.length / (self.edges - 0.5)
 
     @property
     def first_frequency(self) -> float:
-        """First angular frequency of the clamped cable, rad/s."""
+        """Return the first angular frequency of the clamped cable, rad/s."""
         first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
         stretch = np.sqrt(self.stiffness / self.mass_per_length)
         return float(first_root**2 * stretch / self.length**2)
 
     @property
     def step(self) -> float:
-        """Time step, s."""
+        """Return the time step, s."""
         # more than 40 edges need shorter steps to keep the constraint on their lengths as stiff
         return 0.05 / self.first_frequency * min(1.0, 40 / self.edges)
 
     @property
     def steps_to_rest(self) -> int:
-        """Number of steps after which a load on the tip has settled."""
+        """Return the number of steps after which a load on the tip has settled."""
         settling_time = 35.0  # over 1 / (first angular frequency)
         return math.ceil(settling_time / self.first_frequency / self.step)
 
@@ -136,13 +134,14 @@ def mujoco_deck(
 
 
 def _require_cable(cable: _Cable) -> None:
+    min_edges = 3
     for name in ("stiffness", "length"):
         value = getattr(cable, name)
         if not (np.isfinite(value) and value > 0.0):
-            message = f"{name}={value!r}: allowed are finite numbers > 0"
+            message = f"{name}={value!r}: must be finite and > 0"
             raise ValueError(message)
-    if cable.edges < MIN_EDGES:
-        message = f"edges={cable.edges}: allowed are numbers >= {MIN_EDGES}"
+    if cable.edges < min_edges:
+        message = f"edges={cable.edges}: must be >= {min_edges}"
         raise ValueError(message)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe.decks.deck_law import on_one_line
 from labpipe.decks.mujoco_sliders import (
-    NODES,
+    DEFAULT_NODES,
     RAMP,
     REST,
     Chain,
@@ -36,7 +36,7 @@ _DIGITS = ".7g"
 
 
 def line_deck(
-    line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = NODES
+    line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = DEFAULT_NODES
 ) -> str:
     """Write a line with all that holds, moves and loads it.
 
@@ -98,7 +98,7 @@ def line_deck(
 
 
 def _is_base(held: rod.Held) -> bool:
-    """Whether it clamps the start of the line for good, so that the chain can begin at it."""
+    """Return whether it clamps the start of the line for good, where the chain can begin."""
     return held.node == 0 and held.frame is not None and held.release is None
 
 
@@ -163,28 +163,28 @@ def _equalities(held: Sequence[rod.Held], time: float) -> Iterator[str]:
     """Return constraints without compliance, of a time constant in s."""
     stiff = f'solref="{time:{_DIGITS}} 1" solimp="0.9999 0.99999 1e-6"'
     for boundary in held:
-        kind = "connect" if boundary.frame is None else "weld"
+        constraint = "connect" if boundary.frame is None else "weld"
         names = [quoteattr(f"{word}_{boundary.name}") for word in ("hold", "at", "hold")]
-        yield f"    <{kind} name={names[0]} site1={names[1]} site2={names[2]} {stiff} />"
+        yield f"    <{constraint} name={names[0]} site1={names[1]} site2={names[2]} {stiff} />"
 
 
 def _strings(strings: Sequence[rod.String]) -> Iterator[str]:
     for string in strings:
-        at, anchor = quoteattr(f"at_{string.name}"), quoteattr(f"anchor_{string.name}")
+        node_name, anchor = quoteattr(f"at_{string.name}"), quoteattr(f"anchor_{string.name}")
         yield (
             f'    <spatial name={quoteattr(string.name)} limited="true" '
             f'range="0 {string.length:{_DIGITS}}">'
-            f"<site site={at} /><site site={anchor} /></spatial>"
+            f"<site site={node_name} /><site site={anchor} /></spatial>"
         )
 
 
 def _loads(loads: Sequence[rod.Load]) -> Iterator[str]:
     for load in loads:
-        at = quoteattr(f"at_{load.name}")
+        node_name = quoteattr(f"at_{load.name}")
         for number, axis in enumerate("xyz"):
             gear = _joined(np.eye(6)[number])
             name = quoteattr(f"{load.name}_{axis}")
-            yield f'    <motor name={name} site={at} refsite="space" gear="{gear}" />'
+            yield f'    <motor name={name} site={node_name} refsite="space" gear="{gear}" />'
 
 
 def _chain_bodies(
@@ -200,9 +200,9 @@ def _chain_bodies(
     sites = _sites(line, chain, tied)
     prefix = _unused_prefix([load.name for load in tied])
     name = f"{prefix}_0" if base is None else base.name
-    kind = "><freejoint />" if base is None else ' mocap="true">'
+    base_attributes = "><freejoint />" if base is None else ' mocap="true">'
     place = f'pos="{_joined(line.positions[0])}" quat="{_joined(frames[0])}"'
-    yield f"    <body name={quoteattr(name)} {place}{kind}"
+    yield f"    <body name={quoteattr(name)} {place}{base_attributes}"
     yield from _geom_and_sites(chain, 0.5 * h, sites[0])
     for node in range(1, last + 1):
         begin, reach = (0.5 * h if node == 1 else h), (0.5 * h if node == last else h)

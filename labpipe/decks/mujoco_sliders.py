@@ -24,17 +24,17 @@ import numpy as np
 
 from labpipe.decks.deck_law import facts, mass_of, on_one_line
 from labpipe.decks.deck_losses import loss_text, percent
-from labpipe.decks.slider_table import DIRECTIONS, no_sliders_text
+from labpipe.decks.slider_table import no_sliders_text
+from labpipe.law.loss_card import DIRECTIONS
 from labpipe.law.plays import is_within
 from labpipe.law.slider_directions import TURNS, in_directions, turned
-from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
+from labpipe.law.sliders import MAX_SLIDERS, SliderLaw, as_plays
 from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
 
-NODES = 30
-MIN_NODES = 3
+DEFAULT_NODES = 30
 RAMP = 400
 """Steps of the ramp of a load."""
 REST = 600
@@ -66,19 +66,19 @@ class Chain:
 
     @property
     def spacing(self) -> float:
-        """Length of wire that a node stands for, m."""
+        """Return the length of wire that a node stands for, m."""
         return self.length / self.nodes
 
     @property
     def unit_time(self) -> float:
-        """Time step, s: one over the first angular frequency while nothing slides."""
+        """Return the time step, s: one over the first angular frequency while nothing slides."""
         first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
         stretch = np.sqrt(self.law.first_stiffness / self.mass_per_length)
         return float(self.length**2 / (first_root**2 * stretch))
 
     @property
     def damping(self) -> float:
-        """Of a hinge, N m s."""
+        """Return the damping of a hinge, N m s."""
         return 0.5 * self.law.first_stiffness / self.spacing * self.unit_time
 
 
@@ -101,7 +101,11 @@ class Hinges:
 
 
 def mujoco_plane_deck(
-    table: WireTable, *, sliders: int = SLIDERS, length: float | None = None, nodes: int = NODES
+    table: WireTable,
+    *,
+    sliders: int = SLIDERS,
+    length: float | None = None,
+    nodes: int = DEFAULT_NODES,
 ) -> str:
     """Write a clamped wire along x that bends in the x-y plane, with hysteresis.
 
@@ -149,7 +153,7 @@ def mujoco_space_deck(
     sliders: int = SLIDERS,
     directions: int = DIRECTIONS,
     length: float | None = None,
-    nodes: int = NODES,
+    nodes: int = DEFAULT_NODES,
 ) -> str:
     """Write a clamped wire along x that bends in every plane and twists, with hysteresis.
 
@@ -190,7 +194,7 @@ def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tu
         nothing = np.zeros(0)
         hinges = Hinges(_axes(chain, chain.law.stiffness), np.zeros((1, 0, 2)), nothing, nothing)
         return hinges, (f"Bending stiffness {chain.law.stiffness:.6g} N m2, constant.", twist)
-    few = in_directions(chain.law, directions, most=8)
+    few = in_directions(chain.law, directions, max_sliders=8)
     axes = _axes(chain, few.stiffness * directions / 2.0)
     tendons = np.array([few.turned_normals(share) for share in TURNS])
     hinges = Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
@@ -215,8 +219,8 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
-    if not 1 <= sliders <= MOST_SLIDERS:
-        message = f"sliders={sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
+    if not 1 <= sliders <= MAX_SLIDERS:
+        message = f"sliders={sliders}: must be from 1 to {MAX_SLIDERS}"
         raise ValueError(message)
     try:
         return sliders_of(table, sliders)
@@ -237,12 +241,13 @@ def comment(line: str) -> str:
 
 
 def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
+    min_nodes = 3
     length = table.spec.length if length is None else length
     if not (np.isfinite(length) and length > 0.0):
-        message = f"length={length!r}: allowed are finite numbers > 0"
+        message = f"length={length!r}: must be finite and > 0"
         raise ValueError(message)
-    if nodes < MIN_NODES:
-        message = f"nodes={nodes}: allowed are numbers >= {MIN_NODES}"
+    if nodes < min_nodes:
+        message = f"nodes={nodes}: must be >= {min_nodes}"
         raise ValueError(message)
     return Chain(
         law,

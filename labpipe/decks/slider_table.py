@@ -8,6 +8,7 @@ from dataclasses import asdict
 from labpipe import __version__
 from labpipe.decks.deck_law import facts, mass_of, on_one_line
 from labpipe.decks.deck_losses import card_numbers, loss_text
+from labpipe.law.loss_card import DIRECTIONS
 from labpipe.law.slider_directions import in_directions
 from labpipe.law.sliders import slip_moments
 from labpipe.law.table_sliders import sliders_of, table_card
@@ -15,8 +16,6 @@ from labpipe.records.wire import WireTable
 
 SCHEMA = 1
 """Version of the JSON."""
-DIRECTIONS = 4
-"""Directions of scalar sliders in space."""
 
 _MEANING = (
     "moment = stiffness * curvature + sum of stiffnesses[j] * stop[j], |stop[j]| <= "
@@ -89,7 +88,7 @@ def sliders_json(table: WireTable) -> str:
     except ValueError as error:
         return json.dumps({**about, "reason": no_sliders_text(error)}, indent=1) + "\n"
     space = in_directions(law, DIRECTIONS)
-    whole = {
+    document = {
         **about,
         "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
@@ -114,4 +113,4 @@ def sliders_json(table: WireTable) -> str:
         "torsional_stiffness": table.torsional_stiffness,
         "units": _UNITS,
     }
-    return json.dumps(whole, indent=1) + "\n"
+    return json.dumps(document, indent=1) + "\n"

@@ -158,17 +158,17 @@ def _plastic_moment(curvature: Floats, strain: Floats, radius: float) -> Floats:
 def _require_input(curvature: Floats, moment: Floats, elastic_share: float, n_knots: int) -> None:
     if len(curvature) < 2 or len(moment) != len(curvature):
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
             f"at least 2"
         )
         raise ValueError(message)
     finite = np.all(np.isfinite(curvature)) and np.all(np.isfinite(moment))
     if not finite or np.any(np.diff(curvature, prepend=0.0) <= 0.0) or np.any(moment <= 0.0):
-        message = "allowed are finite, increasing, positive curvatures and positive moments"
+        message = "curvatures must be finite, positive and increasing, moments positive"
         raise ValueError(message)
     if not 0.0 < elastic_share < 1.0 or n_knots < 2:
         message = (
-            f"elastic_share={elastic_share!r}, n_knots={n_knots}: allowed are shares between 0 and "
+            f"elastic_share={elastic_share!r}, n_knots={n_knots}: expected a share between 0 and "
             f"1, and 2 points or more"
         )
         raise ValueError(message)

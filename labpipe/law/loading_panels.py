@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
 
-NODES = 3
+NODES_PER_PANEL = 3
 """Points of Gauss's rule in each panel."""
 
 

@@ -76,8 +76,8 @@ class LoadingTable:
         curvature, slope = self.bend(moment)
         reverses = self._reverses(rest, moment)
         if reverses.any():
-            way = 0.5 * (moment - rest)[reverses]
-            bent, rise = self.bend(way)
+            half_change = 0.5 * (moment - rest)[reverses]
+            bent, rise = self.bend(half_change)
             before = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
             curvature[reverses], slope[reverses] = before + 2.0 * bent, rise
         return curvature, slope
@@ -101,9 +101,9 @@ class LoadingTable:
         changes = self.changes(moment)
         reverses = self._reverses(rest, moment)
         if reverses.any():
-            way = 0.5 * (moment - rest)
-            slack = self.bend(rest)[1] - self.bend(way)[1]
-            back = self.changes(rest)[:, None, :] + 2.0 * self.changes(way)
+            half_change = 0.5 * (moment - rest)
+            slack = self.bend(rest)[1] - self.bend(half_change)[1]
+            back = self.changes(rest)[:, None, :] + 2.0 * self.changes(half_change)
             back = back + slack * rest_change[:, None, :]
             changes = np.where(reverses, back, changes)
         return changes
@@ -113,8 +113,8 @@ class LoadingTable:
 
     @staticmethod
     def _reverses(rest: Floats, moment: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        way = moment - rest
-        turned: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] = (way * rest < 0.0) & (
-            np.abs(way) < 2.0 * np.abs(rest)
+        change = moment - rest
+        turned: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] = (change * rest < 0.0) & (
+            np.abs(change) < 2.0 * np.abs(rest)
         )
         return turned

@@ -81,7 +81,7 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
     secant = y[1:] / x[1:]
     low, high = float(secant.min()), float(secant.max())
     best_law = laws[int(np.argmin([law.error for law in laws]))]
-    alone = in_directions(best_law, DIRECTIONS)
+    scalar_law = in_directions(best_law, DIRECTIONS)
     return LossCard(
         first=start,
         last=float(x[-1]),
@@ -91,7 +91,7 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
         sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
         directions=tuple(
             (directional.directions, directional.error)
-            for directional in (alone, turned(best_law, alone))
+            for directional in (scalar_law, turned(best_law, scalar_law))
         ),
     )
 
@@ -144,14 +144,14 @@ def turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
     slope = moment[1] / curvature[1]
     turn = np.geomspace(min(curvature[1], 0.25 * curvature[-1]), 0.5 * curvature[-1], n_turns)
     turn = turn[:, None]
-    at = turn * np.linspace(0.0, 1.0, n_points)
+    curvatures = turn * np.linspace(0.0, 1.0, n_points)
     top = np.interp(turn, curvature, moment)
-    masing = top - 2.0 * np.interp(0.5 * (turn - at), curvature, moment)
-    straight = top - slope * (turn - at)
-    yields = -np.interp(2.0 * turn - at - 2.0 * top / slope, curvature, moment)
+    masing = top - 2.0 * np.interp(0.5 * (turn - curvatures), curvature, moment)
+    straight = top - slope * (turn - curvatures)
+    yields = -np.interp(2.0 * turn - curvatures - 2.0 * top / slope, curvature, moment)
     isotropic = np.where(straight >= -top, straight, yields)
     largest: list[float] = []
-    for carried in (np.interp(at, curvature, moment), isotropic):
+    for carried in (np.interp(curvatures, curvature, moment), isotropic):
         errors = np.max(np.abs((carried - masing) / top), axis=1)
         worst_turn = int(np.argmax(errors))
         largest += [float(errors[worst_turn]), float(turn[worst_turn, 0])]
@@ -203,19 +203,19 @@ def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) 
         swapped = _exchange(points, worst, np.sign(largest_error), np.sign(even[:, None]) * signs)
         points = np.where(is_moving[:, None], swapped, points)
     error = np.where((stiffness >= 0.0) & (height >= 0.0), np.abs(largest_error), np.inf)
-    at = int(np.argmin(error))
-    return DahlLaw(*map(float, (stiffness[at], height[at], decay[at], error[at])))
+    best = int(np.argmin(error))
+    return DahlLaw(*map(float, (stiffness[best], height[best], decay[best], error[best])))
 
 
 def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
     """Exchange the worst point in, keeping alternating signs."""
     place = np.sum(points < worst[:, None], axis=1)
     row = np.arange(len(points))
-    left, right = np.maximum(place - 1, 0), np.minimum(place, 2)
-    is_left = (place > 0) & (signs[row, left] == sign)
-    is_right = (place < 3) & (signs[row, right] == sign)
+    below, above = np.maximum(place - 1, 0), np.minimum(place, 2)
+    is_left = (place > 0) & (signs[row, below] == sign)
+    is_right = (place < 3) & (signs[row, above] == sign)
     swapped = points.copy()
-    swapped[row, np.where(is_left, left, right)] = worst
+    swapped[row, np.where(is_left, below, above)] = worst
     before = np.column_stack([worst, points[:, :2]])
     behind = np.column_stack([points[:, 1:], worst])
     beyond = np.where((place == 0)[:, None], before, behind)

@@ -27,15 +27,12 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     rounding_share = 1e-7  # of the first slope, from differences of close corners
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
-        at = curvature[int(np.argmin(slopes > 0.0))]
-        message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
+        fault = curvature[int(np.argmin(slopes > 0.0))]
+        message = f"the law softens before curvature={fault:.6g} 1/m: the moment must increase"
         raise ValueError(message)
     if np.any(np.diff(slopes) > rounding_share * slopes[0]):
-        at = curvature[int(np.argmax(np.diff(slopes))) + 1]
-        message = (
-            f"the law stiffens before curvature={at:.6g} 1/m: "
-            "allowed is a slope that does not increase"
-        )
+        fault = curvature[int(np.argmax(np.diff(slopes))) + 1]
+        message = f"the law stiffens before curvature={fault:.6g} 1/m: the slope must not increase"
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
     return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
@@ -63,10 +60,11 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     bridged = np.interp(curvature, np.append(0.0, curvature[hull]), np.append(0.0, moment[hull]))
     excess = bridged / moment - 1.0
     if np.any(excess > max_bridged_share):
-        at = int(np.argmax(excess))
+        worst = int(np.argmax(excess))
         message = (
-            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: its concave hull is "
-            f"{100.0 * excess[at]:.2g} % above it, allowed is {100.0 * max_bridged_share:.0f} %"
+            f"the law stiffens at curvature={curvature[worst]:.6g} 1/m: its concave hull is "
+            f"{100.0 * excess[worst]:.2g} % above it; expected at most "
+            f"{100.0 * max_bridged_share:.0f} %"
         )
         raise ValueError(message)
     return polygon_law(curvature[hull], moment[hull])
@@ -116,7 +114,7 @@ def fit_plays(
     require_positive("first_moment", first_moment)
     if not (last_moment > first_moment and n_plays >= 1):
         message = (
-            f"last_moment={last_moment!r}, n_plays={n_plays!r}: allowed are numbers > "
+            f"last_moment={last_moment!r}, n_plays={n_plays!r}: must be > "
             f"first_moment={first_moment!r} and >= 1"
         )
         raise ValueError(message)
@@ -126,11 +124,11 @@ def fit_plays(
     slopes = np.diff(values) / np.diff(knots)
     steps = np.diff(np.concatenate([[1.0 / stiffness], slopes]))
     if not np.all(np.isfinite(slopes)) or np.any(slopes <= 0.0):
-        message = "curvature softens: allowed is a law whose curvature grows with the moment"
+        message = "curvature softens: expected a law whose curvature grows with the moment"
         raise ValueError(message)
     if np.any(steps < -1e-9 * slopes):
         message = (
-            f"curvature stiffens at moment={knots[int(np.argmin(steps))]:.4g}: allowed is a law "
+            f"curvature stiffens at moment={knots[int(np.argmin(steps))]:.4g}: expected a law "
             f"whose slope d(curvature)/d(moment) never falls, from 1/stiffness on"
         )
         raise ValueError(message)
@@ -173,7 +171,7 @@ def stick_slip_law(
     for name, value in (("slip_stiffness", slip_stiffness), ("reference_moment", reference_moment)):
         require_positive(name, value)
     if not 0.0 < hardening < 1.0:
-        message = f"hardening={hardening!r}: allowed are numbers between 0 and 1"
+        message = f"hardening={hardening!r}: must be between 0 and 1"
         raise ValueError(message)
 
     def curvature(moment: Floats) -> Floats:

@@ -46,19 +46,19 @@ class MomentLaw(Protocol):
 
     @property
     def stiffness(self) -> float:
-        """Bending stiffness EI0 of the first, elastic response, N m^2."""
+        """Return the bending stiffness EI0 of the first, elastic response, N m^2."""
 
     @property
     def half_widths(self) -> Floats:
-        """Half-widths r_j of the plays, N m, shape (plays,), increasing."""
+        """Return the half-widths r_j of the plays, N m, shape (plays,), increasing."""
 
     @property
     def compliances(self) -> Floats:
-        """Compliances c_j that the plays add once they move, 1/(N m^2), shape (plays,)."""
+        """Return the compliances c_j of the plays when they move, 1/(N m^2), shape (plays,)."""
 
     @property
     def largest_moment(self) -> float:
-        """End of the law, N m, either sign; may be infinite."""
+        """Return the end of the law, N m, either sign; may be infinite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class PlayLaw(ArrayRecord):
     stiffness : EI0, N m^2
     half_widths : shape (plays,), N m, positive and increasing
     compliances : shape (plays,), 1/(N m^2), none negative
-    largest_moment : N m, where the law ends
+    largest_moment : N m, end of the range of the law
 
     Raises
     ------
@@ -116,15 +116,15 @@ class PlayLaw(ArrayRecord):
     def __post_init__(self) -> None:
         require_positive("stiffness", self.stiffness)
         if not self.largest_moment > 0.0:
-            message = f"largest_moment={self.largest_moment!r}: allowed are numbers > 0"
+            message = f"largest_moment={self.largest_moment!r}: must be > 0"
             raise ValueError(message)
         ArrayRecord.__post_init__(self)
         widths, compliances = self.half_widths, self.compliances
         if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
-            message = f"half_widths={widths}: allowed are positive, increasing numbers"
+            message = f"half_widths={widths}: must be positive and increasing"
             raise ValueError(message)
         if not (np.all(np.isfinite(compliances)) and np.all(compliances >= 0.0)):
-            message = f"compliances={compliances}: allowed are finite numbers >= 0"
+            message = f"compliances={compliances}: must be finite and >= 0"
             raise ValueError(message)
 
 
@@ -227,7 +227,7 @@ def require_positive(name: str, value: float) -> None:
         With the name, the value and what is allowed.
     """
     if not (np.isfinite(value) and value > 0.0):
-        message = f"{name}={value!r}: allowed are finite numbers > 0"
+        message = f"{name}={value!r}: must be finite and > 0"
         raise ValueError(message)
 
 
@@ -240,7 +240,7 @@ def require_not_negative(name: str, value: float) -> None:
         With the name, the value and what is allowed.
     """
     if not (np.isfinite(value) and value >= 0.0):
-        message = f"{name}={value!r}: allowed are finite numbers >= 0"
+        message = f"{name}={value!r}: must be finite and >= 0"
         raise ValueError(message)
 
 
@@ -253,5 +253,5 @@ def require_finite(name: str, values: Floats | float) -> None:
         With the name, the values and what is allowed.
     """
     if not np.all(np.isfinite(values)):
-        message = f"{name}={np.asarray(values).tolist()}: allowed are finite numbers"
+        message = f"{name}={np.asarray(values).tolist()}: must be finite"
         raise ValueError(message)

@@ -23,7 +23,7 @@ from scipy.optimize import nnls
 from labpipe.law.sliders import SliderLaw, slider_moment
 from labpipe.records.arrays import ArrayRecord, Floats
 
-MOST_SLIDERS = 16
+MAX_SLIDERS_PER_DIRECTION = 16
 """Largest number in each direction."""
 TURNS = (0.0, 0.5, 0.25, 0.75)
 """Turns of successive nodes, as shares of the angle between two directions."""
@@ -65,14 +65,16 @@ class DirectionalLaw(ArrayRecord):
 
 
 @lru_cache(maxsize=16)  # laws are hashed by identity
-def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) -> DirectionalLaw:
+def in_directions(
+    law: SliderLaw, directions: int, *, max_sliders: int = MAX_SLIDERS_PER_DIRECTION
+) -> DirectionalLaw:
     """Fit scalar sliders in a few directions to vector sliders.
 
     Parameters
     ----------
     law : vector sliders
     directions : D, at least 2
-    most : largest number of sliders in each direction
+    max_sliders : largest number of sliders in each direction
 
     Raises
     ------
@@ -88,10 +90,10 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     n_slips = 48  # slip curvatures to choose from
     last_factor = 1.6  # vector sliders slide together, scalar ones only until there
     if directions < 2:
-        message = f"directions={directions}: allowed are numbers >= 2"
+        message = f"directions={directions}: must be >= 2"
         raise ValueError(message)
-    if most < 1:
-        message = f"most={most}: allowed are numbers >= 1"
+    if max_sliders < 1:
+        message = f"max_sliders={max_sliders}: must be >= 1"
         raise ValueError(message)
     size = _curvatures(law)
     target = slider_moment(law, size)
@@ -101,7 +103,7 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
         ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
         slips = np.geomspace(*ends, n_slips)
         stiffnesses = _fit_stiffnesses(size, target, slips, directions)
-        while np.count_nonzero(stiffnesses[1:]) > most or not np.all(stiffnesses[1:]):
+        while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
             slips = _fewer_slips(slips, stiffnesses[1:])
             stiffnesses = _fit_stiffnesses(size, target, slips, directions)
     springs = 2.0 * stiffnesses / directions

@@ -26,7 +26,7 @@ from labpipe.law.plays import PlayLaw, require_positive
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
-MOST_SLIDERS = 64
+MAX_SLIDERS = 64
 """Largest number of sliders of a law."""
 
 
@@ -59,14 +59,14 @@ class SliderLaw(ArrayRecord):
     def __post_init__(self) -> None:
         ArrayRecord.__post_init__(self)
         if not (np.isfinite(self.stiffness) and self.stiffness >= 0.0):
-            message = f"stiffness={self.stiffness!r}: allowed are finite numbers >= 0"
+            message = f"stiffness={self.stiffness!r}: must be finite and >= 0"
             raise ValueError(message)
         if not (np.all(np.isfinite(self.stiffnesses)) and np.all(self.stiffnesses > 0.0)):
-            message = f"stiffnesses={self.stiffnesses.tolist()}: allowed are finite numbers > 0"
+            message = f"stiffnesses={self.stiffnesses.tolist()}: must be finite and > 0"
             raise ValueError(message)
         widths = self.slip_curvatures
         if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
-            message = f"slip_curvatures={widths.tolist()}: allowed are positive, increasing numbers"
+            message = f"slip_curvatures={widths.tolist()}: must be positive and increasing"
             raise ValueError(message)
         _require_range(self.first, self.last)
 
@@ -208,8 +208,8 @@ def fit_sliders(
     the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
     grid of kappa_j, thinned out afterwards, has a larger error.
     """
-    if not 1 <= n_sliders <= MOST_SLIDERS:
-        message = f"n_sliders={n_sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
+    if not 1 <= n_sliders <= MAX_SLIDERS:
+        message = f"n_sliders={n_sliders}: must be from 1 to {MAX_SLIDERS}"
         raise ValueError(message)
     x, y, start = within_range(curvature, moment, first, last)
     law = _fit(x, y, n_sliders, start)
@@ -217,7 +217,7 @@ def fit_sliders(
         enough = _number_needed(x, y, start, allowed)
         message = (
             f"{n_sliders} sliders have an error of {100.0 * law.error:.3g} % of the moment, "
-            f"allowed is {100.0 * allowed:.3g} %: {enough}"
+            f"expected at most {100.0 * allowed:.3g} %: {enough}"
         )
         raise ValueError(message)
     return law
@@ -225,7 +225,7 @@ def fit_sliders(
 
 def _require_range(first: float, last: float) -> None:
     if not (0.0 <= first < last and np.isfinite(last)):
-        message = f"first={first!r}, last={last!r}: allowed is a range of curvatures above zero"
+        message = f"first={first!r}, last={last!r}: expected a range of curvatures above zero"
         raise ValueError(message)
 
 
@@ -250,7 +250,7 @@ def within_range(
     """
     if len(curvature) < 2 or len(curvature) != len(moment) or curvature[0] != 0.0:
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
             "from zero"
         )
         raise ValueError(message)
@@ -272,19 +272,20 @@ def _require_concave(x: Floats, y: Floats) -> None:
     max_bridged = 0.01  # of the moment, between the law and its concave hull
     slopes = np.diff(y) / np.diff(x)
     if np.all(slopes > 0.0) and np.any(np.diff(slopes) > 0.0):
-        hull = thin(x, y, most=len(x))
+        hull = thin(x, y, max_points=len(x))
         excess = np.interp(x[1:], hull.curvature, hull.moment) / y[1:] - 1.0
         if np.max(excess) > max_bridged:
-            at = int(np.argmax(excess)) + 1
+            worst = int(np.argmax(excess)) + 1
             message = (
-                f"the law stiffens at curvature={x[at]:.6g} 1/m: its concave hull is "
-                f"{100.0 * excess[at - 1]:.2g} % above it, allowed is {100.0 * max_bridged:.0f} %"
+                f"the law stiffens at curvature={x[worst]:.6g} 1/m: its concave hull is "
+                f"{100.0 * excess[worst - 1]:.2g} % above it; expected at most "
+                f"{100.0 * max_bridged:.0f} %"
             )
             raise ValueError(message)
 
 
 def _fit(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
-    chords = thin(x, y, most=n_sliders + 2)
+    chords = thin(x, y, max_points=n_sliders + 2)
     shares = np.interp(x[1:], chords.curvature, chords.moment) / y[1:]
     scale = 2.0 / (float(shares.max()) + float(shares.min()))
     slopes = scale * np.diff(chords.moment) / np.diff(chords.curvature)
@@ -299,10 +300,10 @@ def _fit(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
 
 
 def _number_needed(x: Floats, y: Floats, start: float, allowed: float) -> str:
-    for number in range(1, MOST_SLIDERS + 1):
+    for number in range(1, MAX_SLIDERS + 1):
         if _fit(x, y, number, start).error <= allowed:
             return f"{number} are enough"
-    return f"{MOST_SLIDERS} are not enough"
+    return f"{MAX_SLIDERS} are not enough"
 
 
 def linear_moment_law(stiffness: float, last: float) -> SliderLaw:

@@ -46,4 +46,6 @@ def table_card(table: WireTable) -> LossCard:
     ValueError
         As `fit_sliders`.
     """
-    return card_of(table.curvature, table.moment, [sliders_of(table, most) for most in COUNTS])
+    return card_of(
+        table.curvature, table.moment, [sliders_of(table, n_sliders) for n_sliders in COUNTS]
+    )

@@ -27,14 +27,14 @@ class Thinned(ArrayRecord):
     error: float
 
 
-def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
+def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     """Choose points of a law, including zero and the end.
 
     Parameters
     ----------
     curvature : shape (n,), 1/m, from 0, increasing; n >= 2
     moment : shape (n,), N m, from 0, increasing
-    most : largest number of points, at least 2
+    max_points : largest number of points, at least 2
 
     Returns
     -------
@@ -64,35 +64,33 @@ def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
     A. M. Andrew, Another efficient algorithm for convex hulls in two dimensions, Information
     Processing Letters 9 (1979) 216-219.
     """
-    _require_law(curvature, moment, most)
+    _require_law(curvature, moment, max_points)
     corners = _hull(curvature.tolist(), moment.tolist())  # lists are faster for single numbers
     x, y = curvature[corners], moment[corners]
-    chosen = np.arange(len(x)) if len(x) <= most else _fewest_error(x, y, most)
+    chosen = np.arange(len(x)) if len(x) <= max_points else _fewest_error(x, y, max_points)
     return Thinned(x[chosen], y[chosen], _largest_error(x[chosen], y[chosen], curvature, moment))
 
 
-def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
-    if most < 2:
-        message = f"most={most}: allowed are numbers of points >= 2"
+def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
+    if max_points < 2:
+        message = f"max_points={max_points}: must be >= 2 points"
         raise ValueError(message)
     if len(curvature) < 2 or len(moment) != len(curvature):
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
             f"at least 2"
         )
         raise ValueError(message)
     finite = np.isfinite(curvature) & np.isfinite(moment)
     if not finite.all():
-        message = (
-            f"point {int(np.argmin(finite)) + 1} of the law is not finite: allowed are numbers"
-        )
+        message = f"point {int(np.argmin(finite)) + 1} of the law is not finite"
         raise ValueError(message)
     if curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
-        message = "the law does not start at zero: allowed are increasing curvatures from 0"
+        message = "the law does not start at zero: expected increasing curvatures from 0"
         raise ValueError(message)
     if np.any(np.diff(moment) <= 0.0):
-        at = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
-        message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
+        first_drop = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
+        message = f"the law softens before curvature={first_drop:.6g} 1/m: the moment must increase"
         raise ValueError(message)
 
 
@@ -112,8 +110,8 @@ def _hull(x: list[float], y: list[float]) -> Ints:
     return np.array(corners, dtype=np.int64)
 
 
-def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
-    """Return the choice of at most `most` corners with the smallest error."""
+def _fewest_error(x: Floats, y: Floats, max_points: int) -> Ints:
+    """Return the choice of at most `max_points` corners with the smallest error."""
     end_share = 1e-6  # of the tolerance, at which halving ends
     near_share = 0.03  # of the tolerance, below which errors are tried one by one
     first_cut = 0.1  # of the tolerance, until one is too small
@@ -126,8 +124,8 @@ def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
         is_probe = not is_probe and high - low < near_share * high
         middle = (1.0 - end_share) * high if is_probe else 0.5 * (low + high)
         middle = middle if low > 0.0 else first_cut * high
-        choice = _skip_corners(plain_x, plain_y, middle, most)
-        if len(choice) > most:
+        choice = _skip_corners(plain_x, plain_y, middle, max_points)
+        if len(choice) > max_points:
             low = middle
         else:
             best = np.array(choice)
@@ -135,7 +133,7 @@ def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
     return best
 
 
-def _skip_corners(x: list[float], y: list[float], tolerance: float, most: int) -> list[int]:
+def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: int) -> list[int]:
     """Skip as many corners as the tolerance allows; stop with one too many."""
     chosen, steepest, share = [0], -np.inf, 1.0 - tolerance
     at_x, at_y = x[0], y[0]
@@ -144,7 +142,7 @@ def _skip_corners(x: list[float], y: list[float], tolerance: float, most: int) -
         # a chord passes below the corners it skips: each of them limits its slope from below
         if to - at_y < steepest * width:
             chosen.append(new - 1)
-            if len(chosen) == most:
+            if len(chosen) == max_points:
                 break
             at_x, at_y, steepest = x[new - 1], y[new - 1], -np.inf
             width = x[new] - at_x

@@ -11,8 +11,6 @@ from labpipe.markers.specimen_frame import Selection
 from labpipe.markers.tracklets import in_sight
 from labpipe.records.arrays import Flags, Floats, Ints
 
-REST_TERMS = 4
-"""Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic."""
 SETTLED = 1e-10
 """Largest change of arc lengths in m between rounds at convergence."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -175,7 +173,9 @@ def curve_at_rest(
 def _rest_coefficients(
     markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
 ) -> Floats:
-    terms = min(REST_TERMS, len(markers) - 1 + free_tip)
+    # Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic.
+    rest_terms = 4
+    terms = min(rest_terms, len(markers) - 1 + free_tip)
     basis = curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
     design = coupled_design(basis, arc_length, centre_offset)
     in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
@@ -254,11 +254,11 @@ class FrameFits:
         Deviations from the curve model are constant at rest and removed with the mean.
         """
         misfit, freedom = self.misfit[rest], self.freedom[rest]
-        whole = np.isfinite(misfit).all(axis=(1, 2))
-        if whole.sum() < 2 or freedom[whole][0] < 1:
+        is_complete = np.isfinite(misfit).all(axis=(1, 2))
+        if is_complete.sum() < 2 or freedom[is_complete][0] < 1:
             return float("nan")
-        scatter = np.var(misfit[whole], axis=0, ddof=1).mean()
-        return float(np.sqrt(scatter * misfit.shape[2] / freedom[whole][0]))
+        scatter = np.var(misfit[is_complete], axis=0, ddof=1).mean()
+        return float(np.sqrt(scatter * misfit.shape[2] / freedom[is_complete][0]))
 
 
 def fit_frames(
@@ -302,8 +302,8 @@ def fit_frames(
     )
     frames, count = markers.shape[:2]
     if basis.unknowns > count:
-        most = terms - basis.unknowns + count
-        message = f"terms={terms}: expected at most {most} for {count} markers"
+        max_unknowns = terms - basis.unknowns + count
+        message = f"terms={terms}: expected at most {max_unknowns} for {count} markers"
         raise ValueError(message)
     fixed = np.zeros((3, terms))
     fixed[:, 1] = 0.0 if conditions.direction is None else conditions.direction * conditions.length
@@ -378,8 +378,8 @@ def _height_of_end(
     places = at_rest.arc_length[pattern]
     solve = np.linalg.pinv(coupled_design(basis, places, centre_offset))
     weights = basis.value(np.array([length]))[0] @ solve[basis.unknowns :]
-    known = at_rest.clamped_end + _known_part(direction, places, centre_offset)
-    return weights, float(direction[1] * length - weights @ known[:, :2].T.ravel())
+    known_height = at_rest.clamped_end + _known_part(direction, places, centre_offset)
+    return weights, float(direction[1] * length - weights @ known_height[:, :2].T.ravel())
 
 
 def _solve(

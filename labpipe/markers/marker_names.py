@@ -68,7 +68,7 @@ def name_chains(
     relative: Floats,
     time: Floats,
     settled: float,
-    apart: float,
+    min_distance: float,
 ) -> Naming:
     """Assign each chain to a marker.
 
@@ -79,7 +79,7 @@ def name_chains(
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
     settled : s, shortest duration of a valid label; shorter stretches are glitches
-    apart : m, least distance between two markers; a closer track is a double
+    min_distance : m, least distance between two markers; a closer track is a double
 
     Returns
     -------
@@ -97,7 +97,7 @@ def name_chains(
     named = [not is_unlabelled(name) for name in names]
     anonymous = not any(named)
     chains = _collect(tracklets, links, time, [anonymous or flag for flag in named], settled)
-    doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, apart)]
+    doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
     markers, rejected = _assign_by_label(chains, doubles)
     single = [
         chain
@@ -159,12 +159,12 @@ def _assign_by_label(
     return markers, rejected
 
 
-def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, apart: float) -> bool:
+def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distance: float) -> bool:
     """Return whether the chain begins at the position of another track."""
     column = tracklets.column[chain.tracklets[0]]
     distance = np.linalg.norm(relative[chain.start] - relative[chain.start, column], axis=1)
     distance[column] = np.nan
-    return bool((distance < apart).any())
+    return bool((distance < min_distance).any())
 
 
 def _eliminate(

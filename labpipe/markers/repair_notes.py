@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,38 +75,39 @@ def describe(
     )
 
 
+def _warning(
+    code: str, name: str, span: str, message: str, *when: tuple[float, float]
+) -> QualityNote:
+    return QualityNote(code, Severity.WARNING, f"{name}, {span}", message, when)
+
+
 def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
-    if all(is_unlabelled(name) for name in take.names):
-        return
     seen = np.flatnonzero(in_sight(measured).any(axis=0)).tolist()
-    for column, name in enumerate(take.names):
-        if column not in naming.markers and not is_unlabelled(name):
-            how = (
-                "is seen only as another marker" if column in seen else "is missing in every frame"
-            )
-            message = f"{name} {how} and was left out"
+    named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
+    for column in named:
+        if column not in naming.markers:
+            name = take.names[column]
+            how = "seen only as another marker" if column in seen else "missing in every frame"
+            message = f"{name} is {how} and was left out"
             yield QualityNote("marker_missing", Severity.WARNING, name, message)
 
 
 def _stretch_notes(
-    take: Take, mask: Flags, names: list[str], kind: tuple[str, Severity, str]
+    take: Take, mask: Flags, names: list[str], note_kind: tuple[str, Severity, str]
 ) -> Iterator[QualityNote]:
-    code, severity, text = kind
-    for column, name in enumerate(names):
-        stretches = stretches_of(mask[:, column])
-        if len(stretches) <= _MAX_NOTES:
-            for start, stop in stretches:
-                span = take.span(start, stop)
-                message = f"{name}: {text}, {stop - start} frames, {span}"
-                yield QualityNote(code, severity, f"{name}, {span}", message)
-        else:
+    code, severity, text = note_kind
+    for name, flags in zip(names, mask.T, strict=True):
+        stretches = stretches_of(flags)
+        if len(stretches) > _MAX_NOTES:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-            message = (
-                f"{name}: {text}, {len(stretches)} times, {int(mask[:, column].sum())} frames, "
-                f"longest {take.span(*longest)}"
-            )
+            message = f"{name}: {text}, {len(stretches)} times, {int(flags.sum())} frames, longest"
             where = f"{name}, {take.span(stretches[0][0], stretches[-1][1])}"
-            yield QualityNote(code, severity, where, message)
+            yield QualityNote(code, severity, where, f"{message} {take.span(*longest)}")
+            continue
+        for start, stop in stretches:
+            span = take.span(start, stop)
+            message = f"{name}: {text}, {stop - start} frames, {span}"
+            yield QualityNote(code, severity, f"{name}, {span}", message)
 
 
 def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
@@ -114,21 +115,19 @@ def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
     exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
         for column, start, stop in _stretches_under_other_labels(take.pieces, label, chains):
-            text = f"{take.names[label]} was labelled as {take.names[column]}"
-            if is_unlabelled(take.names[column]):
-                span = take.span(start, stop)
-                track, other = measured[:, label], measured[start:stop, column]
-                apart = _distance_text(track, other, start, stop)
-                message = f"{text}, {span}; merged{apart}"
-                where = f"{take.names[label]}, {span}"
-                yield QualityNote("unlabelled_merged", Severity.WARNING, where, message)
+            name, other = take.names[label], take.names[column]
+            text, span = f"{name} was labelled as {other}", take.span(start, stop)
+            if is_unlabelled(other):
+                apart = _distance_text(
+                    measured[:, label], measured[start:stop, column], start, stop
+                )
+                yield _warning("unlabelled_merged", name, span, f"{text}, {span}; merged{apart}")
             else:
-                exchanges.setdefault((start, stop), []).append((take.names[label], text))
+                exchanges.setdefault((start, stop), []).append((name, text))
     for (start, stop), markers in sorted(exchanges.items()):
+        names, texts = (", ".join(parts) for parts in zip(*markers, strict=True))
         span = take.span(start, stop)
-        message = f"{', '.join(text for _, text in markers)}, {span}; label switch corrected"
-        names = ", ".join(name for name, _ in markers)
-        yield QualityNote("label_switch", Severity.WARNING, f"{names}, {span}", message)
+        yield _warning("label_switch", names, span, f"{texts}, {span}; label switch corrected")
 
 
 def _distance_text(own: Floats, other: Floats, start: int, stop: int) -> str:
@@ -146,24 +145,18 @@ def _stretches_under_other_labels(
     pieces: Tracklets, label: int, chains: tuple[Chain, ...]
 ) -> Iterator[tuple[int, int, int]]:
     """Yield column, start and stop of the stretches of a marker under another label."""
-    run: tuple[int, int, int] | None = None
-    for piece in (piece for chain in chains for piece in chain.tracklets):
-        column, stop = int(pieces.column[piece]), int(pieces.stop[piece])
-        if run is not None and run[0] == column:
-            run = (column, run[1], stop)
-            continue
-        if run is not None:
-            yield run
-        run = None if column == label else (column, int(pieces.start[piece]), stop)
-    if run is not None:
-        yield run
+    members = (piece for chain in chains for piece in chain.tracklets)
+    for column, group in groupby(members, key=lambda piece: int(pieces.column[piece])):
+        run = list(group)
+        if column != label:
+            yield column, int(pieces.start[run[0]]), int(pieces.stop[run[-1]])
 
 
 def _elimination_notes(take: Take, naming: Naming) -> Iterator[QualityNote]:
     for label, chain in naming.eliminated:
         name, span = take.names[label], take.span(chain.start, chain.stop)
         message = f"{name}: assigned a track with another label, {span}, as the only marker missing"
-        yield QualityNote("label_by_elimination", Severity.WARNING, f"{name}, {span}", message)
+        yield _warning("label_by_elimination", name, span, message)
 
 
 def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
@@ -171,26 +164,25 @@ def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNot
     for label, chains in naming.markers.items():
         for before, after in pairwise(chains):
             if after.start == before.stop and links.successor[before.tracklets[-1]] < 0:
-                span = take.span(after.start, after.start + 1)
-                name = take.names[label]
+                name, span = take.names[label], take.span(after.start, after.start + 1)
                 message = f"{name}: jumps at {span}; its label was kept"
-                yield QualityNote("marker_jump", Severity.WARNING, f"{name}, {span}", message)
+                yield _warning("marker_jump", name, span, message)
 
 
 def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
     pieces = take.pieces
     for one, two in links.ambiguous[:_MAX_NOTES]:
-        span = take.span(int(pieces.stop[one]) - 1, int(pieces.start[two]) + 1)
+        last = int(pieces.stop[one]) - 1
+        span = take.span(last, int(pieces.start[two]) + 1)
         names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
         message = f"{names}: may have exchanged labels, {span}; too close, left as labelled"
-        # From there on the two may be exchanged.
-        after = ((float(take.time[pieces.stop[one] - 1]), float(take.time[-1])),)
-        yield QualityNote("label_ambiguous", Severity.WARNING, f"{names}, {span}", message, after)
+        after = float(take.time[last]), float(take.time[-1])  # the two may be exchanged there
+        yield _warning("label_ambiguous", names, span, message, after)
     for chain in naming.doubtful:
         name, span = take.names[chain.label], take.span(chain.start, chain.stop)
         message = f"{name}: a second track under this label, {span}, could not be given to a marker"
-        when = ((float(take.time[chain.start]), float(take.time[chain.stop - 1])),)
-        yield QualityNote("label_ambiguous", Severity.WARNING, f"{name}, {span}", message, when)
+        when = float(take.time[chain.start]), float(take.time[chain.stop - 1])
+        yield _warning("label_ambiguous", name, span, message, when)
 
 
 def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
@@ -200,9 +192,9 @@ def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
         names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
         span, extent = take.span(chain.start, chain.stop), _extent(take.pieces, chain, measured)
         message = f"{names}: track of no marker dropped, {span}, within {extent * 1e3:.1f} mm"
-        yield QualityNote("track_dropped", Severity.WARNING, f"{names}, {span}", message)
-    if len(chains) > _MAX_NOTES:
-        rest = chains[_MAX_NOTES:]
+        yield _warning("track_dropped", names, span, message)
+    rest = chains[_MAX_NOTES:]
+    if rest:
         frames = sum(chain.frames for chain in rest)
         message = f"{len(rest)} more tracks of no marker dropped, {frames} samples in all"
         yield QualityNote("track_dropped", Severity.WARNING, "markers", message)

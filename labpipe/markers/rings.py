@@ -86,49 +86,51 @@ def ring_centres(repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]) 
 
 def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.uint8]]:
     seen = in_sight(positions)
-    whole = seen.all(axis=1)
+    complete = seen.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
     origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
-    centre[whole] = positions[whole].mean(axis=1)
-    for pattern in np.unique(seen[~whole], axis=0):
+    centre[complete] = positions[complete].mean(axis=1)
+    for pattern in np.unique(seen[~complete], axis=0):
         frames = np.flatnonzero((seen == pattern).all(axis=1))
         if pattern.any():
-            centre[frames] = _centre_from_visible(positions, pattern, frames, np.flatnonzero(whole))
+            centre[frames] = _centre_from_visible(
+                positions, pattern, frames, np.flatnonzero(complete)
+            )
         origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, origin
 
 
-def _centre_from_visible(positions: Floats, pattern: Flags, frames: Ints, whole: Ints) -> Floats:
+def _centre_from_visible(positions: Floats, pattern: Flags, frames: Ints, complete: Ints) -> Floats:
     """Return centres in `frames`, where only the markers of `pattern` are in sight."""
     visible = positions[:, pattern]
     middle = visible[frames].mean(axis=1)
-    if not len(whole):
+    if not len(complete):
         return np.asarray(middle, dtype=np.float64)
     if pattern.sum() >= 3:
-        nearest = _nearest(whole, frames)
+        nearest = _nearest(complete, frames)
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
         turn = _rotations(template, visible[frames] - middle[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
         return np.asarray(middle + np.einsum("fij,fj->fi", turn, offset), dtype=np.float64)
-    offset = positions[whole].mean(axis=1) - visible[whole].mean(axis=1)
-    carried = np.column_stack([np.interp(frames, whole, axis) for axis in offset.T])
+    offset = positions[complete].mean(axis=1) - visible[complete].mean(axis=1)
+    carried = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
     return np.asarray(middle + carried, dtype=np.float64)
 
 
-def _nearest(whole: Ints, frames: Ints) -> Ints:
-    """Return the frame of `whole` nearest to each of `frames`."""
-    after = np.clip(np.searchsorted(whole, frames), 0, len(whole) - 1)
+def _nearest(complete: Ints, frames: Ints) -> Ints:
+    """Return the frame of `complete` nearest to each of `frames`."""
+    after = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
     before = np.maximum(after - 1, 0)
-    late = np.abs(whole[after] - frames) < np.abs(frames - whole[before])
-    return np.asarray(np.where(late, whole[after], whole[before]), dtype=np.int64)
+    late = np.abs(complete[after] - frames) < np.abs(frames - complete[before])
+    return np.asarray(np.where(late, complete[after], complete[before]), dtype=np.int64)
 
 
 def _rotations(before: Floats, after: Floats) -> Floats:
     """Return the best rotations from one set of centred points to another, per frame (Kabsch)."""
-    left, _, right = np.linalg.svd(np.einsum("fmi,fmj->fij", after, before))
+    u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", after, before))
     mirror = np.ones((len(before), 3))
-    mirror[:, 2] = np.sign(np.linalg.det(left @ right))
-    return np.asarray((left * mirror[:, None]) @ right, dtype=np.float64)
+    mirror[:, 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * mirror[:, None]) @ vt, dtype=np.float64)
 
 
 def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Iterator[QualityNote]:
@@ -176,14 +178,14 @@ class Sections(ArrayRecord):
         return np.array([self.at_rest[self.section == k, 0].mean() for k in range(self.count)])
 
 
-def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections:
+def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> Sections:
     """Determine frame and sections of a specimen on two supports.
 
     Parameters
     ----------
     markers_lab : shape (frames, markers, 3), m; NaN where missing
     rest : shape (frames,), frames in which the specimen is straight and at rest
-    apart : m, along the axis; closer markers share a section
+    min_distance : m, along the axis; closer markers share a section
 
     Returns
     -------
@@ -209,7 +211,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections
     at_rest = np.nanmean(markers[rest], axis=0)
     centre = at_rest.mean(axis=0)
     x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
-    section = _number_sections((at_rest - centre) @ x, apart)
+    section = _number_sections((at_rest - centre) @ x, min_distance)
     y = _direction_of_motion(markers - at_rest, section, x)
     rotation = np.stack([x, y, np.cross(x, y)])
     return Sections(
@@ -221,10 +223,10 @@ def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections
     )
 
 
-def _number_sections(along: Floats, apart: float) -> Ints:
+def _number_sections(along: Floats, min_distance: float) -> Ints:
     order = np.argsort(along)
     number: Ints = np.empty(len(along), dtype=np.int64)
-    number[order] = np.concatenate([[0], np.cumsum(np.diff(along[order]) > apart)])
+    number[order] = np.concatenate([[0], np.cumsum(np.diff(along[order]) > min_distance)])
     return number
 
 
@@ -267,9 +269,9 @@ def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, flo
     points, out = sections.at_rest[:, 1:], np.asarray(towards)
     axis = points.mean(axis=0) - radius * out
     for _ in range(max_steps if radius > 0.0 else 0):
-        away = points - axis
-        far = np.linalg.norm(away, axis=1)
-        step = np.linalg.lstsq(-away / far[:, None], radius - far, rcond=0.05)[0]
+        offsets = points - axis
+        far = np.linalg.norm(offsets, axis=1)
+        step = np.linalg.lstsq(-offsets / far[:, None], radius - far, rcond=0.05)[0]
         axis = axis + step
     return np.asarray(axis, dtype=np.float64)
 

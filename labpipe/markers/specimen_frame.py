@@ -153,16 +153,16 @@ def _distances(positions: Floats, rest: Selection) -> Floats:
     distances = np.zeros((count, count))
     for one in range(count):
         for two in range(one):
-            apart = _typical(positions[:, one] - positions[:, two], rest)
-            distances[one, two] = distances[two, one] = apart
+            distance = _typical(positions[:, one] - positions[:, two], rest)
+            distances[one, two] = distances[two, one] = distance
     return distances
 
 
 def _typical(offsets: Floats, rest: Selection) -> float:
     """Return the median length of offsets of shape (frames, 3), m; infinite if there is none."""
     for stretch in (offsets[rest], offsets):
-        apart = np.linalg.norm(stretch, axis=1)
-        seen = apart[np.isfinite(apart)]
+        distance = np.linalg.norm(stretch, axis=1)
+        seen = distance[np.isfinite(distance)]
         if len(seen):
             return float(np.median(seen))
     return np.inf

@@ -65,9 +65,9 @@ class BentAxis:
         grid = np.linspace(-reach, reach, _GRID)
         sine = self.sine(np.broadcast_to(grid, (len(self.tilt), _GRID)))
         rise = _integrate(sine / np.sqrt(1.0 - sine**2), grid)
-        left = np.clip(((x + reach) / (grid[1] - grid[0])).astype(int), 0, _GRID - 2)
-        share = (x - grid[left]) / (grid[1] - grid[0])
-        y = (1.0 - share) * rise[:, left] + share * rise[:, left + 1] + self.height[:, None]
+        cell = np.clip(((x + reach) / (grid[1] - grid[0])).astype(int), 0, _GRID - 2)
+        share = (x - grid[cell]) / (grid[1] - grid[0])
+        y = (1.0 - share) * rise[:, cell] + share * rise[:, cell + 1] + self.height[:, None]
         return np.asarray(y, dtype=np.float64)
 
     @property
@@ -165,10 +165,10 @@ def fit_span(
 def _check_span(sections: Sections, span: float) -> None:
     """Require enough sections between the supports, for any of their positions."""
     x = np.sort(sections.x)
-    between = max(int(np.sum((x >= left) & (x <= left + span))) for left in x)
-    if between < TERMS + 2:
+    n_inside = max(int(np.sum((x >= start) & (x <= start + span))) for start in x)
+    if n_inside < TERMS + 2:
         message = (
-            f"of {sections.count} sections with markers {between} lie between supports "
+            f"of {sections.count} sections with markers {n_inside} lie between supports "
             f"{1e3 * span:.4g} mm apart: expected at least {TERMS + 2}; check specimen.span and "
             "at the unit of the markers"
         )
@@ -203,9 +203,9 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
 
     lowest = misfit(guess)
     for reach in half_widths:
-        around = np.array([guess - reach, guess, guess + reach])
-        fits = np.array([misfit(around[0]), lowest, misfit(around[2])])
-        bend, slope, _ = np.polyfit(around - guess, fits, 2)
+        guesses = np.array([guess - reach, guess, guess + reach])
+        fits = np.array([misfit(guesses[0]), lowest, misfit(guesses[2])])
+        bend, slope, _ = np.polyfit(guesses - guess, fits, 2)
         step = -0.5 * slope / bend if bend > 0.0 else reach * float(np.argmin(fits) - 1)
         guess += float(np.clip(step, -2.0 * reach, 2.0 * reach))
         lowest = misfit(guess)
@@ -213,16 +213,16 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
 
 
 def _fit(sections: Sections, axis: Floats, middle: float, span: float, radius: float) -> SpanShape:
-    here = np.array([middle, axis[0], axis[1]])
+    parameters = np.array([middle, axis[0], axis[1]])
     slope = np.zeros((len(sections.markers), sections.count))
     centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-    bent = fit_bent_axis(centres - here, span=span, terms=TERMS)
+    bent = fit_bent_axis(centres - parameters, span=span, terms=TERMS)
     for _ in range(2):
         slope = np.arcsin(bent.sine(np.nan_to_num(centres[..., 0] - middle)))
         centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-        bent = fit_bent_axis(centres - here, span=span, terms=TERMS, start=bent)
-    fewer = fit_bent_axis(centres - here, span=span, terms=TERMS - 1)
-    return SpanShape(bent, middle, centres - here, twist, lever, fewer.mid_span, 0.0)
+        bent = fit_bent_axis(centres - parameters, span=span, terms=TERMS, start=bent)
+    fewer = fit_bent_axis(centres - parameters, span=span, terms=TERMS - 1)
+    return SpanShape(bent, middle, centres - parameters, twist, lever, fewer.mid_span, 0.0)
 
 
 def _locate_centres(
@@ -264,8 +264,8 @@ def fit_bent_axis(
     steps = 3 if start is None else 1
     first = np.nan_to_num(first)
     parts = [
-        _fit_chunk(points[at : at + size], span, first[at : at + size], steps)
-        for at in range(0, len(points), size)
+        _fit_chunk(points[begin : begin + size], span, first[begin : begin + size], steps)
+        for begin in range(0, len(points), size)
     ]
     curvature, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)
@@ -310,12 +310,12 @@ def _linearise(unknown: Floats, columns: Floats, grid: Floats, x: Floats) -> tup
     rise = _integrate(sine / flat, grid)
     steps = _integrate((columns.T[None] / flat[:, None] ** 3), grid)
     place = (x - grid[0]) / (grid[1] - grid[0])
-    left = np.clip(place.astype(int), 0, len(grid) - 2)
-    share = place - left
+    cell = np.clip(place.astype(int), 0, len(grid) - 2)
+    share = place - cell
     rows = np.arange(len(x))[:, None]
-    y = (1.0 - share) * rise[rows, left] + share * rise[rows, left + 1]
+    y = (1.0 - share) * rise[rows, cell] + share * rise[rows, cell + 1]
     design = [
-        (1.0 - share) * steps[rows, k, left] + share * steps[rows, k, left + 1]
+        (1.0 - share) * steps[rows, k, cell] + share * steps[rows, k, cell + 1]
         for k in range(columns.shape[1])
     ]
     return np.stack([*design, np.ones_like(x)], axis=2), y + unknown[:, -1:]
@@ -331,7 +331,7 @@ def _integrate(values: Floats, grid: Floats) -> Floats:
 
 def _integrals(x: Floats, span: float, terms: int) -> Floats:
     """Return integrals of u^k from mid-span to x, k from 1, shape (*x.shape, terms)."""
-    left = np.clip(1.0 - 2.0 * np.abs(x) / span, 0.0, None)
+    remainder = np.clip(1.0 - 2.0 * np.abs(x) / span, 0.0, None)
     powers = np.arange(2, terms + 2)
-    whole = 0.5 * span * (1.0 - left[..., None] ** powers) / powers
-    return np.asarray(np.sign(x)[..., None] * whole, dtype=np.float64)
+    full = 0.5 * span * (1.0 - remainder[..., None] ** powers) / powers
+    return np.asarray(np.sign(x)[..., None] * full, dtype=np.float64)

@@ -100,7 +100,7 @@ def repair_tracks(
         relative=relative,
         time=tracks.time,
         settled=max_gap,
-        apart=double_share * max_jump,
+        min_distance=double_share * max_jump,
     )
     _require_markers(names, naming)
     take = Take(names, tracks.frames, tracks.time, pieces)
@@ -192,13 +192,13 @@ def _fill(
         flags[hole, marker] = PointFlag.FILLED
 
 
-def _bridge_path(time: Floats, path: Floats, at: Floats) -> Floats:
+def _bridge_path(time: Floats, path: Floats, times: Floats) -> Floats:
     """Return cubics across the gaps of a path, with its speed at both ends."""
     speed_frames = 5
-    after = np.searchsorted(time, at)
+    after = np.searchsorted(time, times)
     before = after - 1
     span = (time[after] - time[before])[:, None]
-    part = (at - time[before])[:, None] / span
+    part = (times - time[before])[:, None] / span
     leaving = _speed(time, path, np.maximum(before - speed_frames, 0), before) * span
     arriving = _speed(time, path, after, np.minimum(after + speed_frames, len(time) - 1)) * span
     start, stop = path[before], path[after]

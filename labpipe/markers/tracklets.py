@@ -135,9 +135,9 @@ def _squared_steps(positions: Floats) -> Floats:
 
 def _exchanges(earlier: Floats, later: Floats) -> Flags:
     """Return tracks that exchange places with another one from `earlier` to `later`."""
-    apart = np.linalg.norm(later[:, :, None] - earlier[:, None], axis=3)
-    steps = np.einsum("fii->fi", apart)
-    nearer = apart < steps[:, :, None]
+    distances = np.linalg.norm(later[:, :, None] - earlier[:, None], axis=3)
+    steps = np.einsum("fii->fi", distances)
+    nearer = distances < steps[:, :, None]
     return np.asarray((nearer & nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
 
 

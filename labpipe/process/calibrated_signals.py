@@ -106,11 +106,8 @@ def calibrate(
     scales: dict[str, float] = {
         role: source.camera_uncertainty for role, source in protocol.sources.items()
     }
-    reversed_channels = (
-        []
-        if curve is None
-        else [getattr(curve, quantity_name) for quantity_name in curve.reverse or ()]
-    )
+    reverse = () if curve is None or curve.reverse is None else curve.reverse
+    reversed_channels = [getattr(curve, quantity) for quantity in reverse]
     for role, recording in recordings.items():
         findings += [
             Finding(replace(note, where=f"{role}: {note.where}" if note.where else role))
@@ -138,14 +135,9 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
     if source.calibration is not None:
         values = source.gain * values + source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
-        message = error_text(
-            role,
-            f"channel {channel.path!r}",
-            expected="numbers",
-            found="none: every sample is blank or not finite",
-            remedy="Look at the export with `labpipe inspect`.",
-        )
-        raise ProcessingError(message)
+        found = "none: every sample is blank or not finite"
+        remedy = "Look at the export with `labpipe inspect`."
+        raise _refused(role, f"channel {channel.path!r}", "numbers", found, remedy)
     _check_size(values, "channel", role, f"channel {channel.path!r}")
     return Signal(
         time=clock.time,
@@ -158,18 +150,22 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
     )
 
 
+def _refused(role: str, place: str, expected: str, found: str, remedy: str) -> ProcessingError:
+    return ProcessingError(error_text(role, place, expected=expected, found=found, remedy=remedy))
+
+
 def _peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> list[Finding]:
-    """Doubt a channel whose peak is implausible: the unit in the file may be wrong."""
+    """Report a channel whose peak is implausible: the unit in the file may be wrong."""
     if peak_range is None:
         return []
-    peak, (least, most) = float(np.nanmax(np.abs(signal.values))), peak_range
-    if least <= peak <= most:
+    peak, (lowest, highest) = float(np.nanmax(np.abs(signal.values))), peak_range
+    if lowest <= peak <= highest:
         return []
     message = (
-        f"the largest value is {peak:.4g} {signal.unit}, plausible are {least:.4g} to "
-        f"{most:.4g} {signal.unit}: is the unit right, and is it this channel?"
+        f"the largest value is {peak:.4g} {signal.unit}, plausible are {lowest:.4g} to "
+        f"{highest:.4g} {signal.unit}: is the unit right, and is it this channel?"
     )
     return [doubtful("implausible_peak", name, message, quantity)]
 
@@ -181,24 +177,22 @@ def _check_markers(tracks: MarkerTracks, role: str) -> None:
         _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
 
 
-def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
+def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
     """Refuse numbers that are too large to be measurements."""
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
-    if not largest > _LARGEST[kind]:
+    if not largest > _LARGEST[quantity]:
         return
     sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
-    message = error_text(
-        role,
+    place, expected = (
         f"{place}, sample {sample + 1}",
-        expected=f"numbers up to {_LARGEST[kind]:g} in SI units",
-        found=f"{largest:.3g}",
-        remedy="The file is damaged, or a unit is wrong: export the recording again.",
+        f"numbers up to {_LARGEST[quantity]:g} in SI units",
     )
-    raise ProcessingError(message)
+    remedy = "The file is damaged, or a unit is wrong: export the recording again."
+    raise _refused(role, place, expected, f"{largest:.3g}", remedy)
 
 
 def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Note blank samples, and doubt where they are, except at the ends of the record."""
+    """Report blank samples; except at the ends of the record, they are doubtful."""
     # Share of a channel that may be blank before its first and after its last sample.
     max_blank_end_share = 0.02
     missing = np.isnan(signal.values)
@@ -219,24 +213,17 @@ def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
     if len(time) < min_samples:
         expected, actual = f"at least {min_samples} samples", f"{len(time)}"
         remedy = "The recording was aborted; leave this test out."
-        message = error_text(role, "time", expected=expected, found=actual, remedy=remedy)
-        raise ProcessingError(message)
-    steps = np.diff(time)
-    backwards = np.flatnonzero(~(steps > 0))
+        raise _refused(role, "time", expected, actual, remedy)
+    backwards = np.flatnonzero(~(np.diff(time) > 0))
     if len(backwards):
         sample = int(backwards[0]) + 1
-        message = error_text(
-            role,
-            f"sample {sample + 1}",
-            expected="an increasing time axis",
-            found=f"{time[sample]:.6f} s after {time[sample - 1]:.6f} s",
-            remedy="Export the recording again.",
-        )
-        raise ProcessingError(message)
+        expected = "an increasing time axis"
+        found = f"{time[sample]:.6f} s after {time[sample - 1]:.6f} s"
+        raise _refused(role, f"sample {sample + 1}", expected, found, "Export the recording again.")
 
 
 def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
-    """Doubt channels while they are saturated or frozen.
+    """Report channels while they are saturated or frozen.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from labpipe.markers.specimen_shape import Offsets, ShapeFit, deflection, fit_sh
 from labpipe.markers.track_repair import RepairedTracks, repair_tracks
 from labpipe.markers.tracklets import frozen_samples
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.zeros import MIN_LEVEL_SAMPLES, mean_level
+from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, mean_level
 from labpipe.protocol.schema import Markers
 from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.causes import SHAPE
@@ -98,7 +98,7 @@ def turn_into_specimen(
     )
     frame = find_frame(rest=rest)
     still = _before_motion(tracks.time, frame, take.clamp)
-    if MIN_LEVEL_SAMPLES <= (rest & still).sum() < rest.sum():
+    if MIN_SAMPLES_NOISE_UNKNOWN <= (rest & still).sum() < rest.sum():
         rest &= still
         frame = find_frame(rest=rest)
         message = (

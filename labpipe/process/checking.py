@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
-from labpipe.errors import ProcessingError, ProtocolError, ReadError, error_text, nearest
-from labpipe.process.calibrated_signals import calibrate
+from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, error_text, nearest
+from labpipe.process.calibrated_signals import Prepared, calibrate
 from labpipe.process.output_paths import files_below
-from labpipe.process.reading import is_empty, join_exports, name_channels
+from labpipe.process.reading import join_exports, read_role
 from labpipe.process.steps import run_step
 from labpipe.protocol.load import (
     is_there,
@@ -24,47 +26,42 @@ from labpipe.protocol.load import (
 )
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
-from labpipe.protocol.source import Source
 from labpipe.protocol.yaml_text import parse_yaml, read_text
-from labpipe.readers import read_export, recognise_export
+from labpipe.readers import recognise_export
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
 from labpipe.records.recording import MarkerTracks, Recording
 from labpipe.results.beam import BendingStiffness
 from labpipe.results.shapes import MidSpan, Twist
 
 _YAML = (".yaml", ".yml")
-_INSPECT = "`labpipe inspect` shows what the file holds."
+_T = TypeVar("_T")
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One fault.
-
-    Parameters
-    ----------
-    file : protocol or test sheet
-    message : file, place, expected, found, what to do
-    """
-
-    file: Path
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class CheckReport:
     """The checked files and their faults.
 
     Parameters
     ----------
     protocols, tests : checked files
-    findings : all faults, each once
     plans : other checked files: calibration plans, campaign plans, harnesses
+    faults : messages, each once: file, place, expected, found, what to do
     """
 
-    protocols: tuple[Path, ...]
-    tests: tuple[Path, ...]
-    findings: tuple[Finding, ...]
-    plans: tuple[Path, ...] = ()
+    protocols: list[Path] = field(default_factory=list)
+    tests: list[Path] = field(default_factory=list)
+    plans: list[Path] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+    def attempt(self, work: Callable[[], _T], *, place: str = "") -> _T | None:
+        """Return what a function returns, or None with its error among the faults."""
+        try:
+            return work()
+        except ProcessingError as error:
+            self.faults.append(f"{place}{error}")
+        except LabpipeError as error:
+            self.faults += str(error).splitlines()
+        return None
 
 
 def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> CheckReport:
@@ -80,23 +77,26 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
     -------
     The report; faults of files are never raised.
     """
+    report = CheckReport()
     wanted = list(paths) or [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
-    files = list(dict.fromkeys(file for path in wanted for file in _yaml_files(path)))
-    tests = tuple(file for file in files if file.name == SHEET_NAME)
-    loaders = {file: _loader_of(file) for file in files if file.name != SHEET_NAME}
-    plans = tuple(file for file, load in loaders.items() if load is not None)
-    others = tuple(file for file, load in loaders.items() if load is None)
-    sheets = dict[Path, TestSheet]()
-    checks: list[tuple[Path, Iterable[str]]] = [
-        *((path, _unusable(path)) for path in wanted or [Path("protocols")]),
-        *((other, _protocol_faults(other)) for other in others),
-        *((plan, _load_faults(load, plan)) for plan, load in loaders.items() if load is not None),
-        *((test, _test_faults(test, sheets, follow_links=follow_links)) for test in tests),
+    files = [file for path in wanted for file in _yaml_files(path)]
+    report.faults += [
+        _unusable(path) for path in wanted or [Path("protocols")] if not _yaml_files(path)
     ]
-    findings = [Finding(file, message) for file, messages in checks for message in messages]
-    findings += _shared_names(sheets)
-    findings_by_message = {finding.message: finding for finding in reversed(findings)}
-    return CheckReport(others, tests, tuple(reversed(findings_by_message.values())), plans)
+    for file in dict.fromkeys(files):
+        load = _loader_of(file)
+        if file.name == SHEET_NAME:
+            report.tests.append(file)
+        elif load is None:
+            report.protocols.append(file)
+            _check_protocol(file, report)
+        else:
+            report.plans.append(file)
+            report.attempt(partial(load, file))
+    sheets = {file: _check_test(file, report, follow_links=follow_links) for file in report.tests}
+    report.faults += _shared_names({file: sheet for file, sheet in sheets.items() if sheet})
+    report.faults = list(dict.fromkeys(report.faults))
+    return report
 
 
 def _yaml_files(path: Path) -> list[Path]:
@@ -105,20 +105,18 @@ def _yaml_files(path: Path) -> list[Path]:
     return [path] if path.suffix in _YAML and path.is_file() else []
 
 
-def _unusable(path: Path) -> Iterator[str]:
-    """Find a path with nothing to check."""
-    if _yaml_files(path):
-        return
-    actual = "nothing of that name"
+def _unusable(path: Path) -> str:
+    """Describe a path with nothing to check."""
+    found = "nothing of that name"
     if path.exists():
-        actual = "a folder without any" if path.is_dir() else "another file"
+        found = "a folder without any" if path.is_dir() else "another file"
     expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
     remedy = f"`labpipe new` writes a {SHEET_NAME}."
-    yield error_text(path, "", expected=expected, found=actual, remedy=remedy)
+    return error_text(path, "", expected=expected, found=found, remedy=remedy)
 
 
 def _loader_of(path: Path) -> Callable[[Path], object] | None:
-    """Return the loader of a YAML file; None for a protocol, even a misspelt one."""
+    """Return the loader of a plan; None for a protocol, even a misspelt one."""
     from labpipe.protocol.campaign_plan import PLAN_NAME
     from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.plans import CalibrationPlan
@@ -130,86 +128,77 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
     except ProtocolError:
         return None
     keys = set(data) if isinstance(data, Mapping) else set()
-    if "sources" in keys:
-        return None
-    other_keys = keys - {*Protocol.keys()}
+    other_keys = set() if "sources" in keys else keys - {*Protocol.keys()}
     if other_keys & {*HarnessFile.keys()} - {*CalibrationPlan.keys()}:
         return load_harness
     return load_calibration_plan if other_keys & {*CalibrationPlan.keys()} else None
 
 
-def _load_faults(load: Callable[[Path], object], path: Path) -> list[str]:
-    """Load a file and list its faults."""
-    try:
-        load(path)
-    except ProtocolError as error:
-        return str(error).splitlines()
-    return []
+def _check_protocol(path: Path, report: CheckReport) -> None:
+    protocol = report.attempt(partial(load_protocol, path))
+    if protocol is not None and protocol.name != path.stem:
+        expected, found = f"the name of the file, {path.stem!r}", repr(protocol.name)
+        remedy = "Change one of them."
+        text = error_text(path, "(name)", expected=expected, found=found, remedy=remedy)
+        report.faults.append(text)
 
 
-def _protocol_faults(path: Path) -> Iterator[str]:
-    try:
-        protocol = load_protocol(path)
-    except ProtocolError as error:
-        yield from str(error).splitlines()
-        return
-    if protocol.name != path.stem:
-        expected, remedy = f"the name of the file, {path.stem!r}", "Change one of them."
-        yield error_text(
-            path, "(name)", expected=expected, found=repr(protocol.name), remedy=remedy
-        )
-
-
-def _test_faults(path: Path, sheets: dict[Path, TestSheet], *, follow_links: bool) -> Iterator[str]:
-    """Find what is wrong with a test; its sheet is added to `sheets` if it is valid."""
-    try:
-        sheet = sheets[path] = load_test_sheet(path)
-    except ProtocolError as error:
-        yield from str(error).splitlines()
-        return
-    try:
-        protocol = resolve(sheet, path, follow_links=follow_links)
-    except ProtocolError as error:
-        yield from str(error).splitlines()
-        protocol = None
-    if protocol is not None:
-        yield from _span_faults(path, protocol)
+def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestSheet | None:
+    """Check a test up to its steps that need no markers; return its sheet if that is valid."""
+    sheet = report.attempt(partial(load_test_sheet, path))
+    if sheet is None:
+        return None
+    protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
+    before = len(report.faults)
+    if protocol is not None and (results := needs_span(protocol)):
+        expected = f"the distance of the supports (for {', '.join(results)})"
+        remedy = "Write it into the specimen, such as 'span: 152.4 mm'."
+        place = "specimen.span"
+        text = error_text(path, place, expected=expected, found="nothing", remedy=remedy)
+        report.faults.append(text)
+        before += 1
     missing = missing_exports(sheet, path)
-    faults = str(missing).splitlines() if missing else []
-    recordings: dict[str, list[Recording]] = {role: [] for role in sheet.files}
+    report.faults += str(missing).splitlines() if missing else []
+    parts: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, names in sheet.files.items():
-        source = protocol.sources[role] if protocol else None
-        for export in filter(is_there, (path.parent / name for name in names)):
-            faults += _export_faults(export, source, protocol, recordings[role])
-    yield from faults
-    if protocol is not None and not faults:
-        yield from _refusals(path, sheet, protocol, recordings)
+        for file in filter(is_there, (path.parent / name for name in names)):
+            if protocol is None:
+                report.attempt(partial(recognise_export, file))
+                continue
+            part = report.attempt(partial(read_role, file, protocol.sources[role]))
+            if part is not None:
+                parts[role].append(part)
+                report.faults += _marker_faults(part.markers, protocol.markers, file)
+    if protocol is not None and len(report.faults) == before:
+        _check_steps(path, sheet, protocol, parts, report)
+    return sheet
 
 
-def _refusals(
-    path: Path, sheet: TestSheet, protocol: Protocol, exports: Mapping[str, list[Recording]]
-) -> Iterator[str]:
+def _check_steps(
+    path: Path,
+    sheet: TestSheet,
+    protocol: Protocol,
+    parts: Mapping[str, list[Recording]],
+    report: CheckReport,
+) -> None:
     """Find what `labpipe process` would refuse although each export alone is valid."""
-    try:
+
+    def calibrated() -> Prepared:
         recordings: dict[str, Recording] = {
-            role: join_exports(exports[role], sheet.files[role], path.parent)
+            role: join_exports(parts[role], sheet.files[role], path.parent)
             for role in protocol.sources
         }
-        prepared, _ = calibrate(recordings, protocol)
-    except ReadError as error:
-        yield str(error)
-        return
-    except ProcessingError as error:
-        yield f"{path}, {error}"
-        return
+        return calibrate(recordings, protocol)[0]
+
+    prepared, place = report.attempt(calibrated, place=f"{path}, "), f"{path}, "
     for step in protocol.steps:
-        if not isinstance(step, Zero | Smooth | LowPass | Decimate):
-            continue
-        if step.channel in prepared.signals.filtered:
-            try:
-                prepared, _ = run_step(prepared, step, protocol)
-            except ProcessingError as error:
-                yield f"{path}, {error}"
+        if (
+            prepared is not None
+            and isinstance(step, Zero | Smooth | LowPass | Decimate)
+            and step.channel in prepared.signals.filtered
+        ):
+            run = partial(run_step, prepared, step, protocol)
+            prepared, _ = report.attempt(run, place=place) or (prepared, [])
 
 
 def needs_span(protocol: Protocol) -> list[str]:
@@ -229,79 +218,34 @@ def needs_span(protocol: Protocol) -> list[str]:
     ]
 
 
-def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
-    """Find a test on two supports without a span."""
-    results = needs_span(protocol)
-    if results:
-        yield error_text(
-            path,
-            "specimen.span",
-            expected=f"the distance of the supports (for {', '.join(results)})",
-            found="nothing",
-            remedy="Write it into the specimen, such as 'span: 152.4 mm'.",
-        )
-
-
-def _export_faults(
-    path: Path, source: Source | None, protocol: Protocol | None, recordings: list[Recording]
-) -> Iterator[str]:
-    """Find what is wrong with one export; only that it can be read, where the protocol failed.
-
-    What is right goes into `recordings`, with the channels of the protocol.
-    """
-    try:
-        if source is None or protocol is None:
-            recognise_export(path)
-            return
-        recording = read_export(path, source.reader, dialect=source.dialect, part=source.part)
-    except ReadError as error:
-        yield str(error)
-        return
-    faults = list(_marker_faults(recording.markers, protocol.markers, path))
-    try:
-        if not is_empty(recording):  # one of several parts, or the only one
-            recording = name_channels(recording, source, path)
-    except ReadError as error:
-        faults = [*str(error).splitlines(), *faults]
-    yield from faults
-    if not faults:
-        recordings.append(recording)
-
-
 def _marker_faults(
     tracks: MarkerTracks | None, markers: Markers | None, path: Path
 ) -> Iterator[str]:
     """Find a clamp or markers that are missing in the take."""
     if tracks is None or markers is None:
         return
+    wanted = []
     bodies = [body.name for body in tracks.bodies]
     if markers.clamp is not None and markers.clamp not in bodies:
-        near_names = nearest(markers.clamp, bodies)
-        remedy = f"The take has {', '.join(map(repr, near_names))}." if near_names else _INSPECT
-        yield error_text(
-            path,
-            f"rigid body {markers.clamp!r}",
-            expected="the rigid body that 'markers.clamp' names",
-            found="no such body" if bodies else "no rigid bodies at all",
-            remedy=remedy,
-        )
+        found = "no such body" if bodies else "no rigid bodies at all"
+        expected = "the rigid body that 'markers.clamp' names"
+        wanted.append((f"rigid body {markers.clamp!r}", expected, found, markers.clamp, bodies))
     for pattern in () if markers.along == "all" else markers.along:
         if not fnmatch.filter(tracks.names, pattern):
-            near_names = nearest(pattern, list(tracks.names))
-            remedy = f"Nearest: {', '.join(map(repr, near_names))}." if near_names else _INSPECT
-            expected = "markers that 'markers.along' names"
-            place = f"markers {pattern!r}"
-            yield error_text(path, place, expected=expected, found="none", remedy=remedy)
+            place, expected = f"markers {pattern!r}", "markers that 'markers.along' names"
+            wanted.append((place, expected, "none", pattern, list(tracks.names)))
+    for place, expected, found, name, names in wanted:
+        near = ", ".join(map(repr, nearest(name, names)))
+        remedy = f"Nearest: {near}." if near else "`labpipe inspect` shows what the file holds."
+        yield error_text(path, place, expected=expected, found=found, remedy=remedy)
 
 
-def _shared_names(sheets: Mapping[Path, TestSheet]) -> Iterator[Finding]:
+def _shared_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
     """Find tests of one campaign with the same name: they would overwrite each other."""
     seen: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
-        key = (path.resolve().parent.parent, sheet.test.casefold())
-        if key in seen:
-            expected, actual = "a name that no other test of the campaign has", repr(sheet.test)
-            remedy = f"{seen[key]} has it too: rename one of them."
-            text = error_text(path, "(test)", expected=expected, found=actual, remedy=remedy)
-            yield Finding(path, text)
-        seen.setdefault(key, path)
+        first = seen.setdefault((path.resolve().parent.parent, sheet.test.casefold()), path)
+        if first != path:
+            expected, found = "a name that no other test of the campaign has", repr(sheet.test)
+            remedy = f"{first} has it too: rename one of them."
+            yield error_text(path, "(test)", expected=expected, found=found, remedy=remedy)

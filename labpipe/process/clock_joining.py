@@ -170,21 +170,30 @@ def _measure_repeat(
     begin, top, end = (fit.to_force_time(time) for time in (start, turn, stop))
     lag_of = partial(
         fit_lag,
-        force.time,
         start=begin,
         turn=top,
         stop=end,
         guess=guess * (1.0 + fit.drift),
         hysteresis=True,
     )
-    pulled = lag_of(force.values)
+    pulled = lag_of(force.time, force.values)
     if isinstance(moved, Failure) or isinstance(pulled, Failure):
         return None
     error = float(np.hypot(moved.error, pulled.error))
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    lags = [lag_of(force.values + wave) for wave in drift_modes(force.time - force.time[0], drift)]
-    steps = [lag.value - pulled.value for lag in lags if not isinstance(lag, Failure)]
-    return Repeat(moved.value, pulled.value, error, wander=float(np.linalg.norm(steps)))
+    time, values = _block_means(force.time), _block_means(force.values)
+    waves = drift_modes(time - time[0], drift)
+    lags = [lag_of(time, values + wave) for wave in (np.zeros_like(time), *waves)] if waves else []
+    known = [lag.value for lag in lags if not isinstance(lag, Failure)]
+    wander = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
+    return Repeat(moved.value, pulled.value, error, wander)
+
+
+def _block_means(values: Floats) -> Floats:
+    """Return the means of blocks, at least 50 000 of a long record."""
+    block = max(1, len(values) // 50_000)
+    means: Floats = values[: len(values) // block * block].reshape(-1, block).mean(axis=1)
+    return means
 
 
 def _has_relaxation(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
@@ -241,14 +250,14 @@ def _event_table(events: list[tuple[Corner, Reversal]], *, shape_errors: int) ->
     """
     rows = [
         (
-            seen.time,
-            felt.corner.time,
+            motion_event.time,
+            force_event.corner.time,
             np.hypot(
-                np.hypot(seen.time_error, felt.corner.time_error),
-                np.sqrt(shape_errors) * felt.shape_error if shape_errors else 0.0,
+                np.hypot(motion_event.time_error, force_event.corner.time_error),
+                np.sqrt(shape_errors) * force_event.shape_error if shape_errors else 0.0,
             ),
         )
-        for seen, felt in events
+        for motion_event, force_event in events
     ]
     return np.array(rows, dtype=np.float64).reshape(-1, 3).T
 
@@ -327,7 +336,7 @@ def use_stated_clocks(
 def _check_stated_offset(
     force: Signal, fit: ClockFit, motion: Signal, strokes: tuple[Stroke, ...]
 ) -> Iterator[Finding]:
-    """Doubt a stated offset with which the force peaks long before or after the motion turns."""
+    """Report a stated offset with which the force peaks long before or after the motion turns."""
     # s
     smoothing, peak_share = 0.5, 0.3
     # s, and standard errors of the stated offset.

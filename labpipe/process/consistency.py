@@ -24,9 +24,6 @@ COMPARED_POINTS = 40
 """Displacements of a branch at which cycles are compared."""
 MIN_BRANCH_SAMPLES = 5
 """Shorter branches are not compared."""
-MIN_SCALE_RATIO = 3.0
-"""Misfit of two cycles as recorded, over the misfit after a change of scale or level. It is at most
-2.0 in 246 pairs of real and simulated cycles, where the material changes the shape of the curve."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +96,7 @@ def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
 def _check_cycles(
     where: str, curve: Curve, cycles: list[Cycle], largest: float, limits: Limits
 ) -> Iterator[Finding]:
-    """Doubt changes of scale or level that are the same over a whole cycle.
+    """Report changes of scale or level that are the same over a whole cycle.
 
     The instruments cause them: conditioning, hardening, fatigue and permanent set change loading
     and unloading differently. Unloading is also compared alone, because a first loading differs
@@ -125,40 +122,44 @@ def _instrument_change(
     before: Cycle, after: Cycle, largest: float, least: float
 ) -> tuple[bool, str, str] | None:
     """Return whether the level (or else the scale) changed, a description, and a remedy."""
+    # Misfit of two cycles as recorded, over the misfit after a change of scale or level. It is at
+    # most 2.0 in 246 pairs of real and simulated cycles, where the material changes the shape of
+    # the curve.
+    min_scale_ratio = 3.0
     # The ratios of unloading alone are at most 4.0 and 6.2 in the same pairs.
     unloading_scale_ratio, unloading_level_ratio = 5.5, 8.0
     forces = _common(*before.paths, *after.paths)
     if not forces:
         return None
     old, new = np.concatenate(forces[:2]), np.concatenate(forces[2:])
-    whole_cycle = slice(None), MIN_SCALE_RATIO, MIN_SCALE_RATIO
+    whole_cycle = slice(None), min_scale_ratio, min_scale_ratio
     unloading = slice(COMPARED_POINTS, None), unloading_scale_ratio, unloading_level_ratio
     for part, scale_ratio, level_ratio in (whole_cycle, unloading):
         first, second = old[part], new[part]
         recorded = _rms(second - first)
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
-        left, left_level = _rms(second - scale * first), _rms(second - level - first)
-        if left < left_level and abs(scale - 1.0) > least and recorded > scale_ratio * left:
+        misfit, level_misfit = _rms(second - scale * first), _rms(second - level - first)
+        if misfit < level_misfit and abs(scale - 1.0) > least and recorded > scale_ratio * misfit:
             description = (
                 f"the force over displacement is {scale:.4g} times that of the cycle before"
             )
             return False, description, "check for a change of range, gain or encoder"
-        if abs(level) > least * largest and recorded > level_ratio * left_level:
+        if abs(level) > least * largest and recorded > level_ratio * level_misfit:
             description = f"the force is {level:+.4g} N off that of the cycle before"
             return True, description, "check for a new zero of the load cell"
     first_back, back = before.paths[1], after.paths[1]
     stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
     scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
-    left = _rms(scaled[1] - scaled[0]) if scaled else np.inf
+    misfit = _rms(scaled[1] - scaled[0]) if scaled else np.inf
     recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
-    if abs(stretch - 1.0) < least or recorded < MIN_SCALE_RATIO * left:
+    if abs(stretch - 1.0) < least or recorded < min_scale_ratio * misfit:
         return None
     description = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
     return False, description, "check for a change of the encoder or its scale"
 
 
 def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
-    """Doubt a force that still grows after the motion has turned: it is late, or has jumped."""
+    """Report a force that still grows after the motion has turned: it is late, or has jumped."""
     noise_factor = 8.0
     sense = sense_of_loading(curve.force[curve.branches[0].start : curve.branches[0].stop])
     min_growth = noise_factor * noise_level(curve.force)
@@ -197,7 +198,7 @@ def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> It
 def _check_energy(
     where: str, curve: Curve, cycles: list[Cycle], limits: Limits
 ) -> Iterator[Finding]:
-    """Doubt cycles whose specimen gives back more energy than was put into it."""
+    """Report cycles whose specimen gives back more energy than was put into it."""
     gains = []
     for cycle in cycles:
         forces = _common(*cycle.paths)
@@ -223,7 +224,7 @@ def _check_energy(
 def _check_second_specimen(
     where: str, curve: Curve, cycles: list[Cycle], limits: Limits
 ) -> Iterator[Finding]:
-    """Doubt a record that goes on with another specimen after the first one broke."""
+    """Report a record that goes on with another specimen after the first one broke."""
     unloading_quantile = 0.8  # below it, a broken specimen carries no force on the way back
     for before in cycles:
         later = [branch for branch in curve.branches if branch.start >= before.unloading.stop]
@@ -246,7 +247,7 @@ def _check_second_specimen(
 
 
 def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
-    """Doubt a record with a long sequence of samples that occurs twice: rows were copied."""
+    """Report a record with a long sequence of samples that occurs twice: rows were copied."""
     min_repeated = 40
     max_samples = 200_000  # longer records have not been edited in a spreadsheet
     force, displacement = curve.force, curve.displacement

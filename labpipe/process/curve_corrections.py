@@ -149,10 +149,10 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     if not len(outliers):
         return signal, []
     first = int(outliers[0])
-    at = f"at {signal.time[first]:.3f} s" if signal.has_time else f"in sample {first + 1}"
+    place_text = f"at {signal.time[first]:.3f} s" if signal.has_time else f"in sample {first + 1}"
     message = (
-        f"{len(outliers)} outliers of the force, the first {signal.values[first]:.4g} N {at}: "
-        "replaced by interpolation"
+        f"{len(outliers)} outliers of the force, the first {signal.values[first]:.4g} N "
+        f"{place_text}: replaced by interpolation"
     )
     bridge = replace(signal, values=bridge_spikes(signal.values, outliers))
     return bridge, [warning("stray_samples", signals.force, message)]
@@ -188,16 +188,12 @@ def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value:
     blocks = np.array_split(corrected[loading], min(20, top + 1 - branch.start))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
-    way = float(curve.displacement[top] - curve.displacement[branch.start])
+    travel = float(curve.displacement[top] - curve.displacement[branch.start])
     pull = float(curve.force[top] - curve.force[branch.start])
-    message = error_text(
-        "curve.compliance",
-        "",
-        expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N in loading",
-        found=f"{1e6 * value:.4g} um/N, with which the specimen would get shorter",
-        remedy="Check its unit, and the test of the stiff bar.",
-    )
-    raise ProcessingError(message)
+    expected = f"a compliance below that of this test, {1e6 * travel / pull:.4g} um/N in loading"
+    found = f"{1e6 * value:.4g} um/N, with which the specimen would get shorter"
+    remedy, place = "Check its unit, and the test of the stiff bar.", "curve.compliance"
+    raise ProcessingError(error_text(place, "", expected=expected, found=found, remedy=remedy))
 
 
 def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | None:
@@ -260,7 +256,7 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
     names = {"force": signals.force, "displacement": signals.displacement}
     if curve is None or not set(names.values()) & signals.filters.keys():
         return test
-    ends = [at for branch in curve.branches for at in (branch.start_time, branch.stop_time)]
+    ends = [end for branch in curve.branches for end in (branch.start_time, branch.stop_time)]
     ends += [float(curve.time[lost])] if isinstance(lost, int) else []
     raw = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
     curve_values = {"force": curve.force, "displacement": curve.displacement}
@@ -385,9 +381,9 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     if np.isnan(slack.off).mean() > max_falling_share:
         message = "with noise of this size the force may not rise in the linear region"
         return Failure("not_rising", message)
-    at = loading_of(trace).start
-    first, load = float(trace.displacement[at]), float(trace.force[at])
-    if slack.value < first and not _preload_explains(slack, decide, trace, at):
+    start = loading_of(trace).start
+    first, load = float(trace.displacement[start]), float(trace.force[start])
+    if slack.value < first and not _preload_explains(slack, decide, trace, start):
         return Failure(
             "no_toe",
             f"the line meets zero force at {1e3 * slack.value:.4g} mm, before the first sample at "
@@ -396,16 +392,16 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     return slack
 
 
-def _preload_explains(slack: Measured, decide: Decide, trace: Trace, at: int) -> bool:
+def _preload_explains(slack: Measured, decide: Decide, trace: Trace, start: int) -> bool:
     """Check whether the line meets zero force before the first sample because of a preload.
 
     The line reaches the force of the first sample near that sample if the curve is straight from
     there on, and close to the slack if the curve is steeper than the line.
     """
-    first = float(trace.displacement[at])
+    first = float(trace.displacement[start])
     if slack.interval.upper >= first:
         return True
-    preloaded = replace(trace, force=trace.force - trace.force[at])
+    preloaded = replace(trace, force=trace.force - trace.force[start])
     above = or_failure(decide)(preloaded)
     if isinstance(above, Failure):
         return False

@@ -5,32 +5,34 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from types import MappingProxyType
 
-from labpipe.process.certificates import DAY_KEYS
+from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-_DAY_ENTRY_KEYS = (*DAY_KEYS, "Date", "Datum", "Date/heure", "Date/Clock time", "Data Header")
-"""Metadata keys of the day of the test."""
-_OPERATOR_KEYS = ("User", "author", "Operator", "Prüfer", "Tester", "Bediener", "Opérateur")
-_SPECIMEN_KEYS = (
-    "Specimen label",
-    "Specimen number (included)",
-    "Probebezeichnung",
-    "Probenbezeichnung",
-    "aktuelle Probe",
-)
-_TEST_KEYS = ("Take Name", "Test Run")
-_SIZE_KEYS = MappingProxyType(
+DAY_KEYS = ("date", "start_time", "Capture Start Time")
+"""Metadata keys of the recording date or time, always in ISO 8601."""
+_ENTRY_KEYS = MappingProxyType(
     {
+        "date": (*DAY_KEYS, "Date", "Datum", "Date/heure", "Date/Clock time", "Data Header"),
+        "operator": (
+            *("User", "author", "Operator", "Tester"),
+            *("Prüfer", "Bediener", "Opérateur"),
+        ),
+        "specimen": (
+            *("Specimen label", "Specimen number (included)"),
+            *("Probebezeichnung", "Probenbezeichnung", "aktuelle Probe"),
+        ),
+        "take": ("Take Name", "Test Run"),
         "length": ("Length", "Einspannlänge"),
         "width": ("Width", "Probenbreite b0"),
         "thickness": ("Thickness", "Probendicke a0"),
     }
 )
+"""Metadata keys of each fact; the first that is filled in is used."""
 _EMPTY_ENTRIES = frozenset(
     {"", "-", "none", "<none>", "default", "unknown", "user", "administrator"}
 )
@@ -44,6 +46,34 @@ _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _NAME_WITH_LENGTH = re.compile(r"(?P<type>.+)-(?P<length>\d{3})-(?P<sample>\d{1,3}[a-z]?)")
 _NAME_WITHOUT_LENGTH = re.compile(r"(?P<type>.+?)[-_](?P<sample>\d{1,3}[a-z]?)")
 FOLDER = "the name of the folder"
+
+
+def day_and_operator(sheet: str, recordings: Mapping[str, Recording]) -> tuple[date | None, str]:
+    """Find the day and the operator of a test.
+
+    Parameters
+    ----------
+    sheet : text of its test sheet, whose date has priority
+    recordings : by role; the first one with a date is used
+
+    Returns
+    -------
+    The day, None if it is not stated anywhere; the operator, empty if the sheet does not name one.
+    """
+    sheet_data = parse_yaml(sheet, "test.yaml").data
+    entries = sheet_data if isinstance(sheet_data, Mapping) else {}
+    dates = [entries.get("date")]
+    dates += [recording.metadata.get(key) for recording in recordings.values() for key in DAY_KEYS]
+    operator = entries.get("operator")
+    day = next(filter(None, map(_day, dates)), None)
+    return day, operator if isinstance(operator, str) else ""
+
+
+def _day(written: object) -> date | None:
+    try:
+        return date.fromisoformat(str(written)[:10])
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,20 +95,6 @@ class Fact:
     written: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class CombinedFacts:
-    """The facts of all sources of a test, combined.
-
-    Parameters
-    ----------
-    facts : by key, those on which all sources agree; `where` names all of them
-    open : sentences on contradictory or ambiguous facts, which are left out
-    """
-
-    facts: Mapping[str, Fact]
-    open: tuple[str, ...]
-
-
 def facts_of_export(name: str, recording: Recording) -> tuple[Fact, ...]:
     """Collect the facts that an export holds about its test.
 
@@ -92,27 +108,28 @@ def facts_of_export(name: str, recording: Recording) -> tuple[Fact, ...]:
     Its facts. The modification time of the file is not one of them: copying changes it.
     """
     entries = dict(_entries(recording.metadata))
-    dated_entries = {
-        key_name: text
-        for key_name, text in entries.items()
-        if any(form.search(text) for form in (_ISO_DATE, _DOTTED_DATE, _SLASHED_DATE))
-    }
-    facts = [
-        Fact("date", day_in(text), name, text)
-        for text in _first_filled(dated_entries, _DAY_ENTRY_KEYS)
-    ]
-    if not facts:
-        facts = [Fact("date", day, f"the name of {name}", name) for day in days_in_name(name)]
-    for key, names in (
-        ("operator", _OPERATOR_KEYS),
-        ("specimen", _SPECIMEN_KEYS),
-        ("take", _TEST_KEYS),
-    ):
-        facts += [Fact(key, text, name, text) for text in _first_filled(entries, names)]
-    for key, names in _SIZE_KEYS.items():
-        sizes = [text for text in _first_filled(entries, names) if _is_length(text)]
-        facts += [Fact(key, text, name, text) for text in sizes]
+    facts = []
+    for key, names in _ENTRY_KEYS.items():
+        texts = [entries[entry] for entry in names if _is_filled(key, entries.get(entry, ""))]
+        facts += [Fact(key, _value(key, text), name, text) for text in texts[:1]]
+    if not any(fact.key == "date" for fact in facts):
+        facts += [Fact("date", day, f"the name of {name}", name) for day in days_in_name(name)]
     return tuple(facts)
+
+
+def _is_filled(key: str, text: str) -> bool:
+    """Check whether an entry was filled in, and can be what its key says."""
+    if key in ("length", "width", "thickness"):
+        with suppress(ValueError):
+            return parse_quantity(text, "m") > 0.0
+        return False
+    if key == "date":
+        return any(form.search(text) for form in (_ISO_DATE, _DOTTED_DATE, _SLASHED_DATE))
+    return text.casefold() not in _EMPTY_ENTRIES
+
+
+def _value(key: str, text: str) -> str:
+    return day_in(text) if key == "date" else text
 
 
 def facts_of_folder(name: str) -> tuple[Fact, ...]:
@@ -189,31 +206,34 @@ def day_in(text: str) -> str:
     return ""
 
 
-def combine_facts(facts: Iterable[Fact]) -> CombinedFacts:
+def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str]]:
     """Combine the facts of several sources about one test.
 
     Parameters
     ----------
     facts : of its exports and of its folder
+
+    Returns
+    -------
+    agreed : by key, those on which all sources agree; `where` names all of them
+    left_open : by key, a sentence on contradictory or ambiguous facts
     """
     by_key: dict[str, list[Fact]] = {}
     for fact in facts:
         by_key.setdefault(fact.key, []).append(fact)
-    agreed_facts, left_open = {}, []
+    agreed, left_open = dict[str, Fact](), dict[str, str]()
     for key, facts_of_key in by_key.items():
-        clear_facts = [fact for fact in facts_of_key if fact.value]
-        values = dict.fromkeys(fact.value for fact in clear_facts)
-        if len(values) == 1:
-            first = clear_facts[0]
-            where = list(dict.fromkeys(fact.where for fact in clear_facts))
-            agreed_facts[key] = Fact(key, first.value, " and ".join(where), first.written)
-        elif values:
-            statements = ", ".join(f"{fact.value} in {fact.where}" for fact in clear_facts)
-            left_open.append(f"{key}: {statements}; left out, write the correct one")
+        clear = [fact for fact in facts_of_key if fact.value]
+        if len({fact.value for fact in clear}) == 1:
+            sources = " and ".join(dict.fromkeys(fact.where for fact in clear))
+            agreed[key] = replace(clear[0], where=sources)
+        elif clear:
+            statements = ", ".join(f"{fact.value} in {fact.where}" for fact in clear)
+            left_open[key] = f"{key}: {statements}; left out, write the correct one"
         else:
             statements = ", ".join(f"{fact.written!r} in {fact.where}" for fact in facts_of_key)
-            left_open.append(f"{key}: {statements} can be read day first or month first; left out")
-    return CombinedFacts(agreed_facts, tuple(left_open))
+            left_open[key] = f"{key}: {statements} can be read day first or month first; left out"
+    return agreed, left_open
 
 
 def _entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
@@ -228,19 +248,6 @@ def _entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
             if word not in seen:
                 seen.add(word)
                 yield word, text.strip()
-
-
-def _first_filled(entries: Mapping[str, str], names: Iterable[str]) -> list[str]:
-    """Return the first entry that was filled in, as a list of one or none."""
-    return [
-        entries[name] for name in names if entries.get(name, "").casefold() not in _EMPTY_ENTRIES
-    ][:1]
-
-
-def _is_length(text: str) -> bool:
-    with suppress(ValueError):
-        return parse_quantity(text, "m") > 0.0
-    return False
 
 
 def _iso_date(year: str, month: str, day: str) -> str:

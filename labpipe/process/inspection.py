@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +12,8 @@ import numpy as np
 
 from labpipe.readers import recognise_export
 from labpipe.readers.time_axes import SAMPLED_ON_EVENT, TIME_VARIABLE, find_holes
-from labpipe.readers.tracking import blank, longest, runs, unchanged
-from labpipe.records.arrays import Floats, median
+from labpipe.readers.tracking import blank, longest, unchanged
+from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
@@ -79,12 +81,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
         "streams": [_stream(clock, recording) for clock in recording.clocks],
         "markers": None if recording.markers is None else _markers(recording.markers),
         "notes": [
-            {
-                "code": note.code,
-                "severity": note.severity.value,
-                "where": note.where,
-                "message": note.message,
-            }
+            {key: str(getattr(note, key)) for key in ("code", "severity", "where", "message")}
             for note in recording.notes
         ],
         "metadata": dict(recording.metadata),
@@ -92,49 +89,46 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
 
 
 def _stream(clock: Clock, recording: Recording) -> dict[str, Any]:
+    notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
+    is_uneven = clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in notes
+    channels = [channel for channel in recording.channels if channel.clock == clock.name]
     return {
         "clock": clock.name,
         "unit": clock.unit,
-        **_timing(clock.time, on_event=_is_uneven(clock, recording)),
-        "channels": [
-            _channel(channel) for channel in recording.channels if channel.clock == clock.name
-        ],
+        "samples": len(clock.time),
+        **_timing(clock.time, is_uneven=is_uneven),
+        "channels": [_channel(channel) for channel in channels],
     }
 
 
-def _is_uneven(clock: Clock, recording: Recording) -> bool:
-    """Check whether the program samples unevenly, so that long steps are not losses."""
-    notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
-    return clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in notes
-
-
-def _timing(time: Floats, *, on_event: bool) -> dict[str, Any]:
+def _timing(time: Floats, *, is_uneven: bool = False) -> dict[str, Any]:
+    """Describe a time axis; long steps of a program that samples unevenly are no losses."""
     steps = np.diff(time)
-    holes = () if on_event else find_holes(time)
+    holes = () if is_uneven else find_holes(time)
     return {
-        "samples": len(time),
-        "start": _end(time, 0),
-        "end": _end(time, -1),
-        "step_median": _number(median(steps)) if len(steps) else None,
-        "step_min": _number(steps.min()) if len(steps) else None,
-        "step_max": _number(steps.max()) if len(steps) else None,
+        "start": _number(time[:1]),
+        "end": _number(time[-1:]),
+        "step_median": _number([median(steps)] if len(steps) else []),
+        "step_min": _number(steps, np.min),
+        "step_max": _number(steps, np.max),
         "holes": [{"at": hole.at, "length": hole.length} for hole in holes],
     }
 
 
 def _channel(channel: Channel) -> dict[str, Any]:
     unit, factor = _si(channel)
-    finite = channel.values[~np.isnan(channel.values)] * factor
+    values = channel.values * factor
+    finite = values[~np.isnan(values)]
     return {
         "name": channel.name,
         "path": channel.path,
         "unit": unit,
         "unit_in_file": channel.unit_in_file,
-        "first": _end(channel.values * factor, 0),
-        "last": _end(channel.values * factor, -1),
-        "min": _number(finite.min()) if len(finite) else None,
-        "max": _number(finite.max()) if len(finite) else None,
-        "missing": len(channel.values) - len(finite),
+        "first": _number(values[:1]),
+        "last": _number(values[-1:]),
+        "min": _number(finite, np.min),
+        "max": _number(finite, np.max),
+        "missing": len(values) - len(finite),
     }
 
 
@@ -143,31 +137,25 @@ def _si(channel: Channel) -> tuple[str | None, float]:
     if channel.unit is not None or not channel.unit_in_file:
         return channel.unit, 1.0
     for unit in ("rad",) if channel.unit_in_file in _ANGLE_UNITS else _SI_UNITS:
-        try:
+        with suppress(ValueError):
             return unit, si_factor(channel.unit_in_file, unit)
-        except ValueError:
-            continue
     return None, 1.0
 
 
-def _end(values: Floats, place: int) -> float | None:
-    return _number(values[place]) if len(values) else None
-
-
-def _number(value: float | np.floating) -> float | None:
-    """Return a float, or None for NaN and infinity."""
-    return float(value) if np.isfinite(value) else None
+def _number(values: Floats | Sequence[float], pick: Callable[[Any], Any] = np.min) -> float | None:
+    """Return one number of some, such as the largest; None if it is not finite."""
+    number = pick(values) if len(values) else np.nan
+    return float(number) if np.isfinite(number) else None
 
 
 def _markers(tracks: MarkerTracks) -> dict[str, Any]:
-    timing = _timing(tracks.time, on_event=False)
     columns = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     return {
-        "frames": timing.pop("samples"),
-        "rate": _number(tracks.rate),
-        **timing,
-        "first_frame": _end(tracks.frames, 0),
-        "last_frame": _end(tracks.frames, -1),
+        "frames": len(tracks.time),
+        "rate": _number([tracks.rate]),
+        **_timing(tracks.time),
+        "first_frame": _number(tracks.frames[:1]),
+        "last_frame": _number(tracks.frames[-1:]),
         "unit_in_file": tracks.unit_in_file,
         "names": list(tracks.names),
         "missing": tracks.missing,
@@ -178,19 +166,16 @@ def _markers(tracks: MarkerTracks) -> dict[str, Any]:
 
 
 def _gaps(track: Floats) -> dict[str, Any]:
-    # The count in the output is of all gaps.
-    max_ranges = 100
-    stretches = runs(blank(track))
-    return {
-        "count": len(stretches),
-        "longest": longest(stretches),
-        "ranges": [[run.first, run.last] for run in stretches[:max_ranges]],
-    }
+    max_ranges = 100  # the count in the output is of all gaps
+    missing = blank(track)
+    gaps = stretches_of(missing)
+    ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
+    return {"count": len(gaps), "longest": longest(missing), "ranges": ranges}
 
 
 def _frozen(track: Floats) -> dict[str, int]:
     still = unchanged(track)
-    return {"steps": int(still.sum()), "longest": longest(runs(still))}
+    return {"steps": int(still.sum()), "longest": longest(still)}
 
 
 def _body(body: RigidBody) -> dict[str, Any]:
@@ -217,18 +202,19 @@ def as_text(inspection: Inspection) -> str:
     -------
     Lines without the last newline.
     """
-    facts, recording = as_json(inspection), inspection.recording
-    program = f"{recording.program} {recording.program_version}".strip() or "unknown program"
-    lines = [str(inspection.file), f"  {program}, read by {recording.reader}"]
+    facts = as_json(inspection)
+    program = f"{facts['program']} {facts['version']}".strip() or "unknown program"
+    lines = [facts["file"], f"  {program}, read by {facts['reader']}"]
     for stream in facts["streams"]:
         lines += ["", *_stream_lines(stream)]
     if facts["markers"] is not None:
         lines += ["", *_marker_lines(facts["markers"])]
-    notes = [note for note in facts["notes"] if note["code"] not in _TABLE_NOTES]
-    if notes:
-        lines += ["", "Notes"]
-        lines += [f"  {n['severity']:7}  {n['where']}: {n['message']}" for n in notes]
-    return "\n".join(lines)
+    notes = [
+        f"  {note['severity']:7}  {note['where']}: {note['message']}"
+        for note in facts["notes"]
+        if note["code"] not in _TABLE_NOTES
+    ]
+    return "\n".join([*lines, *(["", "Notes"] if notes else []), *notes])
 
 
 def _stream_lines(stream: dict[str, Any]) -> list[str]:
@@ -246,21 +232,18 @@ def _stream_lines(stream: dict[str, Any]) -> list[str]:
 def _marker_lines(facts: dict[str, Any]) -> list[str]:
     timing = _timing_text(facts, "frames")
     head = f"Markers: {timing}; lengths in {facts['unit_in_file'] or 'metres (assumed)'}"
-    rows = [
-        [body["name"], "rigid body", body["missing"], body["gaps"], body["frozen_steps"]]
+    rows = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
+    objects = [
+        (body["name"], "rigid body", body["missing"], body["gaps"], body["frozen_steps"])
         for body in facts["rigid_bodies"]
     ]
-    rows += [
-        [name, "marker", facts["missing"][name], gaps, facts["frozen"][name]["steps"]]
+    objects += [
+        (name, "marker", facts["missing"][name], gaps, facts["frozen"][name]["steps"])
         for name, gaps in facts["gaps"].items()
     ]
-    if not rows:
-        return [head, "  no rigid body and no marker"]
-    table = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
-    for name, kind, missing, gaps, unchanged_steps in rows:
-        numbers = missing, gaps["count"], gaps["longest"], unchanged_steps
-        table.append([name, kind, *map(str, numbers)])
-    return [head, *_table(table)]
+    for name, kind, missing, gaps, still in objects:
+        rows.append([name, kind, *map(str, (missing, gaps["count"], gaps["longest"], still))])
+    return [head, *(_table(rows) if objects else ["  no rigid body and no marker"])]
 
 
 def _timing_text(timing: dict[str, Any], what: str) -> str:
@@ -279,13 +262,9 @@ def _short(value: float | None) -> str:
 
 
 def _table(rows: list[list[str]]) -> list[str]:
-    """Format a table: text aligned left, numbers aligned right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  "
-        + "  ".join(
-            cell.ljust(width) if i < 2 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    """Format a table: two columns of text aligned left, numbers aligned right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    form = "  " + "  ".join(
+        f"{{:{'<' if i < 2 else '>'}{width}}}" for i, width in enumerate(widths)
+    )
+    return [form.format(*row).rstrip() for row in rows]

@@ -30,8 +30,6 @@ from labpipe.signal.turning_points import (
     turn_near,
 )
 
-SINGLE_WAIT_FACTOR = 2.4
-"""A wait at one turn is at least this multiple of the apparent wait that noise causes."""
 CORNER_WIDTHS = (0.05, 0.25)
 """s on each side of a turn in which the motion is compared with straight lines."""
 MAX_CORNER_CUT = 5e-6
@@ -95,17 +93,17 @@ class Turn:
 
     @property
     def middle(self) -> float:
-        """Mean of arrival and departure times, s."""
+        """Return the mean of arrival and departure times, s."""
         return 0.5 * (self.arrival.time + self.departure.time)
 
     @property
     def dwell(self) -> float:
-        """Time between arrival and departure, s."""
+        """Return the time between arrival and departure, s."""
         return self.departure.time - self.arrival.time
 
     @property
     def corners(self) -> tuple[Corner, ...]:
-        """The one or two corners."""
+        """Return the one or two corners."""
         return (self.arrival,) if self.arrival is self.departure else (self.arrival, self.departure)
 
 
@@ -128,6 +126,8 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
     turn, and one of 50 ms sometimes if there are five turns. A wait of fewer than three samples is
     treated as a corner.
     """
+    # A wait at one turn is at least this multiple of the apparent wait that noise causes.
+    single_wait_factor = 2.4
     min_wait_samples = 3
     candidates = []
     for number, (before, after) in enumerate(pairwise(strokes)):
@@ -142,7 +142,7 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
     for turn, wait in candidates:
         waits = wait is not None and (
             all_wait
-            or wait.dwell > max(SINGLE_WAIT_FACTOR * _apparent_wait(motion, wait), shortest)
+            or wait.dwell > max(single_wait_factor * _apparent_wait(motion, wait), shortest)
         )
         chosen = wait if waits or turn is None else turn
         if chosen is not None:
@@ -175,7 +175,7 @@ def _fit_turn(
     max_missing_share = 0.3
     # s, tried where the strokes show no wait.
     first_wait = 0.2
-    nearby = (np.abs(motion.time - at) <= half_window for at in near)
+    nearby = (np.abs(motion.time - turn_time) <= half_window for turn_time in near)
     if not all(np.isnan(motion.values[is_near]).mean() <= max_missing_share for is_near in nearby):
         return None
     at_once = None
@@ -217,7 +217,7 @@ def _waits_everywhere(motion: Signal, waits: list[Turn | None]) -> bool:
 def check_turns(
     motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn], *, for_clock: bool = True
 ) -> Iterator[Finding]:
-    """Doubt turning points that were not recorded, or that are rounded.
+    """Report turning points that were not recorded, or that are rounded.
 
     Parameters
     ----------
@@ -229,18 +229,18 @@ def check_turns(
     seen_times = motion.time[~np.isnan(motion.values)]
     for number, (before, _) in enumerate(pairwise(strokes)):
         if number not in seen_turns:
-            at = float(motion.time[before.stop])
-            earlier, later = seen_times[seen_times < at], seen_times[seen_times > at]
+            turn_time = float(motion.time[before.stop])
+            earlier, later = seen_times[seen_times < turn_time], seen_times[seen_times > turn_time]
             yield doubtful(
                 "turn_not_seen",
                 "travel",
-                f"the turn of the motion near {at:.2f} s was not recorded",
+                f"the turn of the motion near {turn_time:.2f} s was not recorded",
                 "displacement",
                 "force",
                 *clock,
                 during=(
-                    float(earlier[-1] if len(earlier) else at),
-                    float(later[0] if len(later) else at),
+                    float(earlier[-1] if len(earlier) else turn_time),
+                    float(later[0] if len(later) else turn_time),
                 ),
                 clock=motion.clock,
             )
@@ -348,9 +348,9 @@ def _speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
     return speeds[0], speeds[1]
 
 
-def _mean_near(motion: Signal, at: float) -> tuple[float, float]:
+def _mean_near(motion: Signal, centre: float) -> tuple[float, float]:
     """Return mean time and value of the finite samples within a quarter of a second of a time."""
-    near = (np.abs(motion.time - at) <= 0.25) & ~np.isnan(motion.values)
+    near = (np.abs(motion.time - centre) <= 0.25) & ~np.isnan(motion.values)
     if not near.any():
         return float("nan"), float("nan")
     return float(motion.time[near].mean()), float(motion.values[near].mean())
@@ -448,18 +448,18 @@ def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal
     """Combine the corners of a turn into one event, weighted by their errors."""
     if len(events) < 2:
         return events[0] if events else None
-    seen, felt = [event[0] for event in events], [event[1] for event in events]
+    motion_events, force_events = [event[0] for event in events], [event[1] for event in events]
     times = np.array([[one.time, two.corner.time] for one, two in events])
     errors = np.array([[one.time_error, two.corner.time_error] for one, two in events])
     together = np.hypot(errors[:, 0], errors[:, 1])
     weights = together**-2.0 / (together**-2.0).sum()
     lags = times[:, 1] - times[:, 0]
-    apart = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
-    at, error = weights @ times, apart * np.sqrt(weights**2 @ errors**2)
-    shape_error = float(weights @ [reversal.shape_error for reversal in felt])
-    corner = replace(felt[0].corner, time=float(at[1]), time_error=float(error[1]))
+    scatter_factor = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
+    mean_time, error = weights @ times, scatter_factor * np.sqrt(weights**2 @ errors**2)
+    shape_error = float(weights @ [reversal.shape_error for reversal in force_events])
+    corner = replace(force_events[0].corner, time=float(mean_time[1]), time_error=float(error[1]))
     return (
-        replace(seen[0], time=float(at[0]), time_error=float(error[0])),
+        replace(motion_events[0], time=float(mean_time[0]), time_error=float(error[0])),
         Reversal(corner, shape_error),
     )
 

@@ -52,13 +52,11 @@ def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
     for file, recording in recordings:
         original = first.setdefault(recording, file)
         if original != file:
-            copies[str(file)] = error_text(
-                file,
-                "",
-                expected="each recording once",
-                found=f"the same exports, byte for byte, as in {original}",
-                remedy="Check `files` in both test sheets, or leave the copy out.",
-            )
+            expected = "each recording once"
+            found = f"the same exports, byte for byte, as in {original}"
+            remedy = "Check `files` in both test sheets, or leave the copy out."
+            text = error_text(file, "", expected=expected, found=found, remedy=remedy)
+            copies[str(file)] = text
     return copies
 
 

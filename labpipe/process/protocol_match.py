@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import isclose
+from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from labpipe.errors import LabpipeError, ReadError
-from labpipe.process.raw_folder import InspectedExport
 from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
@@ -20,23 +21,11 @@ from labpipe.readers import read_export
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import MarkerTracks, Recording
 
-_Format = Callable[[float], str]
+Exports: TypeAlias = Mapping[Path, Recording]
+Sign: TypeAlias = tuple[str, int]
+"""What speaks for or against a protocol: a text, and a weight of 1, or 2 for a decisive sign;
+negative for a sign against the protocol."""
 _DECISIVE_WEIGHT = 2
-"""Weight of a sign that decides alone; two weak signs weigh as much."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sign:
-    """A sign for or against a protocol.
-
-    Parameters
-    ----------
-    text : for people
-    weight : 1, or 2 for a decisive sign; negative for a sign against the protocol
-    """
-
-    text: str
-    weight: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,32 +47,12 @@ class Fit:
     faults: tuple[str, ...]
     signs: tuple[Sign, ...]
     uses: int
-    unclear: frozenset[str] = frozenset()
+    unclear: frozenset[str]
 
     @property
     def weight(self) -> int:
         """Sum of the weights of all signs."""
-        return sum(sign.weight for sign in self.signs)
-
-
-@dataclass(frozen=True, slots=True)
-class KnownFacts:
-    """Facts about a test before its exports are inspected.
-
-    Parameters
-    ----------
-    names : of the folder, of its exports and of the specimen's type
-    length : m, free length in the name of the folder; None if there is none
-    of_type, of_campaign : number of other tests by protocol, of this type and of all types; those
-        without a protocol under an empty name
-    roles : files by role that the user named
-    """
-
-    names: tuple[str, ...] = ()
-    length: float | None = None
-    of_type: Mapping[str, int] = field(default_factory=dict)
-    of_campaign: Mapping[str, int] = field(default_factory=dict)
-    roles: Mapping[str, tuple[str, ...]] | None = None
+        return sum(weight for _, weight in self.signs)
 
 
 def all_protocols() -> list[Protocol]:
@@ -96,7 +65,13 @@ def all_protocols() -> list[Protocol]:
 
 
 def match_protocols(
-    exports: Sequence[InspectedExport], protocols: Sequence[Protocol], facts: KnownFacts
+    exports: Exports,
+    protocols: Sequence[Protocol],
+    *,
+    names: Sequence[str] = (),
+    length: float | None = None,
+    siblings: Sequence[Mapping[str, int]] = (),
+    roles: Mapping[str, tuple[str, ...]] | None = None,
 ) -> list[Fit]:
     """Find the protocols that fit the exports best.
 
@@ -104,7 +79,11 @@ def match_protocols(
     ----------
     exports : of one test
     protocols : candidates
-    facts : of the test
+    names : of the folder, of its exports and of the specimen's type
+    length : m, free length in the name of the folder; None if there is none
+    siblings : numbers of other tests by protocol, first those of the same type, then those of the
+        whole campaign; tests without a protocol under an empty name
+    roles : files by role that the user named
 
     Returns
     -------
@@ -114,30 +93,32 @@ def match_protocols(
     Notes
     -----
     Signs in the exports and their names have priority. If several protocols are left, the one of
-    the majority of tests of this type is chosen, or else of all tests of the campaign.
+    the majority of the first siblings that have one is chosen.
     """
     fits = [
         fit
         for protocol in protocols
-        if (fit := _fit_protocol(exports, protocol, facts)) is not None
+        if (fit := _fit_protocol(exports, protocol, names, length, roles or {})) is not None
     ]
-    if not fits:
-        return []
-    best = max(_rank(fit) for fit in fits)
+    best = max((_rank(fit) for fit in fits), default=None)
     alike = [fit for fit in fits if _rank(fit) == best]
     likely = [fit for fit in alike if fit.weight >= 0] or alike
-    if len(likely) == 1:
+    if len(likely) < 2:
         return likely
     first, second, *_ = sorted(likely, key=lambda fit: -fit.weight)
     if first.weight >= _DECISIVE_WEIGHT and first.weight > second.weight:
         return [first]
-    for counts in (facts.of_type, facts.of_campaign):
+    for counts in siblings:
         name = majority(counts)
         for fit in likely:
             if fit.protocol.name == name:
                 share = f"{counts[name]} of {sum(counts.values())} other tests here have it"
-                return [replace(fit, signs=(*fit.signs, Sign(share, _DECISIVE_WEIGHT)))]
+                return [replace(fit, signs=(*fit.signs, (share, _DECISIVE_WEIGHT)))]
     return sorted(likely, key=lambda fit: fit.protocol.name)
+
+
+def _rank(fit: Fit) -> tuple[bool, int]:
+    return not fit.faults, fit.uses
 
 
 def majority(counts: Mapping[str, int]) -> str:
@@ -155,52 +136,44 @@ def majority(counts: Mapping[str, int]) -> str:
     return next((name for name in counts if 2 * counts[name] > sum(counts.values())), "")
 
 
-def _rank(fit: Fit) -> tuple[bool, int]:
-    return not fit.faults, fit.uses
-
-
 def _fit_protocol(
-    exports: Sequence[InspectedExport], protocol: Protocol, facts: KnownFacts
+    exports: Exports,
+    protocol: Protocol,
+    names: Sequence[str],
+    length: float | None,
+    stated: Mapping[str, tuple[str, ...]],
 ) -> Fit | None:
     """Assign the exports to the roles of a protocol; None if a role stays empty."""
-    stated_roles = facts.roles or {}
-    if set(stated_roles) - set(protocol.sources):
+    if set(stated) - set(protocol.sources):
         return None
-    unused = list(exports)
+    unused = dict(exports)
     by_role: dict[str, _RoleExports] = {}
     for role, source in protocol.sources.items():
-        candidates = (
-            [export for export in unused if export.name in stated_roles[role]]
-            if role in stated_roles
-            else unused
-        )
-        for_role = _exports_of_role(candidates, source)
-        if for_role.exports:
-            by_role[role] = for_role
-            unused = [export for export in unused if export not in for_role.exports]
+        candidates = {
+            path: recording
+            for path, recording in unused.items()
+            if role not in stated or path.name in stated[role]
+        }
+        of_role = _exports_of_role(candidates, source)
+        if of_role.paths:
+            by_role[role] = of_role
+            unused = {path: unused[path] for path in unused if path not in of_role.paths}
         elif not source.optional:
             return None
-    recordings = {
-        role: finding.recording
-        for role, finding in by_role.items()
-        if finding.recording is not None
-    }
-    takes = [export.markers for export in recordings.values() if export.markers is not None]
+    recordings = [of_role.recording for of_role in by_role.values() if of_role.recording]
+    faults = [of_role.fault for of_role in by_role.values() if of_role.fault]
     clamp = None if protocol.markers is None else protocol.markers.clamp
-    bodies = [body.name for take in takes for body in take.bodies]
-    faults = [finding.fault for finding in by_role.values() if finding.fault]
-    if clamp is not None and takes and clamp not in bodies:
+    takes = [recording.markers for recording in recordings if recording.markers is not None]
+    has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
+    if clamp is not None and takes and not has_clamp:
         faults.append(f"the take has no rigid body {clamp!r}, which 'markers.clamp' names")
-    files = {
-        role: tuple(export.name for export in finding.exports) for role, finding in by_role.items()
-    }
     return Fit(
         protocol,
-        files,
+        {role: tuple(path.name for path in of_role.paths) for role, of_role in by_role.items()},
         tuple(faults),
-        tuple(_signs(protocol, recordings, facts)),
-        uses=sum(map(len, files.values())) + (clamp in bodies),
-        unclear=frozenset(role for role, finding in by_role.items() if finding.is_unclear),
+        tuple(_signs(protocol, recordings, names, length)),
+        uses=sum(len(of_role.paths) for of_role in by_role.values()) + has_clamp,
+        unclear=frozenset(role for role, of_role in by_role.items() if of_role.is_unclear),
     )
 
 
@@ -208,66 +181,70 @@ def _fit_protocol(
 class _RoleExports:
     """The exports of a role, their recording, and what is wrong with them."""
 
-    exports: Sequence[InspectedExport] = ()
+    paths: Sequence[Path] = ()
     recording: Recording | None = None
     fault: str = ""
     is_unclear: bool = False
 
 
-def _exports_of_role(pool: Sequence[InspectedExport], source: Source) -> _RoleExports:
+def _exports_of_role(candidates: Exports, source: Source) -> _RoleExports:
     """Find the exports of a role: one, or the parts of one recording."""
-    of_kind = [
-        export
-        for export in pool
-        if export.reader in source.reader
-        and (source.dialect is None or export.recording.metadata.get("dialect") in source.dialect)
-    ]
-    attempts = [(export, *_read_channels(export, source)) for export in of_kind]
-    valid = [(export, recording) for export, recording, fault in attempts if not fault]
-    chosen = [export for export, _ in valid] or of_kind
-    names = [export.name for export in chosen]
-    if len(chosen) > 1:
-        with suppress(ReadError):
-            recordings = [recording for _, recording in valid if recording is not None]
-            return _RoleExports(chosen, join_exports(recordings, names, chosen[0].path.parent))
-        fault_text = f"{', '.join(names)} could each be it, and are not parts of one recording"
-        return _RoleExports(chosen, None, fault_text, is_unclear=True)
-    if not chosen:
+    outcomes = {
+        path: _read_channels(path, recording, source)
+        for path, recording in candidates.items()
+        if recording.reader in source.reader
+        and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
+    }
+    valid = {path: read for path, read in outcomes.items() if isinstance(read, Recording)}
+    paths = list(valid or outcomes)
+    if not paths:
         return _RoleExports()
-    _, recording, fault = next(export for export in attempts if export[0] is chosen[0])
-    if recording is not None and is_empty(recording):
-        return _RoleExports(chosen, None, f"{names[0]}: holds no samples")
-    return _RoleExports(chosen, recording, fault)
+    names = [path.name for path in paths]
+    if len(paths) > 1:
+        with suppress(ReadError):
+            return _RoleExports(paths, join_exports([*valid.values()], names, paths[0].parent))
+        fault = f"{', '.join(names)} could each be it, and are not parts of one recording"
+        return _RoleExports(paths, fault=fault, is_unclear=True)
+    outcome = outcomes[paths[0]]
+    if isinstance(outcome, str):
+        return _RoleExports(paths, fault=outcome)
+    if is_empty(outcome):
+        return _RoleExports(paths, fault=f"{names[0]}: holds no samples")
+    return _RoleExports(paths, outcome)
 
 
-def _read_channels(export: InspectedExport, source: Source) -> tuple[Recording | None, str]:
+def _read_channels(path: Path, recording: Recording, source: Source) -> Recording | str:
     """Read the channels of a protocol from an export, or return what is wrong with them."""
     try:
-        recording = export.recording
         if source.part is not None:
-            recording = read_export(export.path, source.reader, part=source.part)
-        if is_empty(recording):
-            return recording, ""
-        return name_channels(recording, source, export.path), ""
+            recording = read_export(path, source.reader, part=source.part)
+        return recording if is_empty(recording) else name_channels(recording, source, path)
     except ReadError as error:
-        return None, str(error).splitlines()[0]
+        return str(error).splitlines()[0]
 
 
 def _signs(
-    protocol: Protocol, recordings: Mapping[str, Recording], facts: KnownFacts
+    protocol: Protocol, recordings: Sequence[Recording], names: Sequence[str], length: float | None
 ) -> Iterator[Sign]:
     """Yield the signs for and against a protocol whose formats match."""
-    for name in facts.names:
-        if _names_protocol(name, protocol.name):
-            yield Sign(f"'{name}' is called like it", _DECISIVE_WEIGHT)
-            break
-    length = protocol.specimen.length
-    if length and facts.length and isclose(length, facts.length, rel_tol=1e-6):
-        yield Sign(f"length {_mm(length)} (it states the same)", 1)
-    for recording in recordings.values():
-        yield from _motion_signs(protocol, recording)
-        if recording.markers is not None:
-            yield from _marker_signs(protocol, recording.markers)
+    namesake = next((name for name in names if _names_protocol(name, protocol.name)), None)
+    if namesake is not None:
+        yield f"'{namesake}' is called like it", _DECISIVE_WEIGHT
+    stated_length = protocol.specimen.length
+    if stated_length and length and isclose(stated_length, length, rel_tol=1e-6):
+        yield f"length {1e3 * length:.4g} mm (it states the same)", 1
+    # Ratios: within the first a measured size supports a protocol; beyond the second it
+    # contradicts it.
+    match_deviation, mismatch_deviation = 0.05, 0.3
+    for recording in recordings:
+        for what, unit, measured, stated in _sizes(protocol, recording):
+            if stated and measured is not None and np.isfinite(measured):
+                deviation = abs(measured / stated - 1.0)
+                text = f"{what} {1e3 * measured:.4g} {unit} (it states {1e3 * stated:.4g} {unit})"
+                if deviation <= match_deviation:
+                    yield text, 1
+                elif deviation > mismatch_deviation:
+                    yield text, -1
         yield from _peak_signs(protocol, recording)
 
 
@@ -277,16 +254,25 @@ def _names_protocol(name: str, protocol: str) -> bool:
     return f"-{protocol.casefold()}-" in f"-{name_words}-"
 
 
-def _motion_signs(protocol: Protocol, recording: Recording) -> Iterator[Sign]:
+def _sizes(
+    protocol: Protocol, recording: Recording
+) -> Iterator[tuple[str, str, float | None, float | None]]:
+    """Yield sizes that a recording shows: name, unit, and measured and stated size in SI."""
+    rig, tracks = protocol.rig, recording.markers
     for channel in recording.channels:
         is_finite = np.isfinite(channel.values)
-        if channel.unit != "m" or np.count_nonzero(is_finite) < 2:
-            continue
-        time, places = recording.clock(channel.clock), channel.values[is_finite]
-        yield from _size_signs("travel", float(np.ptp(places)), protocol.rig.stroke, _mm)
-        if time.unit == "s":
-            speed = _speed(time.time[is_finite], places)
-            yield from _size_signs("speed", speed, protocol.rig.crosshead_speed, _mm_s)
+        if channel.unit == "m" and np.count_nonzero(is_finite) >= 2:
+            clock, places = recording.clock(channel.clock), channel.values[is_finite]
+            yield "travel", "mm", float(np.ptp(places)), rig.stroke
+            if clock.unit == "s":
+                speed = _speed(clock.time[is_finite], places)
+                yield "speed", "mm/s", speed, rig.crosshead_speed
+    body = None if tracks is None else _clamp_positions(protocol, tracks)
+    if tracks is not None and body is not None:
+        travel = _largest(np.linalg.norm(body - _first_position(body), axis=1))
+        yield "travel of the clamp", "mm", travel, rig.stroke
+        reach = marked_length(protocol, tracks)
+        yield "length seen by the markers", "mm", reach, protocol.specimen.length
 
 
 def _speed(time: Floats, places: Floats) -> float:
@@ -297,16 +283,10 @@ def _speed(time: Floats, places: Floats) -> float:
     return float(travel[samples[1]] - travel[samples[0]]) / duration if duration > 0.0 else 0.0
 
 
-def _marker_signs(protocol: Protocol, tracks: MarkerTracks) -> Iterator[Sign]:
-    block = protocol.markers
-    body = None if block is None or block.clamp is None else tracks.body(block.clamp)
-    if block is None or body is None:
-        return
-    travel = _largest(np.linalg.norm(body.position - _first_position(body.position), axis=1))
-    yield from _size_signs("travel of the clamp", travel, protocol.rig.stroke, _mm)
-    reach = marked_length(protocol, tracks)
-    if reach is not None and protocol.specimen.length:
-        yield from _size_signs("length seen by the markers", reach, protocol.specimen.length, _mm)
+def _clamp_positions(protocol: Protocol, tracks: MarkerTracks) -> Floats | None:
+    clamp = None if protocol.markers is None else protocol.markers.clamp
+    body = None if clamp is None else tracks.body(clamp)
+    return None if body is None else body.position
 
 
 def marked_length(protocol: Protocol, tracks: MarkerTracks) -> float | None:
@@ -321,21 +301,21 @@ def marked_length(protocol: Protocol, tracks: MarkerTracks) -> float | None:
     -------
     m, from the clamped end to the string; None without a clamp or markers.
     """
-    block = protocol.markers
-    body = None if block is None or block.clamp is None else tracks.body(block.clamp)
-    is_specimen = [not name.startswith(f"{body.name}:") for name in tracks.names] if body else []
-    places = [
-        _first_position(tracks.positions[:, i]) for i, is_used in enumerate(is_specimen) if is_used
-    ]
-    if block is None or body is None or not places:
+    block, body = protocol.markers, _clamp_positions(protocol, tracks)
+    if block is None or body is None:
         return None
-    distances = [float(np.linalg.norm(place - _first_position(body.position))) for place in places]
+    origin = _first_position(body)
+    distances = [
+        float(np.linalg.norm(_first_position(tracks.positions[:, i]) - origin))
+        for i, name in enumerate(tracks.names)
+        if not name.startswith(f"{block.clamp}:")
+    ]
     finite = [distance for distance in distances if np.isfinite(distance)]
     return max(finite) - block.grip_offset + block.pull_offset if finite else None
 
 
 def _first_position(positions: Floats) -> Floats:
-    """Return the first known position."""
+    """Return the first known position; NaN if there is none."""
     known_positions = positions[~np.isnan(positions).any(axis=1)]
     return np.asarray(known_positions[0] if len(known_positions) else np.full(3, np.nan))
 
@@ -349,32 +329,9 @@ def _largest(values: Floats) -> float:
 def _peak_signs(protocol: Protocol, recording: Recording) -> Iterator[Sign]:
     for channel in recording.channels:
         source = protocol.channels.get(channel.name)
-        if source is None or source.peak_range is None:
-            continue
-        least, most = source.peak_range
         peak = _largest(np.abs(channel.values))
-        if peak < least or peak > most:
-            text = f"{channel.name} goes to {peak:.3g} {channel.unit}, plausible is {least:.3g} to"
-            yield Sign(f"{text} {most:.3g}", -1)
-
-
-def _size_signs(
-    what: str, measured: float, stated: float | None, text_of: _Format
-) -> Iterator[Sign]:
-    # Ratios: within the first a measured size supports a protocol; beyond the second it contradicts
-    # it.
-    match_deviation, mismatch_deviation = 0.05, 0.3
-    if not stated or not np.isfinite(measured):
-        return
-    if abs(measured / stated - 1.0) <= match_deviation:
-        yield Sign(f"{what} {text_of(measured)} (it states {text_of(stated)})", 1)
-    elif abs(measured / stated - 1.0) > mismatch_deviation:
-        yield Sign(f"{what} {text_of(measured)} (it states {text_of(stated)})", -1)
-
-
-def _mm(metres: float) -> str:
-    return f"{metres * 1e3:.4g} mm"
-
-
-def _mm_s(speed: float) -> str:
-    return f"{speed * 1e3:.3g} mm/s"
+        if source is not None and source.peak_range is not None:
+            least, most = source.peak_range
+            if peak < least or peak > most:
+                text = f"{channel.name} goes to {peak:.3g} {channel.unit}, plausible is"
+                yield f"{text} {least:.3g} to {most:.3g}", -1

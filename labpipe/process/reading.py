@@ -27,22 +27,13 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 from labpipe.units import GRAVITY, si_factor
 
-_UNIT_NAMES = (
-    ("newton", "N"),
-    ("kilonewton", "kN"),
-    ("lb", "lbf"),
-    ("pound", "lbf"),
-    ("inch", "in"),
-)
 _NO_UNIT = frozenset({"", "-", "1", "count"})
 """Entries of programs for an unknown unit."""
 _UNIT_SPELLINGS = MappingProxyType(
-    {
-        **{unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")},
-        **{f"{word}{s}": unit for word, unit in _UNIT_NAMES for s in ("", "s")},
-    }
+    {unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")}
+    | {"newton": "N", "kilonewton": "kN", "lb": "lbf", "pound": "lbf", "inch": "in"}
 )
-"""Spellings that labpipe does not know, and the only unit that each can mean."""
+"""Spellings that labpipe does not know, also with an s, and the only unit that each can mean."""
 
 
 def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
@@ -51,39 +42,52 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     No unit is stated, that of the export is unknown or of another quantity, or `unit` contradicts
     it and `wrong_unit_in_file` does not name it.
     """
-    stated, protocol_unit = channel.unit_in_file, source.unit
-    if protocol_unit is None:
-        return _stated_fault(channel, source, path)
-    if stated == source.wrong_unit_in_file or not _contradicts(
-        stated, protocol_unit, _si_unit(source)
-    ):
-        return ""
-    key, likely_unit = source.key, _known_unit(stated)
-    is_alike = _same_unit(likely_unit, likely_unit, _si_unit(source))
-    remedy = f"Write {likely_unit} there" if is_alike else _another_channel(source)
-    wrong = in_test_sheet(f"{key}.wrong_unit_in_file", stated)
-    return error_text(
-        path,
-        f"channel {channel.path!r}",
-        expected=f"the unit that the export states, {stated!r}",
-        found=f"'{key}.unit: {protocol_unit}'",
-        remedy=f"{remedy}. Only if the export's own unit is wrong, add {wrong}.",
-    )
+    stated, si_unit = channel.unit_in_file, _si_unit(source)
+    likely = _known_unit(stated)
+    if source.unit is None:
+        if stated and _same_unit(stated, stated, si_unit):
+            return ""
+        expected, found = f"a unit of the dimension of {si_unit}", repr(stated)
+        remedy = _unit_remedy(stated, likely, source)
+        if not stated:
+            expected, found = "a unit", "none in the file and none in the protocol"
+    else:
+        is_known = stated not in _NO_UNIT and is_unit(likely)
+        is_same = _same_unit(likely, source.unit, si_unit)
+        if is_same or not is_known or stated == source.wrong_unit_in_file:
+            return ""
+        expected = f"the unit that the export states, {stated!r}"
+        found = f"'{source.key}.unit: {source.unit}'"
+        is_alike = _same_unit(likely, likely, si_unit)
+        remedy = f"Write {likely} there" if is_alike else _another_channel(source)
+        wrong = in_test_sheet(f"{source.key}.wrong_unit_in_file", stated)
+        remedy += f". Only if the export's own unit is wrong, add {wrong}."
+    place = f"channel {channel.path!r}"
+    return error_text(path, place, expected=expected, found=found, remedy=remedy)
+
+
+def _unit_remedy(stated: str, likely: str, source: ChannelSource) -> str:
+    """Say what to do about the unit of an export, if the protocol states none."""
+    key, target = source.key, source.target_unit
+    if not stated:
+        unit = in_test_sheet(f"{key}.unit", target)
+        return f"Write the unit of its numbers, such as {unit}."
+    if has_dimension_of(stated, "kg") and target == "N":
+        unit = in_test_sheet(f"{key}.unit", stated)
+        weight = in_test_sheet(f"{key}.calibration", f"{{gain: {GRAVITY} N/kg}}")
+        return f"{stated} is a unit of mass. To take its weight, write {unit} and {weight}."
+    if stated not in _NO_UNIT and is_unit(stated):
+        return f"{_another_channel(source)}, or give '{key}.calibration'."
+    unit = likely if _same_unit(likely, likely, target) else "..."
+    return f"Write {in_test_sheet(f'{key}.unit', unit)}."
 
 
 def _unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
     """Note that the unit of the protocol replaced that of the export."""
-    protocol_unit, stated = source.unit, channel.unit_in_file
-    if (
-        protocol_unit is None
-        or not stated
-        or protocol_unit == stated
-        or _same_unit(protocol_unit, stated, _si_unit(source))
-    ):
+    own, stated = source.unit, channel.unit_in_file
+    if own is None or not stated or own == stated or _same_unit(own, stated, _si_unit(source)):
         return []
-    message = (
-        f"the export says {stated!r}, the protocol {protocol_unit!r}: that of the protocol was used"
-    )
+    message = f"the export says {stated!r}, the protocol {own!r}: that of the protocol was used"
     return [QualityNote("unit_overridden", Severity.WARNING, channel.name, message)]
 
 
@@ -91,47 +95,15 @@ def _si_unit(source: ChannelSource) -> str:
     return source.channel_unit or source.target_unit
 
 
-def _stated_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
-    """Describe what is wrong with the unit of the export, if the protocol states none."""
-    stated, target = channel.unit_in_file, source.target_unit
-    if stated and _same_unit(stated, stated, target):
-        return ""
-    expected, actual = f"a unit of the dimension of {target}", repr(stated)
-    likely_unit = (
-        _known_unit(stated)
-        if _same_unit(_known_unit(stated), _known_unit(stated), target)
-        else "..."
-    )
-    remedy = f"Write {in_test_sheet(f'{source.key}.unit', likely_unit)}."
-    if not stated:
-        expected, actual = "a unit", "none in the file and none in the protocol"
-        unit = in_test_sheet(f"{source.key}.unit", target)
-        remedy = f"Write the unit of its numbers, such as {unit}."
-    elif has_dimension_of(stated, "kg") and target == "N":
-        unit = in_test_sheet(f"{source.key}.unit", stated)
-        weight = in_test_sheet(f"{source.key}.calibration", f"{{gain: {GRAVITY} N/kg}}")
-        remedy = f"{stated} is a unit of mass. To take its weight, write {unit} and {weight}."
-    elif stated not in _NO_UNIT and is_unit(stated):
-        remedy = f"{_another_channel(source)}, or give '{source.key}.calibration'."
-    place = f"channel {channel.path!r}"
-    return error_text(path, place, expected=expected, found=actual, remedy=remedy)
-
-
 def _another_channel(source: ChannelSource) -> str:
     return f"Name another channel with {in_test_sheet(f'{source.key}.channel', '...')}"
 
 
-def _contradicts(stated: str, protocol_unit: str, si_unit: str) -> bool:
-    """Check whether two units contradict each other; an unknown unit does not."""
-    if stated in _NO_UNIT or _same_unit(stated, protocol_unit, si_unit):
-        return False
-    likely_unit = _known_unit(stated)
-    return is_unit(likely_unit) and not _same_unit(likely_unit, protocol_unit, si_unit)
-
-
 def _known_unit(stated: str) -> str:
     """Return the known unit for the spelling of an export, such as kN for KN."""
-    return stated if is_unit(stated) else _UNIT_SPELLINGS.get(stated.casefold(), stated)
+    word = stated.casefold()
+    spelt = _UNIT_SPELLINGS.get(word) or _UNIT_SPELLINGS.get(word.removesuffix("s"), stated)
+    return stated if is_unit(stated) else spelt
 
 
 def _same_unit(one: str, other: str, si_unit: str) -> bool:
@@ -245,26 +217,22 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
         If there are no samples at all; if one of several parts holds marker tracks, several clocks,
         or rows without time; or if two parts overlap.
     """
-    filled = [
-        (folder / name, part)
-        for name, part in zip(names, parts, strict=False)
-        if not is_empty(part)
-    ]
+    named = zip(names, parts, strict=False)
+    filled = [(folder / name, part) for name, part in named if not is_empty(part)]
     if not filled:
-        message = error_text(
-            folder / names[0],
-            "",
-            expected="samples",
-            found="none in this file" if len(parts) == 1 else "none in any of the parts",
-            remedy="The test was aborted before its first sample; leave it out.",
-        )
-        raise ReadError(message)
+        found = "none in this file" if len(parts) == 1 else "none in any of the parts"
+        remedy = "The test was aborted before its first sample; leave it out."
+        raise _refused(folder / names[0], "samples", found, remedy)
     if len(filled) > 1:
         for path, part in filled:
             _require_time(path, part)
         filled.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
-        for before, after in pairwise(filled):
-            _refuse_overlap(*before, *after)
+    for (path, before), (later_path, after) in pairwise(filled):
+        ends, begins = float(before.clocks[0].time[-1]), float(after.clocks[0].time[0])
+        if begins <= ends:
+            expected = f"a start after {ends:.6f} s, where {path.name} ends"
+            remedy = f"Parts of one recording share one clock. {_TWO_TESTS}"
+            raise _refused(later_path, expected, f"{begins:.6f} s", remedy, place="time")
     ordered = [part for _, part in filled]
     notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]
     first = replace(ordered[0], notes=tuple(notes))
@@ -283,40 +251,20 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     return replace(first, clocks=(Clock(clock, time),), channels=channels)
 
 
+def _refused(path: Path, expected: str, found: str, remedy: str, *, place: str = "") -> ReadError:
+    return ReadError(error_text(path, place, expected=expected, found=found, remedy=remedy))
+
+
 def _require_time(path: Path, part: Recording) -> None:
     """Refuse a part that cannot be put in order of time."""
     if part.markers is not None or len(part.clocks) != 1:
-        message = error_text(
-            path,
-            "",
-            expected="a part of a recording: channels on one clock",
-            found="marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks",
-            remedy="Name one export for this role.",
-        )
-        raise ReadError(message)
+        expected = "a part of a recording: channels on one clock"
+        found = "marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks"
+        raise _refused(path, expected, found, "Name one export for this role.")
     if part.clocks[0].unit != "s":
-        message = error_text(
-            path,
-            "",
-            expected="a part of a recording with times, by which parts are put in order",
-            found="rows without time",
-            remedy=f"Export the test in one piece, or with its time. {_TWO_TESTS}",
-        )
-        raise ReadError(message)
-
-
-def _refuse_overlap(path: Path, first: Recording, later_path: Path, second: Recording) -> None:
-    ends, begins = float(first.clocks[0].time[-1]), float(second.clocks[0].time[0])
-    if begins > ends:
-        return
-    message = error_text(
-        later_path,
-        "time",
-        expected=f"a start after {ends:.6f} s, where {path.name} ends",
-        found=f"{begins:.6f} s",
-        remedy=f"Parts of one recording share one clock. {_TWO_TESTS}",
-    )
-    raise ReadError(message)
+        expected = "a part of a recording with times, by which parts are put in order"
+        remedy = f"Export the test in one piece, or with its time. {_TWO_TESTS}"
+        raise _refused(path, expected, "rows without time", remedy)
 
 
 def is_empty(recording: Recording) -> bool:
@@ -359,13 +307,8 @@ def _channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
         listed = ", ".join(map(repr, error.parts[:max_listed]))
         more = " ..." if len(error.parts) > max_listed else ""
         part = in_test_sheet(f"{source.key}.part", error.parts[0])
-        return error_text(
-            path,
-            "",
-            expected="one specimen",
-            found=f"{len(error.parts)}: {listed}{more}",
-            remedy=f"Choose one with {part}.",
-        )
+        found, remedy = f"{len(error.parts)}: {listed}{more}", f"Choose one with {part}."
+        return error_text(path, "", expected="one specimen", found=found, remedy=remedy)
     keys = [
         channel.key for channel in source.all_channels.values() if channel.channel == error.wanted
     ]
@@ -453,11 +396,5 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return InputFile(role, name, digest, path.stat().st_size)
     except OSError as error:
-        message = error_text(
-            path,
-            "",
-            expected="an export that can be read",
-            found=error.strerror or "an error",
-            remedy="Check files: in test.yaml.",
-        )
-        raise ReadError(message) from error
+        found, remedy = error.strerror or "an error", "Check files: in test.yaml."
+        raise _refused(path, "an export that can be read", found, remedy) from error

@@ -16,6 +16,7 @@ from labpipe.protocol.schema import CurveBlock, Protocol
 from labpipe.records.estimates import Failure
 from labpipe.records.result import Result, Status
 from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.cycles import sense_of
 from labpipe.results.failures import LossOfForce
 from labpipe.results.kinds import Kind
 from labpipe.results.reduced_test import ReducedTest
@@ -123,10 +124,12 @@ def _losses(test: ReducedTest, block: CurveBlock) -> Iterator[Values]:
     """Yield definitions of failure with which this record has one."""
     # s
     loss_times = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
-    rule = block.failure
+    rule, curve = block.failure, test.known_curve
     if rule is None:
         return
-    shares = (percent / 100.0 for percent in _PERCENTAGES if percent > 100.0 * rule.force_below)
+    force = sense_of(curve, curve.force) * curve.force[np.isfinite(curve.force)]
+    least = max(rule.force_below, float(force[-1] / force.max()))  # the force ends above others
+    shares = (percent / 100.0 for percent in _PERCENTAGES if percent > 100.0 * least)
     times = (time for time in loss_times if time > rule.within)
     for within, share in product((rule.within, *times), (rule.force_below, *shares)):
         if isinstance(find_final_loss(test, LossOfForce(share, rule.loss, within)), int):

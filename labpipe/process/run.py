@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import json
+import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, StoreError, error_text
-from labpipe.process.certificates import day_and_operator, instruments_of
+from labpipe.errors import LabpipeError, ProcessingError, StoreError, code_of, error_text, refusal
+from labpipe.process.export_metadata import day_and_operator
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.process.reading import read_inputs
+from labpipe.process.reading import dialect_cards, fingerprint, named_exports, read_inputs
+from labpipe.process.sanity_checks import instruments_of
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import (
     dump_protocol,
@@ -33,7 +37,7 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
-from labpipe.store.summaries import FAILURE_FILE, write_summary
+from labpipe.store.summaries import FAILURE_FILE, FailedTest, write_failure, write_summary
 from labpipe.store.summaries import SUMMARY_FILE as SUMMARY_FILE  # noqa: PLC0414 - as `FIGURES`
 from labpipe.store.write import write_result
 
@@ -62,7 +66,7 @@ class Processed:
 
     @property
     def n_failed(self) -> int:
-        """Number of results that are not available."""
+        """Return the number of results that are not available."""
         return sum(result.status is Status.FAILED for result in self.result.results)
 
 
@@ -110,8 +114,8 @@ def process_test(
     owned = [FAILURE_FILE, *_outdated_figures(folder, result.run, is_drawn=figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
-        with ThreadPoolExecutor(max_workers=1) as beside:  # compression releases the GIL
-            writing = beside.submit(write_result, result, stage / RESULT_FILE)
+        with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
+            writing = compressor.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
             drawn: tuple[Path, ...] = ()
             if figures:
@@ -300,21 +304,10 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """Read a test from the raw group of an earlier result."""
     raw = read_raw(result_path)
     if not is_name_of_a_test(raw.test):
-        message = error_text(
-            result_path,
-            "test",
-            expected="the name of a test, such as A2-085-1",
-            found=repr(raw.test),
-            remedy="Process the test again from its exports.",
+        raise _bad_result(
+            result_path, "test", "the name of a test, such as A2-085-1", repr(raw.test)
         )
-        raise StoreError(message, code="bad_result")
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
-    _require_fitting(raw, protocol, result_path)
-    return raw, protocol
-
-
-def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> None:
-    """Refuse a raw group without the channels of its protocol, or with invalid times."""
     for role, source in protocol.sources.items():
         recording = raw.recordings.get(role, Recording(""))
         tracks = [] if recording.markers is None else [recording.markers.time]
@@ -323,15 +316,18 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
-            actual = ", ".join(map(repr, names)) or "none"
-        elif not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
-            expected, actual = "increasing times", "decreasing times, or times that are not numbers"
-        else:
-            continue
-        remedy = "Process the test again from its exports."
-        place = f"raw/{role}"
-        text = error_text(result_path, place, expected=expected, found=actual, remedy=remedy)
-        raise StoreError(text, code="bad_result")
+            found = ", ".join(map(repr, names)) or "none"
+            raise _bad_result(result_path, f"raw/{role}", expected, found)
+        if not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
+            found = "decreasing times, or times that are not numbers"
+            raise _bad_result(result_path, f"raw/{role}", "increasing times", found)
+    return raw, protocol
+
+
+def _bad_result(path: Path, place: str, expected: str, found: str) -> StoreError:
+    remedy = "Process the test again from its exports."
+    text = error_text(path, place, expected=expected, found=found, remedy=remedy)
+    return StoreError(text, code="bad_result")
 
 
 def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
@@ -356,3 +352,158 @@ def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -
     if not above:
         return Path("processed") / name()
     return above[0].parent / "processed" / folder.relative_to(above[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One test to be processed.
+
+    Parameters
+    ----------
+    sheet : its test.yaml, or a result.h5 whose raw group is processed again
+    goal : folder of its results; None for that of `labpipe process`
+    figures : whether to draw figures as SVG
+    png : whether to draw them as PNG as well
+    follow_links : whether exports may be links out of the folder of the test
+    run : key of its results, if it is known before
+    """
+
+    sheet: Path
+    goal: Path | None = None
+    figures: bool = True
+    png: bool = False
+    follow_links: bool = False
+    run: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A test that could not be processed.
+
+    Parameters
+    ----------
+    test : its test.yaml or result.h5
+    code : why, see `labpipe.errors.CODES`
+    reason : the message for the user
+    folder : of its results, with failure.json; None if it is not known
+    run : key of the inputs; empty if it is not known
+    """
+
+    test: Path
+    code: str
+    reason: str
+    folder: Path | None = None
+    run: str = ""
+
+
+def attempt(
+    task: Task, say: Say = lambda _: None, *, is_alone: bool = False
+) -> Processed | Refused:
+    """Process a test, or write failure.json beside its earlier results.
+
+    Parameters
+    ----------
+    task : the test
+    say : called with the name of each stage as it begins
+    is_alone : whether faults of labpipe itself are raised
+
+    Returns
+    -------
+    The test without recordings and stages, which are in its result.h5, to save memory.
+
+    Raises
+    ------
+    Exception
+        A fault of labpipe itself, if the test is alone; failure.json has it as well.
+    """
+    try:
+        done = process_test(
+            task.sheet,
+            goal=task.goal,
+            figures=task.figures,
+            png=task.png,
+            follow_links=task.follow_links,
+            say=say,
+        )
+    except LabpipeError as error:
+        return refuse(task, error.code, str(error))
+    except Exception as error:
+        code = code_of(error)
+        refused = refuse(task, code, _fault_text(code, task.sheet, error))
+        if is_alone and code == "fault_of_labpipe":
+            raise
+        return refused
+    result = replace(done.result, recordings={}, aligned=None, curve=None, shape=None, bending=None)
+    return replace(done, result=result)
+
+
+def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refused:
+    """Record why a test has no new results.
+
+    Parameters
+    ----------
+    task : the test
+    code, reason : see `Refused`
+    is_read : whether to read sheet and exports for the key of the inputs; not if reading them may
+        have killed a process
+
+    Returns
+    -------
+    The refusal. If the results folder is not known, not writable, or in use by another process,
+    there is no failure.json, or an earlier one remains.
+    """
+    folder = _folder_of(task)
+    failure = FailedTest("", code, reason, task.run)
+    if is_read:
+        failure = _with_inputs(failure, task)
+    if folder is not None and code != "in_use":
+        with suppress(LabpipeError):
+            write_failure(failure, folder)
+    return Refused(task.sheet, code, reason, folder, failure.run)
+
+
+def _folder_of(task: Task) -> Path | None:
+    if task.goal is not None:
+        return task.goal
+    with suppress(LabpipeError, OSError, MemoryError):
+        return results_folder_of(task.sheet, None, partial(name_of, task.sheet))
+    return None
+
+
+def _with_inputs(failure: FailedTest, task: Task) -> FailedTest:
+    """Add name and inputs of the test to a failure, as far as they can be read."""
+    try:
+        failure = replace(failure, test=name_of(task.sheet))
+        if task.sheet.suffix == ".h5":
+            return failure
+        sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
+        protocol = resolve(sheet, task.sheet, follow_links=task.follow_links)
+        resolved = dump_protocol(protocol)
+        texts = {"sheet": text, "protocol": resolved}
+        hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
+        failure = replace(failure, made_of=hashes)
+        exports_by_role, folder = named_exports(sheet, protocol), task.sheet.parent
+        exports = [fingerprint(folder / name, role, name) for role, name in exports_by_role]
+        inputs = (*exports, *dialect_cards(protocol))
+        run = key_of([(file.role, file.sha256) for file in inputs], text, resolved)
+        return replace(failure, inputs=inputs, run=failure.run or run)
+    except Exception:  # noqa: BLE001  the same fault may occur here, and is reported already
+        return failure
+
+
+def _fault_text(code: str, test: Path, error: Exception) -> str:
+    """Describe an error that is no `LabpipeError`; one of labpipe with the line that raised it."""
+    if code == "system_refused":
+        return f"{test}: {refusal(error)}"
+    if code == "out_of_memory":
+        expected, found = "a test that fits into memory", "out of memory"
+        remedy = "Close other programs, choose fewer --jobs, or leave the test out."
+        return error_text(test, "", expected=expected, found=found, remedy=remedy)
+    frames = traceback.extract_tb(error.__traceback__)
+    own_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
+    frame = (own_frames or frames)[-1]
+    error_message = " ".join(str(error).split())
+    found = f"a fault of labpipe itself ({type(error).__name__}: {error_message})"
+    place = f"{Path(frame.filename).name}, line {frame.lineno}"
+    remedy = f"Report it ({place}) with the exports of the test; processed alone, it says more."
+    return error_text(test, "", expected="no error", found=found, remedy=remedy)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import date
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +14,10 @@ from labpipe.errors import in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import Motion
 from labpipe.protocol.schema import Protocol
+from labpipe.protocol.source import Certificate
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction, Shape
-from labpipe.records.declarations import LIMITS, Limits
+from labpipe.records.declarations import LIMITS, Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import (
     Finding,
@@ -25,6 +27,7 @@ from labpipe.records.quality import (
     not_available,
     warning,
 )
+from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
@@ -103,7 +106,7 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
 def _check_speed(
     motion: Signal, expected: float, first: Branch, deviation: float
 ) -> Iterator[Finding]:
-    """Doubt a speed that differs from that of the rig: a wrong unit, column or test."""
+    """Report a speed that differs from that of the rig: a wrong unit, column or test."""
     part = slice(first.start, first.stop)
     moved = np.nanmax(motion.values[part]) - np.nanmin(motion.values[part])
     speed = float(moved) / max(first.stop_time - first.start_time, 1e-9)
@@ -116,7 +119,7 @@ def _check_speed(
 
 
 def _check_negative(smooth: Floats, least: float, why: str) -> Iterator[Finding]:
-    """Doubt a force whose means over a second fall below the minimum of its load."""
+    """Report a force whose means over a second fall below the minimum of its load."""
     lowest = float(np.nanmin(smooth))
     if lowest < least - 5.0 * noise_level(smooth):
         message = f"the force falls to {lowest:.4g} N, but {why}: the zero is wrong or drifts"
@@ -143,7 +146,7 @@ def _check_length(shape: Shape, expected: float) -> Iterator[Finding]:
 
 
 def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
-    """Doubt a zero whose stretch overlaps the motion.
+    """Report a zero whose stretch overlaps the motion.
 
     Parameters
     ----------
@@ -156,7 +159,7 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
         return
     begins, ends = branches[0].start_time, branches[-1].stop_time
     for name, stretch in signals.zeroed.items():
-        start, stop = (clocks.to_curve(at, signals.raw[name].clock) for at in stretch)
+        start, stop = (clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
         if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
             message = (
                 f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
@@ -207,7 +210,7 @@ def check_mid_span(
 
 
 def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Finding]:
-    """Doubt signals that fall while the specimen is loaded, unless the protocol allows it.
+    """Report signals that fall while the specimen is loaded, unless the protocol allows it.
 
     Parameters
     ----------
@@ -483,3 +486,65 @@ def _has_arrived(motion: Signal, branches: tuple[Branch, ...], end: float, limit
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
     near = max(shortfall * stroke, step, 5.0 * noise_level(motion.values))
     return sense * end >= turns[-1] - near
+
+
+def instruments_of(protocol: Protocol) -> tuple[Instrument, ...]:
+    """List the instruments whose certificates a protocol states.
+
+    Parameters
+    ----------
+    protocol : with or without certificates
+    """
+    return tuple(
+        Instrument(
+            channel=name,
+            measures=quantities,
+            certificate=certificate.number,
+            calibrated=certificate.date,
+            due=certificate.due,
+            uncertainty=certificate.uncertainty,
+            k=certificate.k,
+        )
+        for name, certificate, quantities in _certificates(protocol)
+    )
+
+
+def check_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
+    """Doubt quantities of instruments whose calibration was overdue.
+
+    Parameters
+    ----------
+    protocol : with certificates
+    tested : day of the test; None if it is not known; then nothing is doubted
+    """
+    for where, certificate, quantities in _certificates(protocol):
+        due = certificate.due
+        if due is not None and tested is not None and tested > due:
+            message = (
+                f"calibration {certificate.number} of {certificate.date} expired on {due}, "
+                f"before the test on {tested}: have the instrument calibrated"
+            )
+            yield doubtful("calibration_overdue", where, message, *quantities)
+
+
+def _certificates(protocol: Protocol) -> Iterator[tuple[str, Certificate, tuple[str, ...]]]:
+    """Yield each certificate with its channel or role and the quantities measured."""
+    curve = protocol.curve
+    quantity_of = (
+        {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
+    )
+    for name, channel in protocol.channels.items():
+        if channel.certificate is not None:
+            yield name, channel.certificate, (quantity_of.get(name, name),)
+    cameras = protocol.sources.get("markers")
+    if cameras is not None and cameras.certificate is not None:
+        yield "markers", cameras.certificate, tuple(_camera_quantities(protocol))
+
+
+def _camera_quantities(protocol: Protocol) -> Iterator[str]:
+    """Yield the quantities that cameras measure; the displacement only if nothing else does."""
+    yield "mid_span"
+    curve = protocol.curve
+    step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    if curve is None or curve.displacement not in {*protocol.channels, *step_channels}:
+        yield "displacement"

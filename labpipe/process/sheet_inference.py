@@ -1,52 +1,112 @@
-"""Infer a test sheet from exports: protocol, roles, day, operator and specimen."""
+"""Infer a test sheet: what exports and names state, what siblings share, what is left open."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 
-from labpipe.errors import Fault, LabpipeError
+from labpipe.errors import Fault, LabpipeError, ReadError
 from labpipe.process.checking import needs_span
 from labpipe.process.export_metadata import (
     FOLDER,
-    CombinedFacts,
     Fact,
     combine_facts,
     facts_of_export,
     facts_of_folder,
 )
-from labpipe.process.protocol_match import (
-    Fit,
-    KnownFacts,
-    all_protocols,
-    marked_length,
-    match_protocols,
-)
-from labpipe.process.raw_folder import (
-    FolderContents,
-    InspectedExport,
-    folders_of_tests,
-    read_folder,
-)
+from labpipe.process.protocol_match import Fit, all_protocols, marked_length, match_protocols
 from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
-from labpipe.protocol.source import ROLES
-from labpipe.protocol.values import is_name_of_a_test
-from labpipe.records.recording import EXPORT_FORMATS
+from labpipe.protocol.source import MARKER_READERS, ROLES
+from labpipe.protocol.values import has_control_characters, is_name_of_a_test
+from labpipe.readers import recognise_export
+from labpipe.readers.unknown_files import describe_unknown
+from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-_NEEDED = ("type", "spool", "sample")
 _FACT_KEYS = ("date", "operator", "type", "sample", "length", "width", "thickness")
 _HOW_TO_DECIDE = (
     "what would decide: a folder, export or type called like one of them, or a protocol that most"
     " tests beside it have"
 )
+_IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FolderContents:
+    """The files of a folder.
+
+    Parameters
+    ----------
+    exports : those that can be read
+    others : names of other files, and what each appears to be
+    unread : names of exports that cannot be read, and the reason: damaged, truncated, locked
+    """
+
+    exports: dict[Path, Recording] = field(default_factory=dict)
+    others: dict[str, str] = field(default_factory=dict)
+    unread: dict[str, str] = field(default_factory=dict)
+
+
+def read_folder(folder: Path) -> FolderContents:
+    """Read the files in the folder of a test; formats are recognised by content.
+
+    Parameters
+    ----------
+    folder : of the test; a missing folder is empty
+    """
+    contents = FolderContents()
+    for path in files_in(folder):
+        if has_control_characters(path.name):
+            contents.others[path.name] = "its name has control characters; rename it"
+            continue
+        try:
+            path.open("rb").close()  # raises OSError before the format is recognised
+            try:
+                reader = recognise_export(path)
+            except ReadError:
+                contents.others[path.name] = describe_unknown(path).what
+            else:
+                contents.exports[path] = reader.read(path)
+        except (LabpipeError, OSError) as error:
+            contents.unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
+    return contents
+
+
+def files_in(folder: Path) -> list[Path]:
+    """List the files of a folder that may be exports, by name, without hidden ones.
+
+    Parameters
+    ----------
+    folder : of a test
+    """
+    return [
+        path
+        for path in (sorted(folder.iterdir()) if folder.is_dir() else [])
+        if path.suffix not in _IGNORED_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    ]
+
+
+def folders_of_tests(folder: Path) -> list[Path]:
+    """List the test folders of a campaign that hold files, by name.
+
+    Parameters
+    ----------
+    folder : of a campaign
+
+    Returns
+    -------
+    The folders; none if the folder is that of a test: it has a test sheet, or no folder with files.
+    """
+    if (folder / SHEET_NAME).exists() or not folder.is_dir():
+        return []
+    below = [path for path in sorted(folder.iterdir()) if path.is_dir()]
+    return [path for path in below if not path.name.startswith(".") and files_in(path)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,17 +144,18 @@ class Neighbours:
 
     tests: dict[Path, tuple[str, str]] = field(default_factory=dict)
 
-    def protocols_beside(self, folder: Path, kind: str | None = None) -> Counter[str]:
+    def protocols_beside(self, folder: Path, specimen_type: str | None = None) -> Counter[str]:
         """Count the protocols of the other tests, of all types or of one.
 
         Parameters
         ----------
         folder : of the test itself
-        kind : type of the specimen; None for all
+        specimen_type : type of the specimen; None for all
         """
-        other_tests = (test for where, test in self.tests.items() if where != folder.resolve())
         return Counter(
-            name for other_kind, name in other_tests if kind is None or other_kind == kind
+            protocol
+            for other, (other_type, protocol) in self.tests.items()
+            if other != folder.resolve() and specimen_type in (None, other_type)
         )
 
 
@@ -107,17 +168,43 @@ def neighbours_in(campaign: Path) -> Neighbours:
     """
     neighbours = Neighbours()
     for folder in folders_of_tests(campaign):
-        neighbours.tests[folder] = (_type_of(folder), "")
-        if (folder / SHEET_NAME).exists():
-            with suppress(LabpipeError, OSError):
-                sheet = load_test_sheet(folder / SHEET_NAME)
-                neighbours.tests[folder] = (sheet.specimen.type, sheet.protocol)
+        neighbours.tests[folder] = (_named(folder).get("type", ""), "")
+        with suppress(LabpipeError, OSError):
+            sheet = load_test_sheet(folder / SHEET_NAME)
+            neighbours.tests[folder] = (sheet.specimen.type, sheet.protocol)
     return neighbours
 
 
-def _type_of(folder: Path) -> str:
-    """Return the type of the specimen in the name of a folder; empty if there is none."""
-    return next((fact.value for fact in facts_of_folder(folder.name) if fact.key == "type"), "")
+def _named(folder: Path) -> dict[str, str]:
+    """Return the facts in the name of a folder."""
+    return {fact.key: fact.value for fact in facts_of_folder(folder.name)}
+
+
+def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[InferredTest]:
+    """Infer several tests of one campaign; the others may decide what one leaves open.
+
+    Parameters
+    ----------
+    folders : of the tests
+    stated : see `infer_test`
+
+    Yields
+    ------
+    Each test: first those with a definite protocol, then the others. Only the recordings of one
+    test are in memory at a time.
+    """
+    neighbours = neighbours_in(folders[0].resolve().parent) if folders else Neighbours()
+    waiting = []
+    for folder in folders:
+        test = infer_test(folder, stated, neighbours=neighbours)
+        if "protocol" in test.open:
+            waiting.append(folder)
+            continue
+        kind, protocol = test.values.get("type", ""), test.values["protocol"]
+        neighbours.tests[folder.resolve()] = (kind, protocol)
+        yield test
+    for folder in waiting:
+        yield infer_test(folder, stated, neighbours=neighbours)
 
 
 def infer_test(
@@ -139,42 +226,69 @@ def infer_test(
     The inferred test. Exports that cannot be read are in the remarks and raise nothing.
     """
     contents = read_folder(folder)
-    candidates = _protocols(stated, folder)
-    known_neighbours = neighbours_in(folder.resolve().parent) if neighbours is None else neighbours
-    return _TestInference(contents, stated, candidates, known_neighbours).infer()
+    fits = _fits(folder, contents, stated, neighbours or neighbours_in(folder.resolve().parent))
+    fit = fits[0] if len(fits) == 1 else None
+    unclear = {(role, fit) for fit in fits for role in fit.unclear if role not in stated}
+    doubtful = {name for role, fit in unclear for name in fit.files[role]}
+    exports = {path: x for path, x in contents.exports.items() if path.name not in doubtful}
+    facts, contradictory = combine_facts(_facts(folder, exports))
+    facts = {key: facts[key] for key in _FACT_KEYS if key in facts and key not in stated}
+
+    name = safe_name(folder.resolve().name)
+    values = {"test": name} | ({"protocol": fit.protocol.name} if fit else {})
+    values |= {key: fact.value for key, fact in facts.items()} | dict(stated)
+    files = _files(contents, fits) | _stated_files(stated)
+    needed = ["protocol", "type", "spool", "sample"]
+    needed += ["span"] if fit and needs_span(fit.protocol) else []
+    open_keys = [key for key in needed if not values.get(key)]
+    open_roles = sorted(fits[0].unclear - {*files}) if fits else []
+    open_keys += open_roles or ([] if files else ["files"])
+
+    remarks = [
+        *_about_protocol(contents, fits, stated),
+        *_about_files(contents, {role: x for role, x in files.items() if role not in stated}),
+    ]
+    for role in open_roles:
+        possible = ", ".join(map(_printable, fits[0].files[role]))
+        remarks.append(
+            f"{role}: {possible} are all possible, and are not parts of one recording; name one "
+            f"with --{role}, and use a folder for each test"
+        )
+    for where in dict.fromkeys(fact.where for fact in facts.values()):
+        parts = [_statement(fact) for fact in facts.values() if fact.where == where]
+        remarks.append(f"{', '.join(parts)}: from {where}")
+    if "test" not in stated and name != folder.resolve().name:
+        remarks.append(f"test: {name}, as a name of a test has no blanks or other signs")
+    remarks += [sentence for key, sentence in contradictory.items() if key not in stated]
+    remarks += _contradictions(folder, exports, fit, values.get("length", ""))
+    used = {name for names in files.values() for name in names}
+    remarks += _unused(folder, contents, used | {x for r in open_roles for x in fits[0].files[r]})
+    return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), contents.unread)
 
 
-def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[InferredTest]:
-    """Infer several tests of one campaign; the others may decide what one leaves open.
-
-    Parameters
-    ----------
-    folders : of the tests
-    stated : see `infer_test`
-
-    Yields
-    ------
-    Each test: first those with a definite protocol, then the others. Only the recordings of one
-    test are in memory at a time.
-    """
-    if not folders:
-        return
-    candidates = _protocols(stated, folders[0])
-    neighbours = neighbours_in(folders[0].resolve().parent)
-    waiting = []
-    for folder in folders:
-        inference = _TestInference(read_folder(folder), stated, candidates, neighbours)
-        if len(inference.fits) > 1:
-            waiting.append(folder)
-            continue
-        if inference.fit is not None:
-            neighbours.tests[folder.resolve()] = (inference.kind, inference.fit.protocol.name)
-        yield inference.infer()
-    for folder in waiting:
-        yield _TestInference(read_folder(folder), stated, candidates, neighbours).infer()
+def _stated_files(stated: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+    """Return the exports by role that the user named."""
+    return {role: file_names(stated[role]) for role in ROLES if role in stated}
 
 
-def _protocols(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
+def _fits(
+    folder: Path, contents: FolderContents, stated: Mapping[str, str], neighbours: Neighbours
+) -> list[Fit]:
+    """Find the protocols that fit best, by exports, names and the other tests."""
+    named = _named(folder)
+    kind = stated.get("type") or named.get("type", "")
+    of_type = [neighbours.protocols_beside(folder, kind)] if kind else []
+    return match_protocols(
+        contents.exports,
+        _candidates(stated, folder),
+        names=(folder.name, kind, *(path.stem for path in contents.exports)),
+        length=_metres(stated.get("length") or named.get("length", "")),
+        siblings=[*of_type, neighbours.protocols_beside(folder)],
+        roles=_stated_files(stated),
+    )
+
+
+def _candidates(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
     """Return the candidate protocols: all, or the one that the user named."""
     if "protocol" not in stated:
         return all_protocols()
@@ -184,204 +298,67 @@ def _protocols(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
     return []
 
 
-@dataclass(frozen=True, eq=False)
-class _TestInference:
-    """The inference of one test."""
+def _facts(folder: Path, exports: Mapping[Path, Recording]) -> list[Fact]:
+    """Collect facts; the lab chose the name of the folder, which has priority over exports."""
+    facts = list(facts_of_folder(folder.name))
+    named = {fact.key for fact in facts}
+    for path, recording in exports.items():
+        for fact in facts_of_export(path.name, recording):
+            key = "sample" if fact.key == "specimen" else fact.key
+            if key not in {*named, "take"}:
+                facts.append(replace(fact, key=key))
+    return facts
 
-    contents: FolderContents
-    stated: Mapping[str, str]
-    protocols: Sequence[Protocol]
-    neighbours: Neighbours
 
-    @cached_property
-    def facts(self) -> CombinedFacts:
-        by_export = [facts_of_export(export.name, export.recording) for export in self._belonging]
-        facts = [fact for facts in by_export for fact in facts if fact.key != "take"]
-        folder_facts = facts_of_folder(self.contents.folder.name)
-        named = {fact.key for fact in folder_facts}
-        # The lab chose the name of the folder; numbers of a program have no priority over it.
-        facts = [fact for fact in facts if fact.key not in named]
-        if "sample" not in named:
-            facts = [
-                replace(fact, key="sample") if fact.key == "specimen" else fact for fact in facts
+def _files(contents: FolderContents, fits: Sequence[Fit]) -> dict[str, tuple[str, ...]]:
+    """Return exports by role: those on which all protocols that fit agree, or by format."""
+    files: dict[str, tuple[str, ...]] = {}
+    for path, export in contents.exports.items() if not fits else ():
+        role = "frame" if export.reader == "load-frame" else "force"
+        role = "markers" if export.reader in MARKER_READERS else role
+        files[role] = (*files.get(role, ()), path.name)
+    for role, names in fits[0].files.items() if fits else ():
+        if all(fit.files.get(role) == names and role not in fit.unclear for fit in fits):
+            files[role] = names
+    return files
+
+
+def _about_files(contents: FolderContents, files: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield one sentence on the exports by role that were inferred."""
+    readers = {path.name: export.reader for path, export in contents.exports.items()}
+    roles = [
+        f"{role}: {', '.join(f'{_printable(name)} ({readers[name]})' for name in names)}"
+        for role, names in files.items()
+    ]
+    if roles:
+        yield "; ".join(roles)
+
+
+def _about_protocol(
+    contents: FolderContents, fits: Sequence[Fit], stated: Mapping[str, str]
+) -> Iterator[str]:
+    max_faults = 3
+    if "protocol" in stated:
+        pass
+    elif len(fits) == 1:
+        reasons = "; ".join(text for text, weight in fits[0].signs if weight > 0)
+        yield f"protocol: {fits[0].protocol.name}" + (f", as {reasons}" if reasons else "")
+    elif fits:
+        yield "\n    ".join(
+            [
+                f"protocol: {len(fits)} fit alike; name one with --protocol, or in the sheet",
+                *(_described(fit.protocol) for fit in fits),
+                _HOW_TO_DECIDE,
             ]
-        return combine_facts([*folder_facts, *(fact for fact in facts if fact.key != "specimen")])
-
-    @cached_property
-    def stated_files(self) -> dict[str, tuple[str, ...]]:
-        """Exports by role that the user named."""
-        return {role: file_names(self.stated[role]) for role in ROLES if role in self.stated}
-
-    @property
-    def _belonging(self) -> list[InspectedExport]:
-        """Exports that belong to this test; all of them without a matching protocol."""
-        unclear = {
-            name
-            for fit in self.fits
-            for role in fit.unclear - set(self.stated)
-            for name in fit.files[role]
-        }
-        return [export for export in self.contents.exports if export.name not in unclear]
-
-    @property
-    def kind(self) -> str:
-        """Type of the specimen; empty if it is not known."""
-        return self.stated.get("type") or _type_of(self.contents.folder)
-
-    @cached_property
-    def fits(self) -> list[Fit]:
-        named = {fact.key: fact.value for fact in facts_of_folder(self.contents.folder.name)}
-        length = self.stated.get("length") or named.get("length", "")
-        folder, exports = self.contents.folder, self.contents.exports
-        known_facts = KnownFacts(
-            names=(folder.name, self.kind, *(export.path.stem for export in exports)),
-            length=_metres(length),
-            of_type=self.neighbours.protocols_beside(folder, self.kind) if self.kind else {},
-            of_campaign=self.neighbours.protocols_beside(folder),
-            roles=self.stated_files,
         )
-        return match_protocols(exports, self.protocols, known_facts) if exports else []
-
-    @property
-    def fit(self) -> Fit | None:
-        """The protocol that fits better than all others; None if there are several."""
-        return self.fits[0] if len(self.fits) == 1 else None
-
-    def infer(self) -> InferredTest:
-        """Combine all inferred values."""
-        facts = self.facts.facts
-        inferred = {key: facts[key].value for key in _FACT_KEYS if key in facts}
-        if self.fit is not None:
-            inferred = {"protocol": self.fit.protocol.name, **inferred}
-        name = safe_name(self.contents.folder.resolve().name)
-        values = {"test": name, **inferred, **self.stated}
-        files = {**self._files, **self.stated_files}
-        needed = [*_NEEDED, *(["span"] if self.fit and needs_span(self.fit.protocol) else [])]
-        open_keys = [key for key in ("protocol", *needed) if not values.get(key)]
-        unclear = sorted(self._unclear(files))
-        open_keys += unclear or ([] if files else ["files"])
-        return InferredTest(
-            self.contents.folder,
-            values,
-            files,
-            tuple(open_keys),
-            tuple(self._sentences(values, files)),
-            self.contents.unread,
-        )
-
-    @property
-    def _files(self) -> dict[str, tuple[str, ...]]:
-        """Exports by role: those on which all candidate protocols agree, or by format."""
-        if self.fits:
-            return {
-                role: names
-                for role, names in self.fits[0].files.items()
-                if all(
-                    fit.files.get(role) == names and role not in fit.unclear for fit in self.fits
-                )
-            }
-        by_role: dict[str, tuple[str, ...]] = {}
-        for export in self.contents.exports:
-            role = _role(export.reader)
-            by_role[role] = (*by_role.get(role, ()), export.name)
-        return by_role
-
-    def _unclear(self, files: Mapping[str, object]) -> set[str]:
-        return {role for fit in self.fits[:1] for role in fit.unclear if role not in files}
-
-    def _sentences(
-        self, values: Mapping[str, str], files: Mapping[str, tuple[str, ...]]
-    ) -> Iterator[str]:
-        yield from self._about_protocol()
-        readers = {export.name: export.reader for export in self.contents.exports}
-        inferred = {role: names for role, names in files.items() if role not in self.stated}
-        if inferred:
-            yield "; ".join(
-                f"{role}: {', '.join(f'{_printable(name)} ({readers[name]})' for name in names)}"
-                for role, names in inferred.items()
-            )
-        for role in sorted(self._unclear(files)):
-            candidates = ", ".join(map(_printable, self.fits[0].files[role]))
-            yield (
-                f"{role}: {candidates} are all possible, and are not parts of one recording; name"
-                f" one with --{role}, and use a folder for each test"
-            )
-        yield from self._about_facts()
-        if values["test"] != self.contents.folder.resolve().name and "test" not in self.stated:
-            yield f"test: {values['test']}, as a name of a test has no blanks or other signs"
-        open_facts = self.facts.open
-        yield from (
-            sentence for sentence in open_facts if sentence.partition(":")[0] not in self.stated
-        )
-        yield from self._contradictions(values)
-        unclear = {role: self.fits[0].files[role] for role in self._unclear(files)}
-        yield from self._unused({**files, **unclear})
-
-    def _about_facts(self) -> Iterator[str]:
-        """Yield the values of each source, one line per source."""
-        facts = [self.facts.facts[key] for key in _FACT_KEYS if key in self.facts.facts]
-        used = [fact for fact in facts if fact.key not in self.stated]
-        for where in dict.fromkeys(fact.where for fact in used):
-            parts = [
-                f"{fact.key} {fact.value}{_as_written(fact)}"
-                for fact in used
-                if fact.where == where
-            ]
-            yield f"{', '.join(parts)}: from {where}"
-
-    def _about_protocol(self) -> Iterator[str]:
-        if "protocol" in self.stated:
-            yield from _faults(self.fits[:1])
-            return
-        if self.fit is not None:
-            reasons = "; ".join(sign.text for sign in self.fit.signs if sign.weight > 0)
-            yield f"protocol: {self.fit.protocol.name}" + (f", as {reasons}" if reasons else "")
-            yield from _faults([self.fit])
-        elif self.fits:
-            heading = (
-                f"protocol: {len(self.fits)} fit alike; name one with --protocol, or in the sheet"
-            )
-            descriptions = (_described(fit.protocol) for fit in self.fits)
-            yield "\n    ".join((heading, *descriptions, _HOW_TO_DECIDE))
-        elif self.contents.exports:
-            yield "protocol: none of those here takes these exports; name one, or write one"
-        else:
-            missing = (
-                "no export that labpipe can read is"
-                if self.contents.others or self.contents.unread
-                else "no exports are"
-            )
-            yield f"protocol: {missing} in this folder; copy the exports there, or use --protocol"
-
-    def _contradictions(self, values: Mapping[str, str]) -> Iterator[str]:
-        """Yield contradictions that do not leave a value open."""
-        max_length_deviation = 0.05
-        name = self.contents.folder.resolve().name
-        for export in self._belonging:
-            for fact in facts_of_export(export.name, export.recording):
-                if fact.key == "take" and fact.value != name and facts_of_folder(fact.value):
-                    yield f"look: {export.name} is of {fact.value!r}, the folder is called {name!r}"
-        stated, fit = _metres(values.get("length", "")), self.fit
-        for export in self._belonging:
-            tracks = export.recording.markers
-            if fit is None or tracks is None or not stated:
-                continue
-            reach = marked_length(fit.protocol, tracks)
-            if reach is not None and abs(reach / stated - 1.0) > max_length_deviation:
-                lengths = f"{reach * 1e3:.3g} mm, {values['length']} is stated"
-                yield f"look: the markers of {export.name} show a length of about {lengths}"
-
-    def _unused(self, files: Mapping[str, tuple[str, ...]]) -> Iterator[str]:
-        used = {name for names in files.values() for name in names}
-        for export in self.contents.exports:
-            if export.name not in used:
-                yield f"not used: {_printable(export.name)} ({export.reader})"
-        for name, why in {**self.contents.unread, **self.contents.others}.items():
-            if name not in used:
-                yield f"not used: {_printable(name)}: {why.splitlines()[0]}"
-        for name in sorted(used):
-            if not (self.contents.folder / name).exists():
-                yield f"not there yet: {_printable(name)}"
+    elif contents.exports:
+        yield "protocol: none of those here takes these exports; name one, or write one"
+    else:
+        is_other = contents.others or contents.unread
+        missing = "no export that labpipe can read is" if is_other else "no exports are"
+        yield f"protocol: {missing} in this folder; copy the exports there, or use --protocol"
+    for fit in fits if len(fits) == 1 else ():
+        yield from (f"look: {fault}" for fault in fit.faults[:max_faults] if not fit.unclear)
 
 
 def _described(protocol: Protocol) -> str:
@@ -393,18 +370,42 @@ def _described(protocol: Protocol) -> str:
     return f"{protocol.name}: {'; '.join(filter(None, (protocol.about, ', '.join(sizes))))}"
 
 
-def _faults(fits: Iterable[Fit]) -> Iterator[str]:
-    max_faults = 3
-    for fit in fits:
-        if not fit.unclear:
-            yield from (f"look: {fault}" for fault in fit.faults[:max_faults])
+def _statement(fact: Fact) -> str:
+    is_named = fact.where.startswith((FOLDER, "the name of"))
+    is_plain = fact.written.startswith(fact.value) or not fact.written or is_named
+    return f"{fact.key} {fact.value}" + ("" if is_plain else f" ({fact.written!r})")
 
 
-def _role(reader: str) -> str:
-    """Return the role of an export by its format alone."""
-    if reader in {known.name for known in EXPORT_FORMATS if known.has_markers}:
-        return "markers"
-    return "frame" if reader == "load-frame" else "force"
+def _contradictions(
+    folder: Path, exports: Mapping[Path, Recording], fit: Fit | None, length: str
+) -> Iterator[str]:
+    """Yield contradictions that do not leave a value open."""
+    max_length_deviation = 0.05
+    name, stated = folder.resolve().name, _metres(length)
+    for path, export in exports.items():
+        for fact in facts_of_export(path.name, export):
+            if fact.key == "take" and fact.value != name and facts_of_folder(fact.value):
+                yield f"look: {path.name} is of {fact.value!r}, the folder is called {name!r}"
+    if fit is None or not stated:
+        return
+    for path, export in exports.items():
+        reach = marked_length(fit.protocol, export.markers) if export.markers else None
+        if reach is not None and abs(reach / stated - 1.0) > max_length_deviation:
+            lengths = f"{reach * 1e3:.3g} mm, {length} is stated"
+            yield f"look: the markers of {path.name} show a length of about {lengths}"
+
+
+def _unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[str]:
+    """Yield a sentence for each file that is not used, or is not there."""
+    for path, export in contents.exports.items():
+        if path.name not in used:
+            yield f"not used: {_printable(path.name)} ({export.reader})"
+    for name, why in {**contents.unread, **contents.others}.items():
+        if name not in used:
+            yield f"not used: {_printable(name)}: {why.splitlines()[0]}"
+    for name in sorted(used):
+        if not (folder / name).exists():
+            yield f"not there yet: {_printable(name)}"
 
 
 def file_names(text: str) -> tuple[str, ...]:
@@ -444,12 +445,6 @@ def safe_name(name: str) -> str:
         return name
     plain = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
     return plain if is_name_of_a_test(plain) else f"test-{plain}"[:100]
-
-
-def _as_written(fact: Fact) -> str:
-    is_named = fact.where.startswith((FOLDER, "the name of"))
-    is_plain = fact.written.startswith(fact.value) or not fact.written or is_named
-    return "" if is_plain else f" ({fact.written!r})"
 
 
 def _printable(name: str) -> str:

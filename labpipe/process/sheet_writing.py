@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import Fault, ReadError, UsageError, error_text, nearest
-from labpipe.process.raw_folder import folders_of_tests
-from labpipe.process.sheet_inference import InferredTest, file_names, infer_test, infer_tests
+from labpipe.process.sheet_inference import (
+    InferredTest,
+    file_names,
+    folders_of_tests,
+    infer_test,
+    infer_tests,
+)
 from labpipe.protocol.load import find_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
-from labpipe.readers.sheet_cells import Cell, Table, read_campaign_sheet
+from labpipe.readers.sheet_cells import Cell, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
 
+_PLAIN = ("date", "operator")
+_NEEDED = ("test", "protocol", "type", "spool", "sample")
 DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
 """Dimensions of a specimen that have a column of their own."""
 BUNDLE = {
@@ -30,26 +37,9 @@ BUNDLE = {
 """Columns of a harness bundle and their keys in its block."""
 LABELS = "labels."
 """Prefix of columns that are labels of the specimen."""
-_PLAIN = ("test", "protocol", "date", "operator")
-_SPECIMEN = ("type", "spool", "sample")
-COLUMNS = (*_PLAIN, *_SPECIMEN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
+COLUMNS = (*_NEEDED, *_PLAIN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
 """Columns of a campaign table, in addition to dotted keys of the protocol and labels."""
-_NEEDED = ("test", "protocol", *_SPECIMEN)
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
-
-
-@dataclass(frozen=True, slots=True)
-class NewTest:
-    """The values of a test sheet as the user wrote them.
-
-    Parameters
-    ----------
-    values : text by column: those of `COLUMNS`, labels, and dotted keys of the protocol
-    places : place of each value by column, for messages
-    """
-
-    values: Mapping[str, str]
-    places: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,30 +86,32 @@ def write_inferred_sheets(
     StoreError
         If the file cannot be written.
     """
-    below = folders_of_tests(folder)
     unknown = [_unknown(column, folder, column) for column in stated if not _is_column(column)]
     if unknown:
         raise UsageError("\n".join(unknown))
+    below = folders_of_tests(folder)
+    existing = [path for path in below or [folder] if (path / SHEET_NAME).exists()]
+    if existing == [folder] and not overwrite:
+        remedy, actual, path = "Edit it, or ask to overwrite it.", "an existing one", folder
+        message = error_text(
+            path / SHEET_NAME, "", expected="no such file yet", found=actual, remedy=remedy
+        )
+        raise UsageError(message)
     if not below:
-        path = folder / SHEET_NAME
-        if path.exists() and not overwrite:
-            remedy, actual = "Edit it, or ask to overwrite it.", "an existing one"
-            message = error_text(path, "", expected="no such file yet", found=actual, remedy=remedy)
-            raise UsageError(message)
         yield write_inferred_sheet(infer_test(folder, stated))
         return
-    existing = [path for path in below if (path / SHEET_NAME).exists() and not overwrite]
-    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in existing)
-    for test in infer_tests([path for path in below if path not in existing], stated):
+    kept = [] if overwrite else existing
+    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept)
+    for test in infer_tests([path for path in below if path not in kept], stated):
         yield write_inferred_sheet(test)
 
 
-def write_inferred_sheet(seen: InferredTest) -> WrittenSheet:
+def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     """Write the test sheet of an inferred test.
 
     Parameters
     ----------
-    seen : from `infer_test`
+    test : from `infer_test`
 
     Raises
     ------
@@ -128,33 +120,25 @@ def write_inferred_sheet(seen: InferredTest) -> WrittenSheet:
     StoreError
         If the file cannot be written.
     """
-    path = seen.folder / SHEET_NAME
-    data = _inferred_data(seen)
-    new_test = NewTest(seen.values)
-    faults = _faults(new_test, data, path, seen.folder, left_open=seen.open)
+    path, data = test.folder / SHEET_NAME, _inferred_data(test)
+    faults = _faults(test.values, {}, data, path, left_open=test.open)
     if faults:
         raise UsageError("\n".join(faults))
-    _write(path, write_test_sheet(data))
-    return WrittenSheet(path, False, seen.remarks, seen.open)
+    _write(path, data)
+    return WrittenSheet(path, False, test.remarks, test.open)
 
 
 def _inferred_data(test: InferredTest) -> dict[str, object]:
     """Arrange inferred values into the blocks of a test sheet; None for those to be filled in."""
-    data = _sheet_data(test.values)
-    files = {role: _one_or_list(names) for role, names in test.files.items()}
-    roles = [role for role in ROLES if role in {*files, *test.open}]
-    data["files"] = {role: files.get(role) for role in roles} or None
-    if "protocol" in test.open:
-        rest = {key: value for key, value in data.items() if key != "test"}
-        data = {"test": data["test"], "protocol": None, **rest}
-    specimen = data["specimen"] if isinstance(data["specimen"], dict) else {}
-    keys = [*_SPECIMEN, *(key for key in test.open if key in DIMENSIONS)]
-    blocks = {key: dict(block) for key, block in test.blocks.items() if block}
-    shared = blocks.pop("specimen", {})
-    labels = {**_block(shared, "labels"), **_block(specimen, "labels")}
-    filled: dict[str, object] = {key: specimen.get(key) for key in keys} | shared | specimen
-    data["specimen"] = filled | ({"labels": labels} if labels else {})
-    return data | blocks
+    open_values = dict.fromkeys(key for key in test.open if key in (*_NEEDED, *DIMENSIONS))
+    files = {role: test.files.get(role) for role in ROLES if role in {*test.files, *test.open}}
+    shared = dict(test.blocks.get("specimen", {}))
+    data = _sheet_data({**test.values, **open_values}, files)
+    specimen = shared | _block(data, "specimen")
+    if labels := _block(shared, "labels") | _block(_block(data, "specimen"), "labels"):
+        specimen["labels"] = labels
+    overrides = test.blocks.get("overrides")
+    return data | {"specimen": specimen} | ({"overrides": overrides} if overrides else {})
 
 
 def _block(data: Mapping[str, object], key: str) -> dict[str, object]:
@@ -185,45 +169,57 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
         If a file cannot be written.
     """
     table = read_campaign_sheet(sheet)
-    faults = list(_heading_faults(table.heading, sheet))
-    if faults:
+    columns = [_column(cell.text) for cell in table.heading]
+    if faults := list(_heading_faults(table.heading, [name for name, _ in columns], sheet)):
         raise ReadError("\n".join(faults))
-    tests = [_from_row(table, row) for row in table.rows]
-    for test in tests:
-        test_folder = folder / test.values.get("test", "")
-        faults += _faults(test, _sheet_data(test.values), sheet, test_folder)
-    faults += _repeated(tests, sheet)
+    tests, names = [], set[str]()
+    for row in table.rows:
+        cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
+        values = {name: _with_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
+        places = {name: cell.place for name, _, cell in cells}
+        files = {role: file_names(values[role]) for role in ROLES if role in values}
+        data, test = _sheet_data(values, files), values.get("test", "")
+        faults += _faults(values, places, data, sheet, beside=folder / test)
+        if test and test.casefold() in names:  # some file systems take A1 and a1 for one folder
+            place, remedy = places["test"], "Give each test another name."
+            actual = f"{test!r} again"
+            faults.append(
+                error_text(sheet, place, expected="each test once", found=actual, remedy=remedy)
+            )
+        names.add(test.casefold())
+        tests.append((folder / test / SHEET_NAME, data, files))
     if faults:
         raise ReadError("\n".join(faults))
     sheets = []
-    for test in tests:
-        path = folder / test.values["test"] / SHEET_NAME
-        if path.exists() and not overwrite:
-            sheets.append(WrittenSheet(path, kept=True))
-            continue
-        _write(path, write_test_sheet(_sheet_data(test.values)))
-        names = [name for role in ROLES for name in file_names(test.values.get(role, ""))]
-        missing = ", ".join(name for name in names if not (path.parent / name).exists())
-        remarks = (f"not there yet: {missing}",) if missing else ()
-        sheets.append(WrittenSheet(path, remarks=remarks))
+    for path, data, files in tests:
+        kept = path.exists() and not overwrite
+        missing = [x for names in files.values() for x in names if not (path.parent / x).exists()]
+        remarks = (f"not there yet: {', '.join(missing)}",) if missing and not kept else ()
+        if not kept:
+            _write(path, data)
+        sheets.append(WrittenSheet(path, kept, remarks))
     return sheets
 
 
-def _column(cell: Cell) -> tuple[str, str]:
+def _column(heading: str) -> tuple[str, str]:
     """Split a heading into the name of the column and the unit of its numbers."""
-    match = _UNIT_IN_HEADING.fullmatch(cell.text)
-    name, unit = (match[1].strip(), match[2]) if match else (cell.text, "")
+    match = _UNIT_IN_HEADING.fullmatch(heading)
+    name, unit = (match[1].strip(), match[2]) if match else (heading, "")
     return (name if "." in name else name.casefold()), unit
+
+
+def _with_unit(text: str, unit: str) -> str:
+    is_number = re.fullmatch(r"[-+0-9.eE]+", text) is not None
+    return f"{text} {unit}" if unit and is_number else text
 
 
 def _is_column(name: str) -> bool:
     return name in COLUMNS or "." in name
 
 
-def _heading_faults(heading: Sequence[Cell], sheet: Path) -> Iterator[str]:
-    names = [_column(cell)[0] for cell in heading]
+def _heading_faults(heading: Sequence[Cell], names: Sequence[str], sheet: Path) -> Iterator[str]:
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
-        if not name or not _is_column(name):
+        if not _is_column(name):
             yield _unknown(cell.text, sheet, cell.place)
         elif name in names[:number]:
             actual, remedy = f"{name!r} again", "Remove or rename one of them."
@@ -232,10 +228,8 @@ def _heading_faults(heading: Sequence[Cell], sheet: Path) -> Iterator[str]:
             )
     for name in _NEEDED:
         if name not in names:
-            expected, remedy = f"a column {name!r}", "Add it."
-            yield error_text(
-                sheet, heading[0].place, expected=expected, found="none", remedy=remedy
-            )
+            place, expected = heading[0].place, f"a column {name!r}"
+            yield error_text(sheet, place, expected=expected, found="none", remedy="Add it.")
 
 
 def _unknown(name: str, file: Path, place: str) -> str:
@@ -245,45 +239,32 @@ def _unknown(name: str, file: Path, place: str) -> str:
     return error_text(file, place, expected=expected, found=repr(name), remedy=remedy)
 
 
-def _from_row(table: Table, row: Sequence[Cell]) -> NewTest:
-    values, places = {}, {}
-    for heading, cell in zip(table.heading, row, strict=True):
-        name, unit = _column(heading)
-        places[name] = cell.place
-        if cell.text:
-            has_unit = re.fullmatch(r"[-+0-9.eE]+", cell.text) is None
-            values[name] = cell.text if has_unit or not unit else f"{cell.text} {unit}"
-    return NewTest(values, places)
-
-
 def _faults(
-    test: NewTest,
+    values: Mapping[str, str],
+    places: Mapping[str, str],
     data: Mapping[str, object],
     file: Path,
-    folder: Path,
     *,
+    beside: Path | None = None,
     left_open: Sequence[str] = (),
 ) -> list[str]:
-    """Describe the faults of one test, except open values."""
-    value_faults = test_sheet_faults(data)
-    faults = [fault for fault in value_faults if not set(map(str, fault.path)) & set(left_open)]
-    protocol = test.values.get("protocol")
-    path = find_protocol(protocol, beside=folder) if protocol else None
-    if isinstance(path, Fault):
-        faults.append(path)
-    return [_fault_text(fault, test, file) for fault in faults]
-
-
-def _fault_text(fault: Fault, test: NewTest, file: Path) -> str:
-    """Describe a fault with its cell or option."""
-    column = _column_of(fault)
-    place = test.places.get(column) or test.places.get("test")
-    place = f"{place} ({column})" if place else column
-    if fault.missing:
-        expected, remedy = f"a value for {column!r}", "Fill it in."
-        return error_text(file, place, expected=expected, found="none", remedy=remedy)
-    text = error_text(file, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
-    return text.rstrip()
+    """Describe the faults of one test, each with its cell or option, except open values."""
+    faults = [
+        fault for fault in test_sheet_faults(data) if not set(map(str, fault.path)) & set(left_open)
+    ]
+    protocol = values.get("protocol")
+    path = find_protocol(protocol, beside=beside or file.parent) if protocol else None
+    texts = []
+    for fault in [*faults, path] if isinstance(path, Fault) else faults:
+        column = _column_of(fault)
+        place = places.get(column) or places.get("test")
+        place = f"{place} ({column})" if place else column
+        expected, remedy = fault.expected, fault.remedy
+        if fault.missing:
+            expected, remedy = f"a value for {column!r}", "Fill it in."
+        found = "none" if fault.missing else fault.found
+        texts.append(error_text(file, place, expected=expected, found=found, remedy=remedy))
+    return [text.rstrip() for text in texts]
 
 
 def _column_of(fault: Fault) -> str:
@@ -298,52 +279,33 @@ def _column_of(fault: Fault) -> str:
     return path[1] if path[0] in ("specimen", "files", "overrides") and len(path) > 1 else path[0]
 
 
-def _sheet_data(values: Mapping[str, str]) -> dict[str, object]:
-    """Arrange text by column into the blocks of a test sheet."""
-    files = {role: _one_or_list(file_names(values[role])) for role in ROLES if values.get(role)}
-    dotted = {
-        key: value for key, value in values.items() if "." in key and not key.startswith(LABELS)
-    }
-    because = {"because": values["because"]} if "because" in values else {}
-    data: dict[str, object] = {key: values[key] for key in ("test", "protocol") if key in values}
-    data["specimen"] = _specimen_data(values)
-    data |= {key: values[key] for key in ("date", "operator") if key in values}
-    data["files"] = files
-    if dotted:
-        data["overrides"] = {key: {"value": value} | because for key, value in dotted.items()}
-    return data
+def _sheet_data(
+    values: Mapping[str, str | None], files: Mapping[str, Sequence[str] | None]
+) -> dict[str, object]:
+    """Arrange values by column and files by role into the blocks of a test sheet."""
+
+    def block(columns: Mapping[str, str]) -> dict[str, object]:
+        return {key: values[column] for column, key in columns.items() if column in values}
+
+    labels = {key: key.removeprefix(LABELS) for key in values if key.startswith(LABELS)}
+    dotted = [key for key in values if "." in key and key not in labels]
+    because = block({"because": "because"})
+    specimen = block({key: key for key in (*_NEEDED[2:], *DIMENSIONS)})
+    blocks = {"bundle": block(BUNDLE), "labels": block(labels)}
+    data = block({key: key for key in _NEEDED[:2]})
+    data["specimen"] = specimen | {key: inner for key, inner in blocks.items() if inner}
+    data |= block({key: key for key in _PLAIN})
+    data["files"] = {
+        role: names[0] if names is not None and len(names) == 1 else names and list(names)
+        for role, names in files.items()
+    } or None
+    overrides = {key: {"value": values[key]} | because for key in dotted}
+    return data | ({"overrides": overrides} if overrides else {})
 
 
-def _specimen_data(values: Mapping[str, str]) -> dict[str, object]:
-    plain = (*_SPECIMEN, *DIMENSIONS)
-    specimen: dict[str, object] = {key: values[key] for key in plain if key in values}
-    bundle = {key: values[column] for column, key in BUNDLE.items() if column in values}
-    labels = {
-        key.removeprefix(LABELS): value for key, value in values.items() if key.startswith(LABELS)
-    }
-    blocks = {"bundle": bundle, "labels": labels}
-    return specimen | {key: block for key, block in blocks.items() if block}
-
-
-def _one_or_list(names: Sequence[str]) -> str | list[str]:
-    return names[0] if len(names) == 1 else list(names)
-
-
-def _repeated(tests: Sequence[NewTest], sheet: Path) -> Iterator[str]:
-    seen: set[str] = set()
-    for test in tests:
-        name = test.values.get("test", "")
-        if name and name.casefold() in seen:  # some file systems take A1 and a1 for one folder
-            place, remedy = test.places["test"], "Give each test another name."
-            yield error_text(
-                sheet, place, expected="each test once", found=f"{name!r} again", remedy=remedy
-            )
-        seen.add(name.casefold())
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file completely or not at all."""
+def _write(path: Path, data: Mapping[str, object]) -> None:
+    """Write a test sheet completely or not at all."""
     with storing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:
-        part.write_text(text, encoding="utf-8", newline="\n")
+        part.write_text(write_test_sheet(data), encoding="utf-8", newline="\n")

@@ -67,7 +67,7 @@ def bend_between_supports(
         return _without_span(prepared, NO_SPAN)
     rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     try:
-        sections = find_sections(repaired.positions, rest=rest, apart=step.section)
+        sections = find_sections(repaired.positions, rest=rest, min_distance=step.section)
         shape = fit_span(
             sections,
             span=span,

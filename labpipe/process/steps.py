@@ -12,8 +12,8 @@ from labpipe.errors import ProcessingError, in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import with_rising_force
 from labpipe.process.zeros import (
-    MIN_LEVEL_SAMPLES,
-    MIN_ZERO_SAMPLES,
+    MIN_SAMPLES_NOISE_KNOWN,
+    MIN_SAMPLES_NOISE_UNKNOWN,
     line_zero,
     mean_level,
     required_samples,
@@ -93,8 +93,8 @@ def travel_from_speed(
 
     Notes
     -----
-    The turn is the corner of the force; loading began stroke / speed before it (the source, App.
-    A.6, uses the largest force as the turn, and 58.8 s). The variants of the signal turn one
+    The turn is the corner of the force; loading began stroke / speed before it (the dissertation,
+    App. A.6, uses the largest force as the turn, and 58.8 s). The variants of the signal turn one
     standard error later, or are faster by the uncertainty of the speed.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
@@ -169,7 +169,7 @@ def _start(force: Signal, drive: Drive, channel: str) -> Iterator[Finding]:
 
 
 def _rest(force: Signal, drive: Drive, half_width: float) -> Iterator[Finding]:
-    """Doubt a force whose record begins after loading: its zero is not known."""
+    """Report a force whose record begins after loading: its zero is not known."""
     delay = float(force.time[0]) - drive.start
     if delay > half_width:
         message = (
@@ -330,46 +330,46 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     signal = signals.filtered[name]
     _need_time(signal, name, "a stretch in s")
     first, last = _stretch(signal, step)
-    over = max(step.over, float(signal.time[last - 1] - signal.time[first]))
-    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - over)
+    duration = max(step.over, float(signal.time[last - 1] - signal.time[first]))
+    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - duration)
     rest = signal.values[first:last]
     finite = rest[~np.isnan(rest)]
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
     if len(finite) < (min_samples := required_samples(other_values)):
         time_step = _step_of(signal)
         message = (
-            f"{step.channel}: {len(finite)} samples in the {over:.4g} s to zero on, {min_samples} "
-            f"are needed, and there are {1.0 / time_step:.4g} per second"
+            f"{step.channel}: {len(finite)} samples in the {duration:.4g} s to zero on, "
+            f"{min_samples} are needed, and there are {1.0 / time_step:.4g} per second"
         )
         raise ShortStretchError(message, (min_samples + 0.5) * time_step)
-    stretch = {name: (start, start + over)}
+    stretch = {name: (start, start + duration)}
     if step.by == "mean":
         signals = replace(signals, zeroed={**signals.zeroed, **stretch})
         level, error = mean_level(finite, other_values)
-        method = f"the mean over {over:.4g} s"
+        method = f"the mean over {duration:.4g} s"
     else:
         signals = replace(signals, lined={**signals.lined, **stretch})
         values = finite if step.at == "start" else finite[::-1]
         level, error, rest_samples = line_zero(values, other_values)
-        rest_time = over * rest_samples / len(values)
-        method = f"the outer end of a line over {over:.4g} s"
+        rest_time = duration * rest_samples / len(values)
+        method = f"the outer end of a line over {duration:.4g} s"
         method = (
             f"the mean over the {rest_time:.3g} s before the motion" if rest_samples else method
         )
     summary = f"zero at {round(level, 12):.6g} {signal.unit}, {method} at the {step.at}"
-    if len(finite) < MIN_LEVEL_SAMPLES:
+    if len(finite) < MIN_SAMPLES_NOISE_UNKNOWN:
         summary += f", {len(finite)} samples: their noise is taken from the rest of the record"
     return signals.without_level(name, level, error), [info_note("zeroed", name, summary)]
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
-    """Return start and stop of the samples of a zero: at least `MIN_ZERO_SAMPLES`."""
+    """Return start and stop of the samples of a zero: at least `MIN_SAMPLES_NOISE_KNOWN`."""
     time = signal.time
     if step.at == "start":
         last = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        return 0, min(max(last, MIN_ZERO_SAMPLES), len(time))
+        return 0, min(max(last, MIN_SAMPLES_NOISE_KNOWN), len(time))
     first = int(np.searchsorted(time, time[-1] - step.over))
-    return max(min(first, len(time) - MIN_ZERO_SAMPLES), 0), len(time)
+    return max(min(first, len(time) - MIN_SAMPLES_NOISE_KNOWN), 0), len(time)
 
 
 def _need_time(signal: Signal, name: str, what: str) -> None:
@@ -406,7 +406,7 @@ def _filter(
 
 
 def _step_of(signal: Signal) -> float:
-    """Median step of the clock of a signal, s.
+    """Return the median step of the clock of a signal, s.
 
     With few distinct steps `labpipe.records.arrays.median` takes thirty times as long as numpy's.
     """

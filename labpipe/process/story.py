@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from datetime import date
 
 from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
-from labpipe.process.certificates import check_due
 from labpipe.process.clock_joining import join_clocks
 from labpipe.process.consistency import check_consistency
 from labpipe.process.curve_corrections import (
@@ -28,6 +27,7 @@ from labpipe.process.curve_corrections import (
 )
 from labpipe.process.motion import Motion, branches_between, strokes_of
 from labpipe.process.sanity_checks import (
+    check_due,
     check_mid_span,
     check_rest,
     check_rig,

@@ -21,9 +21,9 @@ from labpipe.signal.turning_points import noise_level
 from labpipe.uncertainty.autocorrelation import long_run_variance, smooth_stretches
 from labpipe.uncertainty.linear_fits import fit_linear
 
-MIN_LEVEL_SAMPLES = 8
-"""Samples that a level needs without knowledge of the noise."""
-MIN_ZERO_SAMPLES = 3
+MIN_SAMPLES_NOISE_UNKNOWN = 8
+"""Samples that a level needs if the rest of the record does not show the noise."""
+MIN_SAMPLES_NOISE_KNOWN = 3
 """Samples that a level needs if the rest of the record shows the noise."""
 SHORT_STRETCH = 100
 """Samples below which the noise of a stretch is taken from the rest of the record."""
@@ -39,12 +39,12 @@ def required_samples(other_values: Floats) -> int:
     Notes
     -----
     Three samples suffice if the rest of the record has at least 100. With 3 to 6 samples, the 95 %
-    intervals of `mean_level` and `end_level` then hold the true value in 94 to 96 % of cases, in
-    white noise and in noise that is correlated over ten samples. If the rest has only 25 samples,
-    they hold as often in noise correlated over two samples, and in 73 % in noise correlated over
-    ten: so short a record does not separate such noise from its curve.
+    intervals of `mean_level` and `end_level` then cover the true value in 94 to 96 % of cases, in
+    white noise and in noise with a correlation length of ten samples. If the rest has only 25
+    samples, the coverage is the same for a correlation length of two samples and 73 % for one of
+    ten, because so short a record does not separate such noise from its curve.
     """
-    return MIN_ZERO_SAMPLES if _cut(other_values) else MIN_LEVEL_SAMPLES
+    return MIN_SAMPLES_NOISE_KNOWN if _noise_stretches(other_values) else MIN_SAMPLES_NOISE_UNKNOWN
 
 
 def mean_level(values: Floats, other_values: Floats) -> tuple[float, float]:
@@ -55,7 +55,7 @@ def mean_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     values : shape (n,), the stretch, evenly sampled, without NaN
     other_values : shape (m,), the rest of the record, for the correlation of the noise
     """
-    stretches = _stretches(values, other_values)
+    stretches = _stretches_beside_short_one(values, other_values)
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, beside=stretches)
         half = float(fit.half_widths[0])
@@ -76,7 +76,7 @@ def end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks, beside=_stretches(values, other_values))
+    fit = fit_linear(design, blocks, beside=_stretches_beside_short_one(values, other_values))
     # As wide as the interval by Student's t, because a zero has few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error
@@ -100,15 +100,17 @@ def line_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
         return *mean_level(
             values[:rest_samples], np.concatenate([values[rest_samples:], other_values])
         ), rest_samples
-    moving = values[rest_samples:] if len(values) - rest_samples >= MIN_LEVEL_SAMPLES else values
+    moving = (
+        values[rest_samples:] if len(values) - rest_samples >= MIN_SAMPLES_NOISE_UNKNOWN else values
+    )
     return *end_level(moving, other_values), 0
 
 
-def _stretches(values: Floats, other_values: Floats) -> Sequence[Floats]:
-    return _cut(other_values) if len(values) < SHORT_STRETCH else ()
+def _stretches_beside_short_one(values: Floats, other_values: Floats) -> Sequence[Floats]:
+    return _noise_stretches(other_values) if len(values) < SHORT_STRETCH else ()
 
 
-def _cut(other_values: Floats) -> Sequence[Floats]:
+def _noise_stretches(other_values: Floats) -> Sequence[Floats]:
     short_width = 25
     return smooth_stretches(
         other_values, width=SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
@@ -123,7 +125,7 @@ def _blocks(values: Floats) -> Floats:
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Repeat zeros whose stretch overlaps the motion, with the part at rest.
+    """Recompute zeros whose stretch overlaps the motion from the part at rest.
 
     Parameters
     ----------
@@ -136,15 +138,15 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
 
     Notes
     -----
-    The standard error accounts for the shorter stretch. With fewer than `MIN_LEVEL_SAMPLES` at rest
-    the zero is not repeated, and `check_rest` doubts it.
+    The standard error accounts for the shorter stretch. With fewer than `MIN_SAMPLES_NOISE_UNKNOWN`
+    at rest the zero is not recomputed, and `check_rest` doubts it.
     """
     findings: list[Finding] = []
     branches = motion.branches
     for name, (start, stop) in signals.zeroed.items() if branches else ():
         begins, ends = (
-            motion.clocks.from_curve(at, signals.raw[name].clock)
-            for at in (branches[0].start_time, branches[-1].stop_time)
+            motion.clocks.from_curve(end, signals.raw[name].clock)
+            for end in (branches[0].start_time, branches[-1].stop_time)
         )
         if start < begins < stop:
             rest = (start, begins)
@@ -163,7 +165,7 @@ def _zero_again(
     raw = signals.raw[name]
     inside = (raw.time >= rest[0]) & (raw.time <= rest[1])
     rest_values = raw.values[inside & ~np.isnan(raw.values)]
-    if len(rest_values) < MIN_LEVEL_SAMPLES:
+    if len(rest_values) < MIN_SAMPLES_NOISE_UNKNOWN:
         return signals, []
     level, error = mean_level(rest_values, raw.values[~inside])
     duration = rest[1] - rest[0]
@@ -185,7 +187,7 @@ MIN_REST_SAMPLES = 3
 def check_zeros(
     signals: Signals, clocks: Clocks, curve: Curve, findings: Findings, limits: Limits = LIMITS
 ) -> list[Finding]:
-    """Doubt what follows a jump of force or displacement, and forces whose zero drifted.
+    """Report jumps of force or displacement, a force at rest, and drift of the force zero.
 
     Parameters
     ----------
@@ -197,48 +199,50 @@ def check_zeros(
     if not curve.branches:
         return []
 
-    def thawed(quantity: str) -> list[float]:
+    def frozen_ends(quantity: str) -> list[float]:
         return [
             clocks.to_curve(doubt.during[1], doubt.clock)
             for doubt in findings.doubts
             if doubt.reason.code == "frozen_channel" and doubt.quantity == quantity and doubt.during
         ]
 
-    new_findings = list(_displacement_jump(signals.displacement, curve, thawed("displacement")))
-    jump = list(_force_jump(signals.force, curve, thawed("force")))
+    new_findings = list(
+        _displacement_jump(signals.displacement, curve, frozen_ends("displacement"))
+    )
+    jump = list(_force_jump(signals.force, curve, frozen_ends("force")))
     new_findings += _rest_force(signals, curve, limits.rest_force)
     return [*new_findings, *(jump or _drift(signals.force, curve, limits.rest_force_drift))]
 
 
 def _rest_force(signals: Signals, curve: Curve, share: float) -> Iterator[Finding]:
     """Report the force before the motion if no step zeroes it."""
-    # Share of the largest force.
-    min_rest_share = 1e-4
+    min_rest_share = 1e-4  # share of the largest force below which a rest force is not reported
     name = signals.force
     before = _finite(curve.force[: curve.branches[0].start])
-    if name in signals.zeroed or name in signals.lined or len(before) < MIN_LEVEL_SAMPLES:
+    if name in signals.zeroed or name in signals.lined or len(before) < MIN_SAMPLES_NOISE_UNKNOWN:
         return
-    level, most = median(before), float(np.nanmax(np.abs(curve.force)))
+    level, max_force = median(before), float(np.nanmax(np.abs(curve.force)))
     error = noise_level(curve.force) / sqrt(len(before))
-    if abs(level) <= max(REST_ERROR_FACTOR * error, min_rest_share * most):
+    if abs(level) <= max(REST_ERROR_FACTOR * error, min_rest_share * max_force):
         return
     message = (
-        f"at rest before the motion the force is {level:.4g} N, {abs(level) / most:.2%} of the "
-        "largest, and no step zeroes it: a preload, or the zero of the load cell? If it is the "
+        f"at rest before the motion the force is {level:.4g} N, {abs(level) / max_force:.2%} of "
+        "the largest, and no step zeroes it: a preload, or the zero of the load cell? If it is the "
         "zero, add the step {step: zero, channel: force, over: 1 s}"
     )
-    if abs(level) > max(share, 2.0 * signals.raw[name].zero_drift) * most:
+    if abs(level) > max(share, 2.0 * signals.raw[name].zero_drift) * max_force:
         yield doubtful("rest_force", name, message, "force")
     else:
         yield info_note("rest_force", name, message)
 
 
-def _displacement_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:
-    """Doubt jumps of the displacement that no break explains."""
-    # Fall of the force, as a share of the largest, in the same step.
-    break_share = 0.3
+def _displacement_jump(
+    signal_name: str, curve: Curve, frozen_ends: list[float]
+) -> Iterator[Finding]:
+    """Report jumps of the displacement that no break explains."""
+    break_share = 0.3  # fall of the force at a break, share of the largest force
     largest = float(np.nanmax(np.abs(curve.force)))
-    jumps = _jumps(curve, curve.displacement, thawed)
+    jumps = _jumps(curve, curve.displacement, frozen_ends)
     falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
     if not jumps or (len(jumps) == 1 and falls[0] > break_share * largest):
         return
@@ -246,17 +250,17 @@ def _displacement_jump(where: str, curve: Curve, thawed: list[float]) -> Iterato
     count_text = "" if len(jumps) == 1 else f", the largest of {len(jumps)} jumps"
     message = (
         f"the displacement jumps by {1e3 * size:.4g} mm from one sample to the next at "
-        f"{_at(curve, sample)}{count_text}: zeroed, wrapped round or lost in mid-record? Branches "
-        "may be at wrong places; export the test without the part before"
+        f"{_at(curve, sample)}{count_text}: was it zeroed, or did it overflow or drop out during "
+        "the test? Branches may be misplaced; export the test without the part before the jump"
     )
-    yield doubtful("zero_jump", where, message, "displacement", "force")
+    yield doubtful("zero_jump", signal_name, message, "displacement", "force")
 
 
-def _force_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:
-    """Doubt jumps of the force that no slip or break explains."""
+def _force_jump(signal_name: str, curve: Curve, frozen_ends: list[float]) -> Iterator[Finding]:
+    """Report jumps of the force that no slip or break explains."""
     first = curve.branches[0]
     sense = sense_of_loading(curve.force[first.start : first.stop])
-    jumps = _jumps(curve, curve.force, thawed)
+    jumps = _jumps(curve, curve.force, frozen_ends)
     zero_jumps = [jump for jump in jumps if not _is_from_specimen(curve, jump[0], sense * jump[1])]
     max_jumps = 2  # more jumps are of the specimen
     if len(jumps) > max_jumps or not zero_jumps:
@@ -267,29 +271,29 @@ def _force_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Findi
         "no specimen does: check the cable and the tare of the load cell"
     )
     during = (float(curve.time[sample]), float(curve.time[-1]))
-    yield doubtful("zero_jump", where, message, "force", during=during)
+    yield doubtful("zero_jump", signal_name, message, "force", during=during)
 
 
-def _jumps(curve: Curve, values: Floats, thawed: list[float]) -> tuple[tuple[int, float], ...]:
+def _jumps(curve: Curve, values: Floats, frozen_ends: list[float]) -> tuple[tuple[int, float], ...]:
     """Find jumps of a level, except at the end of a frozen stretch."""
     return tuple(
         (sample, size)
         for sample, size in level_jumps(curve.time, values)
-        if not any(curve.time[sample - 1] <= end <= curve.time[sample] for end in thawed)
+        if not any(curve.time[sample - 1] <= end <= curve.time[sample] for end in frozen_ends)
     )
 
 
-def _is_from_specimen(curve: Curve, sample: int, grows: float) -> bool:
+def _is_from_specimen(curve: Curve, sample: int, force_increase: float) -> bool:
     """Check whether a jump may be a break, a slip, or the effect of a turn."""
     # Samples beside a turn, where a steep fall belongs to the specimen.
     turn_reach = 3
-    turn_samples = [at for branch in curve.branches for at in (branch.start, branch.stop)]
-    if any(abs(sample - at) <= turn_reach for at in turn_samples):
+    turn_samples = [turn for branch in curve.branches for turn in (branch.start, branch.stop)]
+    if any(abs(sample - turn) <= turn_reach for turn in turn_samples):
         return True
     inside = [branch for branch in curve.branches if branch.start <= sample < branch.stop]
     is_loading = bool(inside) and inside[0].direction is Direction.LOADING
     is_held = _held_after_loading(curve, sample)
-    return grows < 0.0 and (is_loading or is_held)
+    return force_increase < 0.0 and (is_loading or is_held)
 
 
 def _held_after_loading(curve: Curve, sample: int) -> bool:
@@ -299,7 +303,7 @@ def _held_after_loading(curve: Curve, sample: int) -> bool:
     return bool(before) and resting and before[-1].direction is Direction.LOADING
 
 
-def _drift(where: str, curve: Curve, share: float) -> Iterator[Finding]:
+def _drift(signal_name: str, curve: Curve, share: float) -> Iterator[Finding]:
     """Compare the force at rest before and after the test.
 
     A specimen with friction or permanent set pushes back after unloading: a force against the
@@ -310,31 +314,31 @@ def _drift(where: str, curve: Curve, share: float) -> Iterator[Finding]:
     if not _has_returned(curve, first, last) or min(len(before), len(after)) < MIN_REST_SAMPLES:
         return
     level = median(before)
-    change = (
+    force_change = (
         median(after[-len(before) :]) - level
     )  # the end of a long rest, because specimens relax
     part = curve.force[first.start : last.stop]
-    most = float(np.nanmax(np.abs(part - level)))
+    max_force = float(np.nanmax(np.abs(part - level)))
     error = noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
-    limit, sense = max(share * most, REST_ERROR_FACTOR * error), sense_of_loading(part)
-    if abs(change) < limit or (sense * change < 0.0 and not _force_grows(curve, limit)):
+    limit, sense = max(share * max_force, REST_ERROR_FACTOR * error), sense_of_loading(part)
+    if abs(force_change) < limit or (sense * force_change < 0.0 and not _force_grows(curve, limit)):
         return
     message = (
-        f"at rest the force is {level:.4g} N before the test and {level + change:.4g} N after it, "
-        f"{abs(change) / most:.0%} of the largest force apart: the zero drifted, or the specimen "
-        "is held under load"
+        f"at rest the force is {level:.4g} N before the test and {level + force_change:.4g} N "
+        f"after it, {abs(force_change) / max_force:.0%} of the largest force apart: the zero "
+        "drifted, or the specimen is held under load"
     )
-    yield doubtful("zero_drift", where, message, "force")
+    yield doubtful("zero_drift", signal_name, message, "force")
 
 
 def check_break(
-    where: str, curve: Curve, failure: FailurePoint | Failure | None, limits: Limits = LIMITS
+    signal_name: str, curve: Curve, failure: FailurePoint | Failure | None, limits: Limits = LIMITS
 ) -> Iterator[Finding]:
-    """Doubt a force below zero after the specimen broke.
+    """Report a force below zero after the specimen broke.
 
     Parameters
     ----------
-    where : name of the force
+    signal_name : name of the force
     curve, failure : of the test. Remains of a specimen may carry a small force, so that a force
         above zero is allowed, and so is a rebound of a few samples
     limits : of the lab
@@ -347,15 +351,17 @@ def check_break(
     sense = sense_of_loading(curve.force[: failure.sample + 1])
     if len(after) < min_tail_samples:
         return
-    level, most = sense * median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
+    level = sense * median(after[len(after) // 2 :])
+    max_force = float(np.nanmax(np.abs(curve.force)))
     error = noise_level(curve.force) * sqrt(2.0 / len(after))
-    if level > -max(limits.rest_force_drift * most, REST_ERROR_FACTOR * error):
+    if level > -max(limits.rest_force_drift * max_force, REST_ERROR_FACTOR * error):
         return
     message = (
         f"the force is {sense * level:.4g} N after the specimen broke, "
-        f"{-level / most:.0%} of its peak below zero: it was zeroed under load, or its zero drifted"
+        f"{-level / max_force:.0%} of its peak below zero: it was zeroed under load, or its zero "
+        "drifted"
     )
-    yield doubtful("zero_drift", where, message, "force")
+    yield doubtful("zero_drift", signal_name, message, "force")
 
 
 def _force_grows(curve: Curve, limit: float) -> bool:
@@ -374,8 +380,7 @@ def _force_grows(curve: Curve, limit: float) -> bool:
 
 def _has_returned(curve: Curve, first: Branch, last: Branch) -> bool:
     """Check whether the test ends with an unloading to its first position."""
-    # Share of the stroke.
-    return_share = 0.02
+    return_share = 0.02  # largest distance from the first position, share of the stroke
     if last.direction is not Direction.UNLOADING:
         return False
     began, ended = curve.displacement[first.start], curve.displacement[last.stop - 1]
@@ -404,7 +409,7 @@ class _Record:
 
 
 def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
-    """Doubt results that need the beginning of a record that begins under load.
+    """Report a record that begins under load and mark the results that depend on its start.
 
     Parameters
     ----------
@@ -422,11 +427,10 @@ def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     A record that begins at rest is not doubted, because its load cell may have an offset; nor is a
     test in cycles that return to the load at its beginning.
     """
-    # Shares of the ranges of force and displacement.
-    min_load_shares = 0.02, 0.01
-    slope_factor = 3.0
-    min_force_share = 0.1  # a load at any displacement
-    noise_factor = 5.0
+    min_load_shares = 0.02, 0.01  # shares of the ranges of force and displacement
+    slope_factor = 3.0  # ratio up to which force and displacement lie on one line
+    min_force_share = 0.1  # from this share on, the displacement is not considered
+    noise_factor = 5.0  # force at the start over noise, for a load
     branches = motion.branches
     record = _record(signals, motion.clocks, branches) if branches else None
     if record is None:
@@ -451,8 +455,10 @@ def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
         return
     slope = _first_slope(record.path[first], record.force[first], record.path)
     path, travel = float(record.path[0]), float(np.ptp(record.path))
-    together = force / slope_factor <= slope * path <= slope_factor * force
-    is_loaded = share >= min_load_shares[0] and path >= min_load_shares[1] * travel and together
+    is_on_one_line = force / slope_factor <= slope * path <= slope_factor * force
+    is_loaded = (
+        share >= min_load_shares[0] and path >= min_load_shares[1] * travel and is_on_one_line
+    )
     if is_loaded or share >= min_force_share:
         yield from _loaded_start(signals, (force, share, path), during, has_slack=has_slack)
 
@@ -473,11 +479,11 @@ def _record(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> _
     return _Record(time, sense * force, up * path)
 
 
-def _first_slope(path: Floats, force: Floats, whole: Floats) -> float:
+def _first_slope(path: Floats, force: Floats, all_path: Floats) -> float:
     """Fit the slope of the beginning of a branch, N/m."""
     first_share = 0.05
-    near = np.abs(path - path[0]) <= first_share * float(np.ptp(whole))
-    size = max(MIN_SLOPE_SAMPLES, len(near) if near.all() else int(np.argmin(near)))
+    is_near = np.abs(path - path[0]) <= first_share * float(np.ptp(all_path))
+    size = max(MIN_SLOPE_SAMPLES, len(is_near) if is_near.all() else int(np.argmin(is_near)))
     d, f = path[:size] - path[:size].mean(), force[:size]
     return float(d @ f) / max(float(d @ d), 1e-300)
 
@@ -496,7 +502,7 @@ def _loaded_start(
 ) -> Iterator[Finding]:
     force, share, path = begin
     lined = [name for name in (signals.force, signals.displacement) if name in signals.lined]
-    # The slack correction finds zero force again, if the zero of the force is right.
+    # The slack correction restores the zero of displacement if the zero of the force is correct.
     is_corrected = has_slack and signals.force not in lined
     message = (
         f"the record begins under load and in motion: {force:.4g} N, {1e2 * share:.2g} % of its "

@@ -1,28 +1,164 @@
-"""The grammar of a campaign YAML: how exports become tests, and what a watch waits for."""
+"""The grammar of a campaign YAML: how exports become tests, and what a watch waits for.
+
+Patterns of the names of exports and folders, such as ``{type}-{length mm}-{sample}_force.mat``:
+``{name}`` stands for a word, ``{length mm}`` for a number whose unit is not in the name, ``{date}``
+for a day with the year first, ``*`` for anything; all else for itself, in capitals or not. A word
+takes as much as it can, from the left. A slash separates folders.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import error_of, faults_of
+from labpipe.protocol.faults import Values, block_in, error_of, faults_of, raised
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.name_patterns import NamePattern, parse_name_pattern
-from labpipe.protocol.schema import known_version
+from labpipe.protocol.schema import Version
 from labpipe.protocol.sheet_grammar import Override, TestSheet
 from labpipe.protocol.source import Role
 from labpipe.protocol.values import Remark, Text
 from labpipe.records.declarations import Duration
+from labpipe.units import parse_quantity
+
+WORDS = ("test", "type", "spool", "sample", "operator", "date")
+"""Fields without a unit; besides them, every dimension with its unit, and ``labels.NAME``."""
+_PART = re.compile(r"\{([^{}]*)\}|(\*)|([{}])")
+_DIMENSION = re.compile(r"([a-z][a-z0-9_]*)\s+(\S+)")
+_LABEL = re.compile(r"labels\.[a-z][a-z0-9_]*")
+_WORD, _NUMBER, _DAY = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
+MAX_PATTERN_LENGTH = 300
+"""Characters of a pattern, and of a name that is compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamePattern:
+    """A pattern that was read.
+
+    Parameters
+    ----------
+    text : as written
+    fields : names of its fields in their order, each once
+    units : unit of each field that is a number
+    compiled : what a name is compared with
+    """
+
+    text: str
+    fields: tuple[str, ...]
+    units: Mapping[str, str]
+    compiled: re.Pattern[str]
+
+    def match(self, name: str) -> dict[str, str] | None:
+        """Split a name into its fields.
+
+        Parameters
+        ----------
+        name : of a file or folder, with slashes between folders
+
+        Returns
+        -------
+        Text by field, a number with its unit; None if the name is not of this pattern.
+
+        Examples
+        --------
+        >>> parse_name_pattern("{type}-{length mm}-{sample}_force.mat").match("A2-085-1_Force.MAT")
+        {'type': 'A2', 'length': '85 mm', 'sample': '1'}
+        """
+        match = self.compiled.fullmatch(name) if len(name) <= MAX_PATTERN_LENGTH else None
+        if match is None:
+            return None
+        texts = {field: match[f"f{place}"] for place, field in enumerate(self.fields)}
+        return {field: self._value(field, text) for field, text in texts.items()}
+
+    def stem(self, name: str) -> str:
+        """Return the part of a name up to its last field, without its folders.
+
+        Parameters
+        ----------
+        name : of this pattern
+
+        Examples
+        --------
+        >>> parse_name_pattern("in/{type}-{sample}_force.mat").stem("in/A2-1_force.mat")
+        'A2-1'
+        """
+        match = self.compiled.fullmatch(name)
+        ends = [match.end(f"f{place}") for place in range(len(self.fields))] if match else []
+        return name[: max(ends, default=len(name))].rpartition("/")[2]
+
+    def _value(self, field: str, text: str) -> str:
+        if field in self.units:
+            number = float(text.replace(",", "."))
+            return f"{number:g} {self.units[field]}"
+        if field == "date" and "-" not in text:
+            return f"{text[:4]}-{text[4:6]}-{text[6:]}"
+        return text
+
+
+def parse_name_pattern(text: str) -> NamePattern:
+    """Read a pattern.
+
+    Parameters
+    ----------
+    text : as a campaign YAML has it
+
+    Raises
+    ------
+    ValueError
+        If it is invalid; the message says what is expected.
+    """
+    if len(text) > MAX_PATTERN_LENGTH:
+        message = f"a pattern of at most {MAX_PATTERN_LENGTH} letters"
+        raise ValueError(message)
+    units: dict[str, str] = {}
+    fields: list[str] = []
+    parts, end = [], 0
+    for field_match in _PART.finditer(text):
+        parts.append(re.escape(text[end : field_match.start()]))
+        end = field_match.end()
+        if field_match[2]:
+            parts.append(r"[^/\\]*")
+            continue
+        name, unit = _field("{" if field_match[1] is None else field_match[1])
+        if name in fields:
+            parts.append(f"(?P=f{fields.index(name)})")
+            continue
+        kind = _NUMBER if unit else _DAY if name == "date" else _WORD
+        parts.append(f"(?P<f{len(fields)}>{kind})")
+        fields.append(name)
+        units |= {name: unit} if unit else {}
+    parts.append(re.escape(text[end:]))
+    compiled = re.compile("".join(parts), re.IGNORECASE)
+    return NamePattern(text, tuple(fields), MappingProxyType(units), compiled)
+
+
+def _field(written: str) -> tuple[str, str]:
+    """Return name and unit of the field between braces."""
+    name = written.strip()
+    if name in WORDS or _LABEL.fullmatch(name):
+        return name, ""
+    match = _DIMENSION.fullmatch(name)
+    if match and match[1] not in WORDS:
+        try:
+            parse_quantity(f"1 {match[2]}", "m")
+        except ValueError:
+            message = f"a dimension with a unit of length, such as {{{match[1]} mm}}"
+            raise ValueError(message) from None
+        return match[1], match[2]
+    fields = ", ".join(f"{{{word}}}" for word in WORDS)
+    message = (
+        f"one of {fields}, a dimension with its unit such as {{length mm}}, or {{labels.name}}"
+    )
+    raise ValueError(message)
+
 
 PLAN_NAME = "campaign.yaml"
-_PATTERN_SCHEMA = {
-    "type": "string",
-    "examples": ["{type}-{length mm}-{sample}_force.mat"],
-    "description": "{name} is a word, {length mm} a number without its unit, * anything",
-}
+_EXAMPLE = "{type}-{length mm}-{sample}_force.mat"
 
 
 def _pattern(value: object) -> str:
@@ -32,7 +168,7 @@ def _pattern(value: object) -> str:
         raise error_of(expected=str(error), found=value) from error
 
 
-Pattern = Annotated[str, BeforeValidator(_pattern), WithJsonSchema(_PATTERN_SCHEMA)]
+Pattern = Annotated[str, BeforeValidator(_pattern), Field(examples=[_EXAMPLE])]
 
 
 class ByFolder(Block):
@@ -45,7 +181,7 @@ class ByFolder(Block):
 
     @property
     def pattern(self) -> NamePattern | None:
-        """The pattern of the folders, read."""
+        """Return the pattern of the folders, read."""
         return None if self.name is None else parse_name_pattern(self.name)
 
 
@@ -60,31 +196,26 @@ class ByName(Block):
 
     @property
     def patterns(self) -> dict[str, NamePattern]:
-        """The patterns by role, read."""
+        """Return the patterns by role, read."""
         return {role: parse_name_pattern(text) for role, text in self.exports.items()}
 
+    @field_validator("exports")
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def _have_the_same_fields(cls, exports: dict[Role, str]) -> dict[Role, str]:
         """Ask the patterns of all roles for the same fields: by these, exports are paired."""
-        exports = data.get("exports") if isinstance(data, Mapping) else None
-        if not isinstance(exports, Mapping):
-            return []
-        fields: dict[str, tuple[str, ...]] = {}
-        for role, text in exports.items():
-            try:
-                fields[str(role)] = tuple(sorted(parse_name_pattern(str(text)).fields))
-            except ValueError:
-                return []  # reported where the pattern stands
+        fields = {role: sorted(parse_name_pattern(text).fields) for role, text in exports.items()}
+        (first, first_fields), *_ = fields.items()
         faults = []
-        first = next(iter(fields.items()), ("", ()))
         for role, role_fields in fields.items():
             if not role_fields:
-                remedy = "Name what tells the tests apart, such as {test}."
-                faults.append(Fault(("exports", role), "a field at least", "none", remedy))
-            elif role_fields != first[1]:
-                expected = f"the fields of {first[0]!r}: {', '.join(first[1])}"
-                faults.append(Fault(("exports", role), expected, ", ".join(role_fields)))
-        return faults
+                remedy = "Name what distinguishes the tests, such as {test}."
+                faults.append(Fault((role,), "a field at least", "none", remedy))
+            elif role_fields != first_fields:
+                expected = f"the fields of {first!r}: {', '.join(first_fields)}"
+                faults.append(Fault((role,), expected, ", ".join(role_fields)))
+        if faults:
+            raise raised(faults, exports)
+        return exports
 
 
 def _by(value: object) -> object:
@@ -99,7 +230,7 @@ def _each_once(roles: tuple[str, ...]) -> tuple[str, ...]:
 class CampaignPlan(Block):
     """How exports become the tests of a campaign, and what a watch waits for."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     about: Remark = Field("", description="What the campaign is for, in one line")
     protocol: Text | None = Field(
         None, description="Of every test; else the one that fits its exports best"
@@ -122,12 +253,9 @@ class CampaignPlan(Block):
     look_every: Duration = Field(0.25, description="How often a watch looks")
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterable[Fault]:
         """Check what goes into every test sheet as the sheet would be checked."""
-        if not isinstance(data, Mapping):
-            return []
-        shared = data.get("specimen")
-        specimen = dict(shared) if isinstance(shared, Mapping) else {}
+        specimen = dict(block_in(data, "specimen"))
         sheet = {
             "test": "x",
             "protocol": "x",

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeAlias
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from labpipe.errors import At, Fault, KeyPath, nearest
 
+Values: TypeAlias = Mapping[str, object]
 _TYPE = "labpipe"
 _EXPECTED = {
     "model_type": "a block of keys with values",
@@ -25,6 +26,40 @@ _EXPECTED = {
 }
 
 
+def block_in(data: object, *path: str) -> Values:
+    """Return the block under a path; empty if there is none."""
+    for key in path:
+        data = data.get(key) if isinstance(data, Mapping) else None
+    return data if isinstance(data, Mapping) else {}
+
+
+def list_in(data: object, *path: str) -> Sequence[Any]:
+    """Return the list under a path; empty if there is none."""
+    *blocks, key = path
+    items = block_in(data, *blocks).get(key)
+    return items if isinstance(items, list) else ()
+
+
+def same_names(blocks: Sequence[object], key: str, what: str) -> Iterator[Fault]:
+    """Find blocks of a list that are called as an earlier one.
+
+    Parameters
+    ----------
+    blocks : as written
+    key : of the list
+    what : they are, such as ``boundary``
+    """
+    first: dict[object, int] = {}
+    for number, block in enumerate(blocks):
+        name = block_in(block).get("name")
+        if name in first:
+            found = f"{name!r}, as {what} {first[name] + 1}"
+            path = (key, number, "name")
+            yield Fault(path, "a name of its own", found, "Call it something else.")
+        elif isinstance(name, str):
+            first[name] = number
+
+
 def one_of(word: str, valid: Iterable[str]) -> str:
     """List valid words, nearest first.
 
@@ -34,15 +69,40 @@ def one_of(word: str, valid: Iterable[str]) -> str:
     valid : the valid ones
     """
     valid_words = sorted(set(valid))
-    listed = nearest(word, valid_words, most=6)
+    listed = nearest(word, valid_words, limit=6)
     more = ", ..." if len(valid_words) > len(listed) else ""
     return f"{', '.join(repr(valid_word) for valid_word in listed)}{more}"
 
 
 def did_you_mean(word: str, valid: Iterable[str]) -> str:
     """Suggest the most similar valid word; empty if there is none."""
-    best = nearest(word, sorted(set(valid)), most=1)
+    best = nearest(word, sorted(set(valid)), limit=1)
     return f"Did you mean {best[0]!r}?" if best else ""
+
+
+def not_among(
+    path: KeyPath,
+    word: object,
+    valid: Iterable[str],
+    what: str = "one of",
+    *,
+    remedy: str = "",
+    at: At = "value",
+) -> Fault:
+    """Make the fault of a word that is none of the valid ones.
+
+    Parameters
+    ----------
+    path : way to the word
+    word : the invalid one
+    valid : the valid ones
+    what : they are, such as ``one of the channels``
+    remedy : what to do if none of them is similar
+    at : whether the word is a key
+    """
+    words = sorted(set(valid))
+    expected = f"{what} {one_of(str(word), words)}"
+    return Fault(path, expected, shown(word), did_you_mean(str(word), words) or remedy, at)
 
 
 def shown(value: object) -> str:
@@ -117,26 +177,18 @@ def _fault_of(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
         return Fault(path, f"the key {key!r}", "no such key", remedy, missing=key)
     match line["type"]:
         case "extra_forbidden":
-            word = str(path[-1])
-            expected = f"one of the keys {one_of(word, keys)}"
-            return Fault(path, expected, repr(word), did_you_mean(word, keys), "key")
+            return not_among(path, path[-1], keys, "one of the keys", at="key")
         case "union_tag_invalid":
             tag = _quoted(context["discriminator"])[0]
-            return _not_one_of((*path, tag), context["tag"], _quoted(context["expected_tags"]))
+            return not_among((*path, tag), context["tag"], _quoted(context["expected_tags"]))
         case "literal_error":
             valid_words = _quoted(context["expected"])
             at: At = "key" if line["loc"][-1] == "[key]" else "value"
-            return _not_one_of(path, line["input"], valid_words, at)
+            return not_among(path, line["input"], valid_words, at=at)
         case other:
             expected = _EXPECTED.get(other, line["msg"])
             remedy = "Fill it in." if line["input"] is None else ""
             return Fault(path, expected, shown(line["input"]), remedy)
-
-
-def _not_one_of(path: KeyPath, value: object, valid: list[str], at: At = "value") -> Fault:
-    word = str(value)
-    remedy = did_you_mean(word, valid)
-    return Fault(path, f"one of {one_of(word, valid)}", shown(value), remedy, at)
 
 
 def _quoted(text: str) -> list[str]:

@@ -7,7 +7,7 @@ frozen dataclass: here, and only here, they turn into what pydantic validates, w
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache, partial
 from types import UnionType
@@ -26,6 +26,7 @@ from typing import (
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -43,9 +44,8 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import error_of, faults_of, raised
+from labpipe.protocol.faults import Values, error_of, faults_of, raised
 from labpipe.protocol.values import (
-    SPAN_SCHEMA,
     QuantityText,
     parse_span,
     parse_whole,
@@ -62,6 +62,8 @@ from labpipe.records.declarations import (
     WholeNumber,
 )
 
+_SPAN = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
+
 
 class Block(BaseModel):
     """A frozen block of keys that refuses unknown keys, with faults in plain language."""
@@ -73,8 +75,7 @@ class Block(BaseModel):
         """Replace the markers by validators before pydantic reads the types."""
         super().__init_subclass__(**options)
         hints = inspect.get_annotations(cls, eval_str=True)
-        keys = {name: _key(hint, name) for name, hint in hints.items()}
-        cls.__annotations__ = {name: validated(hint, keys) for name, hint in hints.items()}
+        cls.__annotations__ = {name: validated(hint) for name, hint in hints.items()}
 
     @classmethod
     def keys(cls) -> list[str]:
@@ -82,7 +83,7 @@ class Block(BaseModel):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:  # noqa: ARG003 - blocks that check use it
+    def between(cls, data: Values) -> Iterable[Fault]:  # noqa: ARG003 - blocks that check use it
         """Check one part of the block against another, whether or not each part is valid.
 
         Parameters
@@ -93,7 +94,7 @@ class Block(BaseModel):
         -------
         The faults, with their paths in `data`.
         """
-        return []
+        return ()
 
     @model_validator(mode="wrap")
     @classmethod
@@ -102,19 +103,21 @@ class Block(BaseModel):
 
         Of an unknown key, only the key is reported, not its value.
         """
-        between = cls.between(data)
+        cross_faults = list(cls.between(data)) if isinstance(data, Mapping) else []
         within: list[Fault] = []
         try:
             block = handler(data)
         except ValidationError as error:
             within = faults_of(error, data=data, keys=cls.keys())
         else:
-            if not between:
+            if not cross_faults:
                 return block
-        misspelt = {fault.path for fault in between if fault.at == "key"}
+        misspelt = {fault.path for fault in cross_faults if fault.at == "key"}
         within = [fault for fault in within if fault.path not in misspelt]
         places = {fault.path for fault in within}
-        raise raised([*within, *(fault for fault in between if fault.path not in places)], data)
+        raise raised(
+            [*within, *(fault for fault in cross_faults if fault.path not in places)], data
+        )
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -128,13 +131,12 @@ class Block(BaseModel):
         }
 
 
-def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
+def validated(hint: Any) -> Any:
     """Replace the markers in a type by what pydantic validates with.
 
     Parameters
     ----------
     hint : type of a field; a plain dataclass in it is read as a block of its settings
-    keys : YAML keys of the fields of the block, by name
 
     Returns
     -------
@@ -142,73 +144,57 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
     """
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _annotated(parts[0], parts[1:], keys or {})
+        return _annotated(parts[0], parts[1:])
     if origin in (Union, UnionType):
         return Union[tuple(validated(part) for part in parts)]  # noqa: UP007 - of a list
     if origin in (tuple, list, dict):
         return origin[tuple(validated(part) for part in parts)]
     if hint is Span:
         write = PlainSerializer(written_span)
-        return Annotated[Span, PlainValidator(parse_span), write, WithJsonSchema(SPAN_SCHEMA)]
+        return Annotated[Span, PlainValidator(parse_span), write, WithJsonSchema(_SPAN)]
     return Annotated[hint, _Settings(hint)] if is_dataclass(hint) else hint
 
 
-def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) -> Any:
-    """Return a type with validators in place of its markers; a text is the description."""
-    annotations: list[Any] = []
+def _annotated(inner: Any, markers: tuple[Any, ...]) -> Any:
+    """Return a type with validators in place of its markers."""
     for marker in markers:
-        match marker:
-            case Quantity() | WholeNumber() | PatternText():
-                annotations += _annotations_of(marker)
-            case TaggedChoice():
-                kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
-                return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
-            case LargerThan():
-                quantity = next(marker for marker in markers if isinstance(marker, Quantity))
-                annotations.append(
-                    _larger_than(marker.field, keys[marker.field], QuantityText(quantity))
-                )
-            case Key():
-                annotations.append(Field(alias=marker.name))
-            case str():
-                annotations.append(Field(description=marker))
-            case _:
-                annotations.append(marker)
+        if isinstance(marker, TaggedChoice):
+            kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
+            return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
+    annotations = [part for marker in markers for part in _annotations_of(marker, markers)]
     return Annotated[(validated(inner), *annotations)]
 
 
-def _annotations_of(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
-    """Return validator, serializer and schema of a value with a marker."""
+def _annotations_of(marker: object, markers: tuple[Any, ...]) -> list[Any]:
+    """Return what pydantic takes for one of several markers; a text is the description."""
+    part: Any = marker
     match marker:
         case Quantity():
             text = QuantityText(marker)
             written = PlainSerializer(text.written)
             return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
         case WholeNumber():
-            schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
+            schema = {"type": "integer", "minimum": marker.minimum, "maximum": marker.maximum}
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
         case PatternText():
-            form = {"type": "string", "pattern": f"^{marker.pattern}$"}
-            return [PlainValidator(partial(parse_word, marker)), WithJsonSchema(form)]
+            return [BeforeValidator(partial(parse_word, marker))]
+        case LargerThan():
+            quantity = next(other for other in markers if isinstance(other, Quantity))
+            return [AfterValidator(partial(_larger, marker, QuantityText(quantity)))]
+        case Key():
+            part = Field(alias=marker.name)
+        case str():
+            part = Field(description=marker)
+    return [part]
 
 
-def _key(hint: Any, name: str) -> str:
-    """Return the YAML key of a field."""
-    markers = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
-    return next((marker.name for marker in markers if isinstance(marker, Key)), name)
-
-
-def _larger_than(field: str, key: str, text: QuantityText) -> AfterValidator:
+def _larger(than: LargerThan, text: QuantityText, value: float, info: ValidationInfo) -> float:
     """Refuse a value that is not above that of a field before it."""
-
-    def checked(value: float, info: ValidationInfo) -> float:
-        least = info.data.get(field)
-        if least is not None and value <= least:
-            expected = f"more than {key!r} ({text.written(least)})"
-            raise error_of(expected=expected, found=text.written(value))
-        return value
-
-    return AfterValidator(checked)
+    least = info.data.get(than.field)
+    if least is not None and value <= least:
+        expected = f"more than {than.key!r} ({text.written(least)})"
+        raise error_of(expected=expected, found=text.written(value))
+    return value
 
 
 class _SettingsBlock(Block):
@@ -217,10 +203,10 @@ class _SettingsBlock(Block):
     settings_kind: ClassVar[Any]
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterable[Fault]:
         """Check one setting against another, if the settings define a check."""
         check = getattr(cls.settings_kind, "between", None)
-        return list(check(data)) if check is not None and isinstance(data, Mapping) else []
+        return () if check is None else check(data)
 
 
 @cache

@@ -9,19 +9,22 @@ beside ``line``, and a boundary would say which one it holds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from itertools import pairwise
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise, product
+from operator import add, sub
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
-from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
-from labpipe.protocol.faults import error_of
+from labpipe.protocol.faults import Values, block_in, error_of, list_in, same_names
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import Plausible, plausible_faults
-from labpipe.protocol.schema import known_version
+from labpipe.protocol.schema import Version
 from labpipe.protocol.values import Line as TextLine
-from labpipe.protocol.values import QuantityText, Remark, Text, quantity_remedy
+from labpipe.protocol.values import QuantityText, Remark, Text, quantity_remedy, row_of
 from labpipe.records.declarations import (
     Curvature,
     Length,
@@ -40,37 +43,14 @@ START, END = 0.0, math.inf
 """Places on a line that have a word; any other is a length from its start, m."""
 
 Vector3: TypeAlias = tuple[float, float, float]
-_COORDINATE = QuantityText(Quantity("m", "mm", "120 mm"))
-_NUMBER = QuantityText(Quantity("1", "1", "0.5"))
-_FORCE = QuantityText(Quantity("N", "N", "-2 N"))
-_ACCELERATION = QuantityText(Quantity("m/s^2", "m/s^2", "-9.81 m/s^2"))
+Coordinate: TypeAlias = Annotated[float, Quantity("m", "mm", "120 mm")]
+Component: TypeAlias = Annotated[float, Quantity("1", "1", "0.5")]
+LoadComponent: TypeAlias = Annotated[float, Quantity("N", "N", "-2 N")]
+AccelerationComponent: TypeAlias = Annotated[float, Quantity("m/s^2", "m/s^2", "-9.81 m/s^2")]
 
 
-def _vector(text: QuantityText) -> Callable[[object], Vector3]:
-    """What reads three quantities of one kind, along x, y and z."""
-    example = f"[{text.of.example}, {text.of.example}, {text.of.example}]"
-
-    def parse(value: object) -> Vector3:
-        if not isinstance(value, list | tuple) or len(value) != 3:
-            actual = f"a list of {len(value)}" if isinstance(value, list | tuple) else value
-            remedy = f"Write x, y and z, such as {example}."
-            raise error_of(expected="a list of three quantities", found=actual, remedy=remedy)
-        x, y, z = (text.parse(component) for component in value)
-        return x, y, z
-
-    return parse
-
-
-def _written(text: QuantityText) -> PlainSerializer:
-    return PlainSerializer(lambda vector: [text.written(component) for component in vector])
-
-
-def _three_of(text: QuantityText) -> WithJsonSchema:
-    return WithJsonSchema({"type": "array", "minItems": 3, "maxItems": 3, "items": text.schema})
-
-
-def _direction(value: object) -> Vector3:
-    x, y, z = _vector(_NUMBER)(value)
+def _of_unit_length(vector: Vector3) -> Vector3:
+    x, y, z = vector
     size = math.hypot(x, y, z)
     if size == 0.0:
         remedy = "Write x, y and z, such as [1, 0, 0]."
@@ -79,18 +59,20 @@ def _direction(value: object) -> Vector3:
 
 
 Position: TypeAlias = Annotated[
-    Vector3, PlainValidator(_vector(_COORDINATE)), _written(_COORDINATE), _three_of(_COORDINATE)
+    tuple[Coordinate, Coordinate, Coordinate], row_of(3, "[120 mm, 0 mm, 0 mm]")
 ]
 Direction: TypeAlias = Annotated[
-    Vector3, PlainValidator(_direction), _written(_NUMBER), _three_of(_NUMBER)
+    tuple[Component, Component, Component],
+    row_of(3, "[1, 0, 0]"),
+    AfterValidator(_of_unit_length),
 ]
 ForceVector: TypeAlias = Annotated[
-    Vector3, PlainValidator(_vector(_FORCE)), _written(_FORCE), _three_of(_FORCE)
+    tuple[LoadComponent, LoadComponent, LoadComponent], row_of(3, "[0 N, 0 N, -2 N]")
 ]
 Acceleration: TypeAlias = Annotated[
-    Vector3, PlainValidator(_vector(_ACCELERATION)), _written(_ACCELERATION),
-    _three_of(_ACCELERATION),
-]  # fmt: skip
+    tuple[AccelerationComponent, AccelerationComponent, AccelerationComponent],
+    row_of(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
+]
 
 _ALONG = QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
 _WORDS = {"start": START, "end": END}
@@ -122,9 +104,6 @@ Place: TypeAlias = Annotated[
     float,
     PlainValidator(_place),
     PlainSerializer(written_place),
-    WithJsonSchema(
-        {"anyOf": [{"enum": list(_WORDS)}, _ALONG.schema], "description": "Where on the line"}
-    ),
 ]
 Step: TypeAlias = Annotated[int, WholeNumber(1, MAX_STEPS)]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
@@ -133,7 +112,7 @@ TorsionalStiffness: TypeAlias = Annotated[
     float, Quantity("N*m^2", "N*mm^2", "90 N*mm^2", above=0.0)
 ]
 AxialStiffness: TypeAlias = Annotated[float, Quantity("N", "N", "40000 N", above=0.0)]
-Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", least=0.0)]
+Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", minimum=0.0)]
 
 _KINDS = ("wire", "sliders", "bending_stiffness")
 _OWN_KEYS = {
@@ -144,11 +123,17 @@ _OWN_KEYS = {
         *("mass_per_length", "diameter"),
     ),
 }
-_NEEDED = {
-    "wire": (),
-    "sliders": ("diameter",),
-    "bending_stiffness": ("largest_curvature", "torsional_stiffness", "diameter"),
+_DIAMETER = {"diameter": "Add it: the allowed bend radius goes by it."}
+_NEEDED: dict[str, dict[str, str]] = {
+    "wire": {},
+    "sliders": _DIAMETER,
+    "bending_stiffness": _DIAMETER
+    | {
+        "largest_curvature": "A law needs a range: add the largest curvature that was tested.",
+        "torsional_stiffness": "Add it; about 0.8 times the bending stiffness for a round bar.",
+    },
 }
+"""Keys that each source of the law needs, and why."""
 
 
 class SectionBlock(Block):
@@ -182,40 +167,26 @@ class SectionBlock(Block):
 
     @property
     def kind(self) -> str:
-        """What the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
+        """Return what the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
         return next(name for name in _KINDS if getattr(self, name) is not None)
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask for one source of the law, all that it needs, and nothing that it does not take."""
-        if not isinstance(data, Mapping):
-            return []
         kinds = [name for name in _KINDS if data.get(name) is not None]
         if len(kinds) != 1:
             actual = " and ".join(map(repr, kinds)) or "none of them"
             expected = "one of the keys 'wire', 'sliders' and 'bending_stiffness'"
-            return [Fault((), expected, actual, "Say once what the line is made of.")]
+            yield Fault((), expected, actual, "Say once what the line is made of.")
+            return
         kind = kinds[0]
-        faults = [
-            Fault((), f"the key {key!r} beside {kind!r}", "no such key", _why(key), missing=key)
-            for key in _NEEDED[kind]
-            if data.get(key) is None
-        ]
+        for key, why in _NEEDED[kind].items():
+            if data.get(key) is None:
+                yield Fault((), f"the key {key!r} beside {kind!r}", "no such key", why, missing=key)
         others = {key for keys in _OWN_KEYS.values() for key in keys} - {*_OWN_KEYS[kind]}
         for key in sorted(others & {*data}):
             expected = f"only keys that go with {kind!r}: {', '.join(map(repr, _OWN_KEYS[kind]))}"
-            faults.append(Fault((key,), expected, repr(key), "Take it away.", "key"))
-        return faults
-
-
-def _why(key: str) -> str:
-    """Why a section needs a key."""
-    reasons = {
-        "diameter": "Add it: the allowed bend radius goes by it.",
-        "largest_curvature": "A law needs a range: add the largest curvature that was tested.",
-        "torsional_stiffness": "Add it; about 0.8 times the bending stiffness for a round bar.",
-    }
-    return reasons[key]
+            yield Fault((key,), expected, repr(key), "Take it away.", "key")
 
 
 class Spool(Block):
@@ -291,24 +262,20 @@ class Grip(Block):
     release: Step | None = Field(None, description="Step from which it lets go")
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask for waypoints in order, and for none of a direction that is not held."""
-        if not isinstance(data, Mapping) or not isinstance(data.get("path"), list):
-            return []
-        points = [datum if isinstance(datum, Mapping) else {} for datum in data["path"]]
-        faults = []
+        points = [block_in(point) for point in list_in(data, "path")]
         for number, (one, other) in enumerate(pairwise(points), start=1):
             steps = [str(part.get("step")) for part in (one, other)]
             if all(step.isdecimal() for step in steps) and int(steps[1]) <= int(steps[0]):
                 path = ("path", number, "step")
-                faults.append(Fault(path, f"a step after {steps[0]}", steps[1], "Order them."))
+                yield Fault(path, f"a step after {steps[0]}", steps[1], "Order them.")
         if data.get("holds") == "position":
             turned = [(i, key) for i, point in enumerate(points) for key in _OF_POSES & {*point}]
             for number, key in sorted(turned):
                 actual, remedy = f"the key {key!r}", "Take it away, or write 'holds: pose'."
                 expected = "positions alone, of a grip that the line may turn in"
-                faults.append(Fault(("path", number, key), expected, actual, remedy, "key"))
-        return faults
+                yield Fault(("path", number, key), expected, actual, remedy, "key")
 
 
 _OF_POSES = {"direction", "turn"}
@@ -371,19 +338,18 @@ class Sweep(Block):
     length: tuple[Length, ...] = Field(max_length=50, json_schema_extra={"minItems": 2})
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask for more than one length."""
-        lengths = data.get("length") if isinstance(data, Mapping) else None
-        if not isinstance(lengths, list) or len(lengths) > 1:
-            return []
-        remedy = "Add one, or take 'sweep' away."
-        return [Fault(("length",), "two lengths or more", str(len(lengths)), remedy)]
+        lengths = data.get("length")
+        if isinstance(lengths, list) and len(lengths) < 2:
+            remedy = "Add one, or take 'sweep' away."
+            yield Fault(("length",), "two lengths or more", str(len(lengths)), remedy)
 
 
 class HarnessFile(Block):
     """One line between its boundaries."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     about: Remark = Field("", description="What it is, in one line")
     line: LineBlock
     boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
@@ -401,64 +367,38 @@ class HarnessFile(Block):
     plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Check steps, names and places against the whole, and that something holds the line."""
-        if not isinstance(data, Mapping):
-            return []
-        faults = [*plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)]
-        if not isinstance(data.get("boundaries"), list):
-            return faults
-        boundaries = [datum if isinstance(datum, Mapping) else {} for datum in data["boundaries"]]
-        kinds = [boundary.get("kind") for boundary in boundaries]
-        faults += [
-            *_late_steps(data, boundaries),
-            *_same_names(boundaries),
-            *_same_places(boundaries),
-        ]
-        if not any(kind in (*_HOLDING, None) for kind in kinds):
+        yield from plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)
+        boundaries = [block_in(boundary) for boundary in list_in(data, "boundaries")]
+        yield from _late_steps(data, boundaries)
+        yield from same_names(boundaries, "boundaries", "boundary")
+        yield from _same_places(boundaries)
+        kinds = {boundary.get("kind") for boundary in boundaries}
+        if isinstance(data.get("boundaries"), list) and not kinds & {*_HOLDING, None}:
             expected = "a boundary that holds the line: clip, pin, grip or string"
-            faults.append(Fault(("boundaries",), expected, "none", "Add one."))
-        return faults
+            yield Fault(("boundaries",), expected, "none", "Add one.")
 
 
-def _late_steps(data: Mapping[str, object], boundaries: list[Mapping[str, object]]) -> list[Fault]:
+def _late_steps(data: Values, boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find steps after the last one."""
     last = str(data.get("steps", HarnessFile.model_fields["steps"].default))
-    show = data.get("show")
-    steps: list[tuple[KeyPath, object]] = [
-        (("show", i), boundary) for i, boundary in enumerate(show if isinstance(show, list) else [])
-    ]
+    steps: dict[KeyPath, object] = {
+        ("show", number): step for number, step in enumerate(list_in(data, "show"))
+    }
     for number, boundary in enumerate(boundaries):
-        steps += [(("boundaries", number, key), boundary.get(key)) for key in ("by", "release")]
-        points = boundary.get("path")
-        for i, point in enumerate(points if isinstance(points, list) else []):
-            step = point.get("step") if isinstance(point, Mapping) else None
-            steps.append((("boundaries", number, "path", i, "step"), step))
-    return [
-        Fault(path, f"a step from 1 to {last}, the last", repr(str(step)), "Or raise 'steps'.")
-        for path, step in steps
-        if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last)
-    ]
+        steps |= {("boundaries", number, key): boundary.get(key) for key in ("by", "release")}
+        for i, point in enumerate(list_in(boundary, "path")):
+            steps["boundaries", number, "path", i, "step"] = block_in(point).get("step")
+    for path, step in steps.items():
+        if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last):
+            expected = f"a step from 1 to {last}, the last"
+            yield Fault(path, expected, repr(str(step)), "Or raise 'steps'.")
 
 
-def _same_names(boundaries: list[Mapping[str, object]]) -> list[Fault]:
-    """Find boundaries that are called as an earlier one."""
-    first: dict[str, int] = {}
-    faults = []
-    for number, boundary in enumerate(boundaries):
-        name = str(boundary.get("name", f"- {number}"))
-        if name in first:
-            path = ("boundaries", number, "name")
-            actual = f"{name!r}, as boundary {first[name] + 1}"
-            faults.append(Fault(path, "a name of its own", actual, "Call it something else."))
-        first.setdefault(name, number)
-    return faults
-
-
-def _same_places(boundaries: list[Mapping[str, object]]) -> list[Fault]:
+def _same_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find two boundaries that hold one place of the line."""
     first: dict[float, object] = {}
-    faults = []
     for number, boundary in enumerate(boundaries):
         if boundary.get("kind") not in _HELD_KINDS or boundary.get("at") is None:
             continue
@@ -468,8 +408,329 @@ def _same_places(boundaries: list[Mapping[str, object]]) -> list[Fault]:
             continue
         if place in first:
             path = ("boundaries", number, "at")
-            actual = f"{boundary['at']!r}, which {first[place]!r} holds"
+            found = f"{boundary['at']!r}, which {first[place]!r} holds"
             expected, remedy = "a place that nothing else holds", "Take one of them away."
-            faults.append(Fault(path, expected, actual, remedy))
+            yield Fault(path, expected, found, remedy)
         first.setdefault(place, boundary.get("name"))
-    return faults
+
+
+REACH_FACTOR = 1.0 + 1e-9
+"""On the length, so that a line may be straight between two clips."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """The end of a straight stretch of the path of something that holds the line.
+
+    Parameters
+    ----------
+    step : at which it is there
+    position : m
+    """
+
+    step: int
+    position: Vector3
+
+
+def file_beside(name: str, path: Path) -> Path:
+    """Find a file that a harness names: beside it, or else from the working folder.
+
+    Parameters
+    ----------
+    name : as written
+    path : of the harness YAML
+    """
+    beside = path.parent / name
+    return beside if beside.exists() else Path(name)
+
+
+def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
+    """Find files that a harness names and that are not there.
+
+    Parameters
+    ----------
+    harness : whose parts are valid
+    path : of its YAML
+    """
+    for key in ("sheet", "calibration", "sliders"):
+        name = getattr(harness.line.section, key)
+        if name is not None and not file_beside(name, path).is_file():
+            places = f"There is none at {path.parent / name} or {Path(name)}."
+            yield Fault(("line", "section", key), "a file", repr(name), places)
+
+
+def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
+    """Where the line begins at the start, m, and in which direction it lies.
+
+    Parameters
+    ----------
+    harness : whose line may leave both to the clip at its start
+    """
+    line = harness.line
+    held = (boundary for _, boundary in _held(harness))
+    first = next((boundary for boundary in held if boundary.at == START), None)
+    position, direction = line.start, line.direction
+    if position is None:
+        position = (0.0, 0.0, 0.0) if first is None or isinstance(first, Grip) else first.position
+    if direction is None:
+        direction = first.direction if isinstance(first, Clip) else None
+    return position, direction or (1.0, 0.0, 0.0)
+
+
+def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
+    """Path of what holds the line: where it is at the start, and the ends of its straight legs.
+
+    Parameters
+    ----------
+    boundary : clip, pin or grip
+    start : m, where the line lies at the start
+    steps : of the harness
+    """
+    legs = [Leg(0, start)]
+    if isinstance(boundary, Clip | Pin):
+        return (*legs, Leg(boundary.by or steps, boundary.position))
+    for point in boundary.path:
+        legs.append(Leg(point.step, point.position or legs[-1].position))
+    return tuple(legs)
+
+
+def first_anchor(string: String, place: Vector3) -> Vector3:
+    """Where the anchor of a string is at the start, m: no farther than the string is long.
+
+    Parameters
+    ----------
+    string : of the harness
+    place : m, where the line is tied to it at the start
+    """
+    distance = math.dist(string.anchor, place)
+    return _between(place, string.anchor, min(1.0, string.length / distance if distance else 1.0))
+
+
+def _between(start: Vector3, stop: Vector3, share: float) -> Vector3:
+    """Return the place at a share of the way between two places; the second one itself at 1."""
+    if share == 1.0:
+        return stop
+    x, y, z = (a + share * (b - a) for a, b in zip(start, stop, strict=True))
+    return x, y, z
+
+
+_B = TypeVar("_B")
+
+
+def _numbered(harness: HarnessFile, kind: type[_B]) -> list[tuple[int, _B]]:
+    """List the boundaries of a kind with their numbers."""
+    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, kind)]
+
+
+def _held(harness: HarnessFile) -> list[tuple[int, Held]]:
+    """List the boundaries that hold the line, with their numbers."""
+    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, HELD)]
+
+
+def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
+    """Find what the line is too short for, and what would hold it in a plane.
+
+    Parameters
+    ----------
+    harness : whose parts are valid
+
+    Yields
+    ------
+    A fault for each two boundaries that are too far apart, with the step and the distance; those
+    of a sweep for the shortest line of it that is too short. One for each that holds the line
+    nearer to a plane than half the diameter that the file states; that of a wire sheet is not
+    known here. One for each turn of half a turn or more in a step, which is one the other way, too,
+    for a curl that elements are too long for, for what lets go before it has come anywhere, and for
+    a line that falls as all have let it go.
+    """
+    yield from _in_planes(harness)
+    yield from _released_too_early(harness)
+    yield from _turned_too_far(harness)
+    yield from _curled_too_far(harness)
+    yield from _falling(harness)
+    lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
+    swept = harness.sweep.length if harness.sweep else ()
+    lengths += sorted((run, ("sweep", "length", i)) for i, run in enumerate(swept))
+    for length, path in lengths:
+        faults = [*_off_the_line(harness, length, path), *_too_far(harness, length, path)]
+        if faults:
+            yield from faults
+            return
+
+
+def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+    for number, boundary in enumerate(harness.boundaries):
+        place = getattr(boundary, "at", START)
+        if math.isfinite(place) and place > length * REACH_FACTOR:
+            expected = f"a place on the line, which is {_mm(length)} long"
+            remedy = "Write 'end', or make the line longer."
+            yield Fault(path or ("boundaries", number, "at"), expected, _mm(place), remedy)
+
+
+def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
+    tolerance = 1e-9 * harness.line.length
+    radius = 0.5 * (harness.line.section.diameter or 0.0)
+    first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
+    places = _held_places(harness, harness.line.length)
+    for (_, plane), place in product(_numbered(harness, Plane), places):
+        heights = {
+            leg.step: _height(plane, leg.position)
+            for leg in place.legs[first:]
+            if leg.step <= place.last
+        }
+        step = min(heights, key=lambda step: heights[step], default=0)
+        if heights and heights[step] < radius - tolerance:
+            expected = f"the axis of the line {_mm(radius)} above {plane.name!r}, its radius"
+            remedy = "Hold it higher, or begin higher ('line.start')."
+            found = f"{_mm(heights[step])} at step {step}"
+            yield Fault(("boundaries", place.number), expected, found, remedy)
+
+
+def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
+    """Find what lets go before it is there; a grip may go on without the line."""
+    for number, held in _held(harness):
+        there = getattr(held, "by", None)
+        if isinstance(held, Grip) and held.path:
+            there = held.path[0].step
+        if held.release is not None and there is not None and held.release <= there:
+            expected = f"a step after {there}, at which {held.name!r} is where it brings the line"
+            remedy = "Let it go later, or bring it there earlier."
+            yield Fault(("boundaries", number, "release"), expected, str(held.release), remedy)
+
+
+def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
+    # deg per step. A path is a row of frames, in which a turn and one 360 deg less are the same.
+    max_turn = 180.0
+    for number, boundary in enumerate(harness.boundaries):
+        for key, start, end, turn in _turns_of(boundary, harness.steps):
+            per_step = math.degrees(abs(turn)) / (end - start)
+            if per_step >= max_turn:
+                expected = f"less than {max_turn:g} deg of turn in a step, which has one meaning"
+                found = f"{per_step:.6g} deg in each from step {start} to {end}"
+                remedy = "Take more steps for it: raise 'steps', and 'by' or 'step'."
+                yield Fault(("boundaries", number, *key), expected, found, remedy)
+
+
+def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
+    """Where each turn is written, the steps from and to which it goes, and by how much, rad."""
+    if isinstance(boundary, Clip):
+        yield ("turn",), 0, boundary.by or steps, boundary.turn
+    elif isinstance(boundary, Grip):
+        at, before = 0, 0.0
+        for number, point in enumerate(boundary.path):
+            turn = before if point.turn is None else point.turn
+            yield ("path", number, "turn"), at, point.step, turn - before
+            at, before = point.step, turn
+
+
+def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
+    # deg per element. Elements are straight; one that turns by more than half a turn turns the
+    # other way.
+    max_curl = 90.0
+    line, swept = harness.line, harness.sweep.length if harness.sweep else ()
+    element = max([line.length, *swept]) / line.elements
+    curl = 0.0 if line.spool is None else math.degrees(line.spool.curvature * element)
+    if curl > max_curl:
+        expected = f"a curl of at most {max_curl:g} deg over an element of {_mm(element)}"
+        remedy = "Check the unit of the curvature, or take more elements."
+        yield Fault(("line", "spool", "curvature"), expected, f"{curl:.6g} deg", remedy)
+
+
+def _falling(harness: HarnessFile) -> Iterator[Fault]:
+    releases = {number: held.release for number, held in _held(harness)}
+    section = harness.line.section
+    has_weight = section.kind != "bending_stiffness" or section.mass_per_length is not None
+    others = any(not isinstance(boundary, (*HELD, Load)) for boundary in harness.boundaries)
+    if others or not has_weight or not any(harness.gravity) or None in releases.values():
+        return
+    number = max(releases, key=lambda release: releases[release] or 0)
+    expected = f"something that holds the line from step {releases[number]} on"
+    remedy = "Let one of them hold on, add a plane that it falls on, or take gravity away."
+    yield Fault(("boundaries", number, "release"), expected, "nothing: it falls", remedy)
+
+
+def _height(plane: Plane, position: Vector3) -> float:
+    rows = zip(plane.normal, position, plane.point, strict=True)
+    return sum((n * (a - b) for n, a, b in rows), 0.0) / math.hypot(*plane.normal)
+
+
+def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+    places = sorted(_held_places(harness, length), key=lambda place: place.along)
+    for one, other in combinations(places, 2):
+        yield from _apart(one, other, other.along - one.along, path)
+    for number, string in _numbered(harness, String):
+        end = _place_of(harness, number, string, length)
+        for place in places:
+            yield from _apart(place, end, abs(end.along - place.along) + string.length, path)
+    for number, ring in _numbered(harness, Ring):
+        yield from _out_of_reach(ring, places, length, path or ("boundaries", number))
+
+
+@dataclass(frozen=True, slots=True)
+class _HeldPlace:
+    """A place of the line and where a boundary holds it, or is tied to it, up to a last step."""
+
+    number: int
+    name: str
+    along: float
+    legs: tuple[Leg, ...]
+    last: int
+
+    def position(self, step: int) -> Vector3:
+        """Where it is, m; before the first leg and after the last it stays."""
+        before = [leg for leg in self.legs if leg.step <= step][-1]
+        after = next((leg for leg in self.legs if leg.step > step), before)
+        share = (step - before.step) / max(after.step - before.step, 1)
+        return _between(before.position, after.position, share)
+
+
+def _held_places(harness: HarnessFile, length: float) -> list[_HeldPlace]:
+    return [_place_of(harness, number, x, length) for number, x in _held(harness)]
+
+
+def _place_of(
+    harness: HarnessFile, number: int, boundary: Held | String, length: float
+) -> _HeldPlace:
+    along, name = min(boundary.at, length), boundary.name
+    start, direction = start_of(harness)
+    x, y, z = (begin + along * component for begin, component in zip(start, direction, strict=True))
+    if isinstance(boundary, String):
+        first, by = Leg(0, first_anchor(boundary, (x, y, z))), boundary.by or harness.steps
+        return _HeldPlace(number, name, along, (first, Leg(by, boundary.anchor)), harness.steps)
+    legs = legs_of(boundary, (x, y, z), harness.steps)
+    last = harness.steps if boundary.release is None else boundary.release - 1
+    return _HeldPlace(number, name, along, legs, last)
+
+
+def _apart(one: _HeldPlace, other: _HeldPlace, reach: float, path: KeyPath) -> Iterator[Fault]:
+    last = min(one.last, other.last)
+    steps = sorted({leg.step for place in (one, other) for leg in place.legs} | {last})
+    for step in (step for step in steps if step <= last):
+        distance = math.dist(one.position(step), other.position(step))
+        if distance > reach * REACH_FACTOR:
+            expected = f"at most the {_mm(reach)} that lie between {one.name!r} and {other.name!r}"
+            found, remedy = f"{_mm(distance)} between them at step {step}", _NEARER
+            yield Fault(path or ("boundaries", other.number), expected, found, remedy)
+            return
+
+
+_NEARER = "Bring them nearer, or make the line longer."
+
+
+def _out_of_reach(
+    ring: Ring, places: Sequence[_HeldPlace], length: float, path: KeyPath
+) -> Iterator[Fault]:
+    """Find a ring that no place of the line comes to, once all that holds the line is there."""
+    alongs = [place.along for place in places]
+    far = [math.dist(ring.position, place.position(place.last)) for place in places]
+    rooms = [(length - alongs[-1], far[-1]), (alongs[0], far[0])] if places else []
+    rooms += zip(map(sub, alongs[1:], alongs), map(add, far, far[1:]), strict=True)
+    if rooms and not any(needed <= reach * REACH_FACTOR for reach, needed in rooms):
+        reach, needed = min(rooms, key=lambda room: room[1] - room[0])
+        expected = f"a ring that the line comes to: {_mm(reach)} of it are there"
+        found = f"a way of {_mm(needed)} by {ring.name!r}"
+        yield Fault(path, expected, found, "Bring it nearer, or make the line longer.")
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:.6g} mm"

@@ -11,9 +11,9 @@ import yaml
 from pydantic import ValidationError
 
 from labpipe.errors import Fault, ProtocolError, nearest
-from labpipe.protocol.faults import did_you_mean, faults_of, one_of
+from labpipe.protocol.cross_checks import Outline
+from labpipe.protocol.faults import faults_of, not_among
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.outline import outline_of
 from labpipe.protocol.overrides import (
     absent_faults,
     are_followed,
@@ -106,11 +106,10 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     protocol_files = known_protocols(protocols)
     if wanted in protocol_files:
         return protocol_files[wanted]
-    expected = (
-        f"one of the protocols {one_of(wanted, protocol_files)}" if protocol_files else "a protocol"
-    )
-    remedy = did_you_mean(wanted, protocol_files) or "There is no folder 'protocols' here."
-    return Fault(("protocol",), expected, repr(wanted), remedy)
+    if protocol_files:
+        return not_among(("protocol",), wanted, protocol_files, "one of the protocols")
+    remedy = "There is no folder 'protocols' here."
+    return Fault(("protocol",), "a protocol", repr(wanted), remedy)
 
 
 def is_there(path: Path) -> bool:
@@ -250,8 +249,7 @@ def load_harness(path: Path) -> HarnessFile:
         If anything is wrong with it, or a file that it names is not there; the message has one line
         per fault.
     """
-    from labpipe.protocol.harness_file import HarnessFile  # tests do without it
-    from labpipe.protocol.harness_reach import file_faults, reach_faults
+    from labpipe.protocol.harness_file import HarnessFile, file_faults, reach_faults
 
     document = parse_yaml(read_text(path), str(path))
     harness = checked(HarnessFile, document)
@@ -295,7 +293,8 @@ def resolve(
     if isinstance(protocol_file, Fault):
         raise error_of_faults([sheet_document.place(protocol_file)])
     plain = parse_yaml(read_text(protocol_file), str(protocol_file))
-    merged = with_overrides(plain, sheet_document)
+    merged = parse_yaml(read_text(protocol_file), str(protocol_file))
+    with_overrides(merged, sheet_document)
     followed = follow_links or are_followed(plain)
     links = link_faults(sheet, sheet_path.parent, followed=followed)
     sheet_faults = (
@@ -309,15 +308,14 @@ def resolve(
     except ValidationError as error:
         remark = f"(With what {sheet_path} changes.)" if _is_sound(plain) else ""
         for fault in faults_of(error, data=merged.data, keys=()):
-            bare = merged.place(fault)
-            is_of_sheet = bare.file == str(sheet_path)
-            placed.append(bare if is_of_sheet else merged.place(fault, remark))
+            is_of_sheet = merged.spot_at(fault.path)[0].file == str(sheet_path)
+            placed.append(merged.place(fault, "" if is_of_sheet else remark))
         raise error_of_faults(placed) from None
-    numbers = merged.numbers.get(("steps",), range(len(protocol.steps)))
-    steps = zip(protocol.steps, numbers, strict=True)
-    protocol = protocol.model_copy(
-        update={"steps": tuple(step.numbered(number) for step, number in steps)}
+    steps = tuple(
+        step.numbered(int(merged.spot_at(("steps", number))[0].name))
+        for number, step in enumerate(protocol.steps)
     )
+    protocol = protocol.model_copy(update={"steps": steps})
     reduced = without_absent(protocol, sheet.files)
     placed += [sheet_document.place(fault) for fault in absent_faults(reduced, protocol)]
     if placed:
@@ -350,8 +348,8 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
 
 
 def _nearest_in(folder: Path, name: str) -> str:
-    there = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
-    listed = ", ".join(map(repr, nearest(name, there, most=3)))
+    names = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
+    listed = ", ".join(map(repr, nearest(name, names, limit=3)))
     return f"Correct the name, or copy the export there; nearest are {listed or 'no files'}."
 
 
@@ -396,10 +394,7 @@ def checked(model: type[_B], document: Document) -> _B:
 
 def error_of_faults(placed: list[PlacedFault], *, code: str = "") -> ProtocolError:
     """Make one error of all faults of a file, a line each, in the order of the file."""
-    lines = sorted(
-        {(placed_fault.file, placed_fault.mark, placed_fault.text) for placed_fault in placed}
-    )
-    return ProtocolError("\n".join(text for _, _, text in lines), code=code)
+    return ProtocolError("\n".join(text for _, _, text in sorted(set(placed))), code=code)
 
 
 def _is_sound(document: Document) -> bool:
@@ -422,13 +417,12 @@ def _implausible_sizes(sheet: TestSheet, document: Document, merged: Document) -
 
 def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
     """Find roles that only one of test sheet and protocol has."""
-    outline = outline_of(protocol.data if isinstance(protocol.data, Mapping) else {})
+    outline = Outline(protocol.data if isinstance(protocol.data, Mapping) else {})
     roles = [str(role) for role in outline.sources]
     optional = {role for role in roles if outline.is_optional(role)}
     for role in sheet.files:
         if roles and role not in roles:
-            expected = f"a role of the protocol: {one_of(role, roles)}"
-            yield Fault(("files", role), expected, repr(role), did_you_mean(role, roles), "key")
+            yield not_among(("files", role), role, roles, "a role of the protocol:", at="key")
     for missing in sorted(set(roles) & set(ROLES) - set(sheet.files) - optional):
         expected = f"a file in the role {missing!r}"
         yield Fault(("files",), expected, "none", "Add it to 'files'.")

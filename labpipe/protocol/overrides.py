@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.errors import Fault, KeyPath
+from labpipe.errors import At, Fault, KeyPath
+from labpipe.protocol.cross_checks import result_names
 from labpipe.protocol.faults import did_you_mean
-from labpipe.protocol.outline import result_names
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
 from labpipe.protocol.sheet_grammar import COPY_IT, TestSheet
-from labpipe.protocol.yaml_text import Document, YamlPosition
+from labpipe.protocol.yaml_text import Document, Spot
 from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import whole_number
 
@@ -25,51 +25,45 @@ _LISTS = (("steps",), ("results",))
 """Blocks that a protocol may leave out and that are lists."""
 
 
-def with_overrides(protocol: Document, sheet: Document) -> Document:
+def with_overrides(protocol: Document, sheet: Document) -> None:
     """Apply the overrides of a test sheet to the protocol.
+
+    Changed values get the positions of the sheet; overrides of unknown keys become faults. An item
+    of a list that is overridden with nothing is removed, a result also from those that the report
+    shows first.
 
     Parameters
     ----------
-    protocol : the protocol as written
+    protocol : the protocol as written, which is changed
     sheet : a valid test sheet as written
-
-    Returns
-    -------
-    A new document, in which changed values have the positions of the sheet, and overrides of
-    unknown keys are faults. An item of a list that is overridden with nothing is removed, a
-    result also from those that the report shows first.
     """
-    merged = Document(
-        protocol.file, copy.deepcopy(protocol.data), dict(protocol.spots), list(protocol.faults)
-    )
     removed: dict[KeyPath, object] = {}
-    sheet_data = sheet.data if isinstance(sheet.data, Mapping) else {}
-    specimen, overrides = sheet_data.get("specimen") or {}, sheet_data.get("overrides") or {}
+    specimen, overrides = sheet.data.get("specimen") or {}, sheet.data.get("overrides") or {}
     sizes = _own_sizes(specimen)
+
+    def refuse(key: str, expected: str, found: str, remedy: str, at: At) -> None:
+        path = ("overrides", key, "value")[: 2 if at == "key" else 3]
+        protocol.faults.append(sheet.place(Fault(path, expected, found, remedy, at)))
+
     for key, path in sizes.items():
-        _set_value(merged, key, sheet, path, removed)
+        _set_value(protocol, key, sheet, path, removed)
     for key, override in overrides.items():
-        place = ("overrides", key, "value")
         if key in sizes:
-            actual = f"{override['value']!r} beside {sheet.at(sizes[key])!r} in 'specimen'"
-            fault = Fault(place, f"{key!r} once", actual, "Keep the one in 'specimen'.")
-            merged.faults.append(sheet.place(fault))
+            found = f"{override['value']!r} beside {sheet.at(sizes[key])!r} in 'specimen'"
+            refuse(key, f"{key!r} once", found, "Keep the one in 'specimen'.", "value")
         elif key in _NOT_OVERRIDABLE:
-            expected, actual = "a key that a test may change", repr(key)
-            merged.faults.append(
-                sheet.place(Fault(place[:2], expected, actual, _NOT_OVERRIDABLE[key], "key"))
-            )
+            remedy = _NOT_OVERRIDABLE[key]
+            refuse(key, "a key that a test may change", repr(key), remedy, "key")
         else:
-            _set_value(merged, key, sheet, place, removed)
-    align = merged.data.get("align") if isinstance(merged.data, Mapping) else None
+            _set_value(protocol, key, sheet, ("overrides", key, "value"), removed)
+    align = protocol.data.get("align") if isinstance(protocol.data, Mapping) else None
     if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
         align.setdefault("because", overrides["align"]["because"])
-    _remove_items(merged, removed)
-    return merged
+    _remove_items(protocol, removed)
 
 
 def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
-    """Where a sheet's own specimen says what the protocol's does, by dotted key of the protocol."""
+    """Return the keys that a sheet's own specimen replaces, by dotted key of the protocol."""
     sizes: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key)
         for key in SHEET_DIMENSIONS
@@ -82,14 +76,13 @@ def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
 
 
 def _remove_items(merged: Document, removed: Mapping[KeyPath, object]) -> None:
-    """Remove items from their lists, and record the original numbers of the others."""
-    paths = {*removed, *_shown_first(merged, [item for item in removed.values() if _names(item)])}
-    for path in {path[:-1] for path in paths}:
-        items: Any = merged.at(path)
-        left = [number for number in range(len(items)) if (*path, number) not in paths]
-        merged.numbers[path] = tuple(left)
-        merged.spots = dict(_shift_spots(merged.spots, path, left))
-        items[:] = [items[number] for number in left]
+    """Remove items from their lists; the spots of the others keep their numbers as written."""
+    shown_first = _shown_first(merged, [item for item in removed.values() if _names(item)])
+    for path in sorted({*removed, *shown_first}, key=lambda path: path[-1], reverse=True):
+        spot, _ = merged.spot_at(path[:-1])
+        del merged.at(path[:-1])[path[-1]]
+        left = [inner for number, inner in spot.inner.items() if number != path[-1]]
+        spot.inner = dict(enumerate(left))
 
 
 def _shown_first(merged: Document, removed: list[object]) -> Iterator[KeyPath]:
@@ -102,18 +95,6 @@ def _shown_first(merged: Document, removed: list[object]) -> Iterator[KeyPath]:
             yield ("groups", "main", number)
 
 
-def _shift_spots(
-    spots: Mapping[KeyPath, YamlPosition], path: KeyPath, left: Sequence[int]
-) -> Iterator[tuple[KeyPath, YamlPosition]]:
-    """Yield the positions after items of the list at a path were removed."""
-    depth = len(path)
-    for old_path, spot in spots.items():
-        if old_path[:depth] != path or len(old_path) == depth:
-            yield old_path, spot
-        elif old_path[depth] in left:
-            yield (*path, left.index(int(old_path[depth])), *old_path[depth + 1 :]), spot
-
-
 def _set_value(
     merged: Document, dotted: str, sheet: Document, source: KeyPath, removed: dict[KeyPath, object]
 ) -> None:
@@ -121,49 +102,34 @@ def _set_value(
 
     An item of a list that is set to nothing goes into `removed`, as it was.
     """
-    spot = YamlPosition(sheet.file, sheet.spots[source[:2]].key, sheet.spots[source].value)
-    node: Any = merged.data
+    value, (value_spot, _) = sheet.at(source), sheet.spot_at(source)
+    key_spot, _ = sheet.spot_at(source[:2])
+    node, spot = merged.data, merged.spot
     path: KeyPath = ()
     parts = dotted.split(".")
-    for part in parts:
+    for number, part in enumerate(parts, start=1):
         key = _key_in(node, part)
         if key is None:
             merged.faults.append(sheet.place(_unknown_key(node, part, source[:2])))
             return
         path = (*path, key)
-        if len(path) < len(parts):
-            if isinstance(node, dict) and node.get(str(key)) is None:
-                if path in _LISTS:
-                    expected = f"a key of the protocol, which has no {key!r}"
-                    remedy = f"Override {key!r} as a whole."
-                    fault = Fault(source[:2], expected, repr(dotted), remedy, "key")
-                    merged.faults.append(sheet.place(fault))
-                    return
-                node[str(key)] = {}  # a block that the protocol leaves out
-                merged.spots[path] = spot
-            node = node[key]
-    if isinstance(path[-1], int) and sheet.at(source) is None:
-        removed[path] = merged.at(path)
-    _forget_spots(merged, path)
-    node[path[-1]] = copy.deepcopy(sheet.at(source))
-    for inner in _paths_in(sheet.at(source)):
-        merged.spots[*path, *inner] = sheet.spots[*source, *inner]
-    merged.spots[path] = spot
-
-
-def _forget_spots(merged: Document, path: KeyPath) -> None:
-    before = merged.at(path) if path in merged.spots else None
-    for inner in _paths_in(before):
-        merged.spots.pop((*path, *inner), None)
-
-
-def _paths_in(value: object) -> Iterator[KeyPath]:
-    """Yield the paths from a value to everything in it, including itself."""
-    yield ()
-    items: Any = enumerate(value) if isinstance(value, list) else ()
-    items = value.items() if isinstance(value, dict) else items
-    for key, inner in items:
-        yield from ((key, *path) for path in _paths_in(inner))
+        if number == len(parts):
+            break
+        if isinstance(node, dict) and node.get(key) is None:
+            if path in _LISTS:
+                expected = f"a key of the protocol, which has no {key!r}"
+                remedy = f"Override {key!r} as a whole."
+                fault = Fault(source[:2], expected, repr(dotted), remedy, "key")
+                merged.faults.append(sheet.place(fault))
+                return
+            node[key] = {}  # a block that the protocol leaves out
+            spot.inner[key] = Spot(key_spot.file, key, key_spot.key, value_spot.value)
+        node, spot = node[key], spot.inner[key]
+    if isinstance(path[-1], int) and value is None:
+        removed[path] = node[path[-1]]
+    node[path[-1]] = copy.deepcopy(value)
+    name = spot.inner[path[-1]].name if path[-1] in spot.inner else path[-1]
+    spot.inner[path[-1]] = replace(value_spot, name=name, key=key_spot.key)
 
 
 def _key_in(node: object, part: str) -> str | int | None:
@@ -215,7 +181,7 @@ _OR_FOLLOW = (
 
 
 def are_followed(protocol: Document) -> bool:
-    """Say whether a protocol, as written, lets exports be links out of the folder of the test.
+    """Return whether a protocol allows exports that are links out of the folder of the test.
 
     Parameters
     ----------
@@ -300,20 +266,20 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     return reduced.model_copy(update=update)
 
 
-def absent_faults(protocol: Protocol, whole: Protocol) -> Iterator[Fault]:
+def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
     """Find what a test cannot do without, although its source is optional.
 
     Parameters
     ----------
     protocol : as `without_absent` gives it
-    whole : the same with all its sources
+    full_protocol : the same with all its sources
 
     Returns
     -------
     Faults at the key ``files`` of the test sheet.
     """
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-    for role, source in whole.sources.items():
+    for role, source in full_protocol.sources.items():
         if role in protocol.sources:
             continue
         for name in sorted(set(source.all_channels) & _needed(protocol) - step_channels):
@@ -334,7 +300,7 @@ def _speed_faults(protocol: Protocol, role: str, name: str) -> Iterator[Fault]:
 
 
 def _needed(protocol: Protocol) -> set[str]:
-    """Channels without which there is no curve."""
+    """Return the channels without which there is no curve."""
     names = set()
     if protocol.curve is not None:
         names |= {protocol.curve.force, protocol.curve.displacement}
@@ -346,7 +312,7 @@ def _needed(protocol: Protocol) -> set[str]:
 
 
 def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
-    """Steps that still have a channel; one that is made from speed exists behind its step."""
+    """Return the steps whose channel exists; one made from speed exists after its step."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.on_markers:
             continue
@@ -359,7 +325,7 @@ def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
 
 
 def _is_made_from_speed(protocol: Protocol) -> bool:
-    """Whether the displacement of the curve is made on the clock of the force."""
+    """Return whether the displacement of the curve is made on the clock of the force."""
     if protocol.curve is None or protocol.curve.displacement in protocol.channels:
         return False
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import BeforeValidator, Field
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import error_of
+from labpipe.protocol.faults import Values, error_of, list_in, same_names
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.schema import known_version
+from labpipe.protocol.schema import Version
 from labpipe.protocol.values import Remark, Text, file_inside
 from labpipe.records.declarations import Length, Quantity, WholeNumber
 from labpipe.units import si_factor
@@ -37,7 +37,7 @@ COPY_IT = "Copy the curve into the folder of the plan and name it from there."
 
 LengthUnit = Annotated[str, BeforeValidator(_unit_like("m", "mm")), Field(examples=["mm"])]
 ForceUnit = Annotated[str, BeforeValidator(_unit_like("N", "N")), Field(examples=["N"])]
-Sign = Annotated[int, BeforeValidator(_sign), WithJsonSchema({"enum": [1, -1]})]
+Sign = Annotated[Literal[1, -1], BeforeValidator(_sign)]
 
 
 class _Column(Block):
@@ -80,31 +80,10 @@ class Comparison(Block):
     because: Text = Field(description="Where it comes from")
 
 
-def same_names(comparisons: object) -> list[Fault]:
-    """Find comparisons that are called as an earlier one.
-
-    Parameters
-    ----------
-    comparisons : as written in the plan
-    """
-    first: dict[str, int] = {}
-    faults = []
-    for number, comparison in enumerate(comparisons if isinstance(comparisons, list) else []):
-        name = comparison.get("name") if isinstance(comparison, Mapping) else None
-        if not isinstance(name, str):
-            continue
-        if name in first:
-            actual = f"{name!r}, as comparison {first[name] + 1}"
-            path = ("comparisons", number, "name")
-            faults.append(Fault(path, "a name of its own", actual, "Call it something else."))
-        first.setdefault(name, number)
-    return faults
-
-
 Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
 Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
 Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
-Scatter = Annotated[float, Quantity("1", "%", "3 %", least=0.0, most=0.5)]
+Scatter = Annotated[float, Quantity("1", "%", "3 %", minimum=0.0, maximum=0.5)]
 Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
 
 _NEEDS_VALUE = "Add the value that it has, or that the prior lies about."
@@ -122,24 +101,20 @@ class _Parameter(Block):
     because: Remark = Field("", description="Where a prior or a fixed value comes from")
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Ask of a prior what it needs, and of the others that they do not have it."""
-        if not isinstance(data, Mapping):
-            return []
         enters = data.get("enters", "free")
-        faults = []
         if enters in ("fixed", "prior") and data.get("value") is None:
-            faults.append(Fault((), f"a value of what is {enters}", "none", _NEEDS_VALUE))
+            yield Fault((), f"a value of what is {enters}", "none", _NEEDS_VALUE)
         if enters in ("fixed", "prior") and not data.get("because"):
             remedy = "Say where the number comes from, in 'because'."
-            faults.append(Fault((), f"a source of what is {enters}", "none", remedy))
+            yield Fault((), f"a source of what is {enters}", "none", remedy)
         if enters == "prior" and data.get("factor") is None:
             remedy = "Give a factor, such as 1.5."
-            faults.append(Fault((), "the width of a prior", "none", remedy))
+            yield Fault((), "the width of a prior", "none", remedy)
         if enters in ("free", "fixed") and data.get("factor") is not None:
             remedy = "Write 'enters: prior', or take 'factor' away."
-            faults.append(Fault(("factor",), "no factor", "one without a prior", remedy, "key"))
-        return faults
+            yield Fault(("factor",), "no factor", "one without a prior", remedy, "key")
 
 
 class RadialFriction(_Parameter):
@@ -171,7 +146,7 @@ class Parameters(Block):
 class CalibrationPlan(Block):
     """What is asked of a calibration."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     wire: Text | None = Field(
         None, description="Specimen type whose tests calibrate; the others are predicted"
     )
@@ -186,6 +161,6 @@ class CalibrationPlan(Block):
     )
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterable[Fault]:
         """Ask each comparison for a name of its own."""
-        return same_names(data.get("comparisons") if isinstance(data, Mapping) else None)
+        return same_names(list_in(data, "comparisons"), "comparisons", "comparison")

@@ -1,4 +1,4 @@
-"""Plausible ranges of dimensions: a value outside is refused unless its range is widened."""
+"""Sizes: plausible ranges, outside of which a value is refused, and standard uncertainties."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from labpipe.errors import Fault, KeyPath, in_test_sheet
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import Text, quantity_remedy
+from labpipe.records.declarations import Distance, Quantity
 from labpipe.units import parse_quantity
 
 PLAUSIBLE: Final = MappingProxyType(
@@ -47,6 +48,27 @@ Ranges: TypeAlias = Mapping[str, Mapping[str, str]]
 """Ends of the range of each kind of dimension, ``from`` and ``to``, as written."""
 
 
+AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
+
+
+class SizeUncertainties(Block):
+    """Standard uncertainties of the specimen's sizes; what is left out is taken as exact."""
+
+    length: Distance | None = None
+    span: Distance | None = None
+    outer_diameter: Distance | None = None
+    inner_diameter: Distance | None = None
+    wall: Distance | None = None
+    width: Distance | None = None
+    thickness: Distance | None = None
+    area: AreaUncertainty | None = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """Those that are given, by key, m (of the area m^2)."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
 class PlausibleRange(Block):
     """Least and largest plausible value."""
 
@@ -63,19 +85,35 @@ def range_faults(stated: object, path: KeyPath, unit: str) -> Iterator[Fault]:
     path : way to it
     unit : SI unit of its ends
     """
-    ends: list[float] = []
-    for key in ("from", "to"):
-        text = stated.get(key) if isinstance(stated, Mapping) else None
-        if not isinstance(text, str):
-            continue
-        try:
-            ends.append(parse_quantity(text, unit))
-        except ValueError:
-            remedy = quantity_remedy(text, unit, f"20 {unit}")
-            yield Fault((*path, key), f"a quantity with a unit such as {unit}", repr(text), remedy)
-    if len(ends) == 2 and not 0.0 <= ends[0] < ends[1]:
+    texts = dict(stated) if isinstance(stated, Mapping) else {}
+    ends = [
+        quantity_in(texts[key], unit, (*path, key), "20")
+        for key in ("from", "to")
+        if isinstance(texts.get(key), str)
+    ]
+    yield from (end for end in ends if isinstance(end, Fault))
+    sizes = [end for end in ends if isinstance(end, float)]
+    if len(sizes) == 2 and not 0.0 <= sizes[0] < sizes[1]:
         expected = "'from' of at least zero, and 'to' above it"
-        yield Fault(path, expected, f"{ends[0]:g} to {ends[1]:g} {unit}", "Correct them.")
+        yield Fault(path, expected, f"{sizes[0]:g} to {sizes[1]:g} {unit}", "Correct them.")
+
+
+def quantity_in(text: str, unit: str, path: KeyPath, example: str) -> float | Fault:
+    """Read a quantity in a unit, or return what is wrong with it.
+
+    Parameters
+    ----------
+    text : as written
+    unit : in which it is wanted
+    path : way to it
+    example : number of an example
+    """
+    try:
+        return parse_quantity(text, unit)
+    except ValueError:
+        such = unit.replace("(", "").replace(")", "")
+        remedy = quantity_remedy(text, unit, f"{example} {such}")
+        return Fault(path, f"a quantity with a unit such as {such}", repr(text), remedy)
 
 
 if TYPE_CHECKING:
@@ -88,7 +126,7 @@ def _filled(stated: object) -> object:
     """Put the shipped ranges, and ends of ranges, where some are left out."""
     if not isinstance(stated, Mapping):
         return stated
-    shipped = {kind: {"from": least, "to": most} for kind, (_, least, most) in PLAUSIBLE.items()}
+    shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE.items()}
     ranges = {
         kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
         for kind, ends in stated.items()
@@ -96,8 +134,8 @@ def _filled(stated: object) -> object:
     return shipped | ranges
 
 
-def _schema_of(least: str, most: str) -> dict[str, object]:
-    ends = {"from": {"type": "string", "default": least}, "to": {"type": "string", "default": most}}
+def _schema_of(low: str, high: str) -> dict[str, object]:
+    ends = {"from": {"type": "string", "default": low}, "to": {"type": "string", "default": high}}
     return {"type": "object", "properties": ends, "additionalProperties": False}
 
 
@@ -187,12 +225,12 @@ def _outside(
     unit = PLAUSIBLE[kind][0]
     try:
         size = abs(parse_quantity(text, unit))
-        least, most = (parse_quantity(ends[end], unit) for end in ("from", "to"))
+        low, high = (parse_quantity(ends[end], unit) for end in ("from", "to"))
     except ValueError:
         return
-    if least <= size <= most or least >= most:
+    if low <= size <= high or low >= high:
         return
-    end = "from" if size < least else "to"
+    end = "from" if size < low else "to"
     override = in_test_sheet(f"plausible.{kind}.{end}", text)
     if in_file:
         override = f"'plausible: {{{kind}: {{{end}: {text}}}}}'"

@@ -18,6 +18,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
 from labpipe.protocol.campaign_plan import CampaignPlan
 from labpipe.protocol.grammar import Block, block_of
 from labpipe.protocol.harness_file import HarnessFile
@@ -39,6 +42,18 @@ PAGES = ("protocol.md", "quality-notes.md", "results.md")
 """Pages that hold tables which derive from the code."""
 
 
+class _Schemas(GenerateJsonSchema):
+    """Takes unquoted numbers for texts, and anything where labpipe itself reads the text."""
+
+    def str_schema(self, schema: core_schema.StringSchema) -> JsonSchemaValue:
+        """Accept what other YAML readers make of text such as 1."""
+        return super().str_schema(schema) | {"type": ["string", "number"]}
+
+    def function_plain_schema(self, schema: object) -> JsonSchemaValue:  # noqa: ARG002
+        """Accept anything."""
+        return {}
+
+
 def json_schema(model: type[Block]) -> str:
     """Write the JSON Schema of a block as text.
 
@@ -46,8 +61,9 @@ def json_schema(model: type[Block]) -> str:
     ----------
     model : `Protocol`, `TestSheet`, `CampaignPlan` or `HarnessFile`
     """
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return json.dumps(schema | model.model_json_schema(by_alias=True), indent=2) + "\n"
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    schema = model.model_json_schema(by_alias=True, schema_generator=_Schemas)
+    return json.dumps(dialect | schema, indent=2) + "\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +139,9 @@ def table_of_notes(notes: Sequence[KindOfNote]) -> str:
 def table_of_ranges() -> str:
     """Write the table of the plausible ranges: kind of dimension, keys that are one, ends."""
     rows = [("kind", "keys that are, or end with", "from", "to")]
-    for kind, (_, least, most) in PLAUSIBLE.items():
+    for kind, (_, lowest, highest) in PLAUSIBLE.items():
         keys = ", ".join(f"`{key}`" for key, of in KEYS.items() if of == kind)
-        rows.append((f"`{kind}`", keys or "other lengths of a specimen", least, most))
+        rows.append((f"`{kind}`", keys or "other lengths of a specimen", lowest, highest))
     return _table(rows)
 
 
@@ -170,7 +186,7 @@ def _meaning(kind: type[Kind]) -> str:
 
 
 def _needs(kind: Any) -> Iterable[str]:
-    """Say in words what of a test a kind of result is read from."""
+    """Describe the data of a test that a kind of result needs."""
     needs: Needs = kind.needs
     descriptions = {
         "the curve": needs.branches,

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, Union
 
 from pydantic import (
     BeforeValidator,
     Field,
-    PlainSerializer,
-    PlainValidator,
-    WithJsonSchema,
     field_validator,
 )
 
 from labpipe.errors import Fault
 from labpipe.protocol.cross_checks import cross_faults
-from labpipe.protocol.faults import error_of
+from labpipe.protocol.faults import Values, error_of
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.plausible import Plausible
+from labpipe.protocol.plausible import Plausible, SizeUncertainties
 from labpipe.protocol.source import ChannelSource, Role, Source
-from labpipe.protocol.uncertainties import SizeUncertainties
-from labpipe.protocol.values import FileStem, Remark, Text
+from labpipe.protocol.values import FileStem, OrShort, Remark, Text
 from labpipe.records.declarations import (
     LIMITS,
     Area,
@@ -111,9 +106,7 @@ def _all_or_names(value: object) -> object:
 
 Along: TypeAlias = Annotated[
     Literal["all"] | tuple[str, ...],
-    PlainValidator(_all_or_names),
-    PlainSerializer(lambda names: names if isinstance(names, str) else list(names)),
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
+    OrShort(_all_or_names, {"type": "string"}),
 ]
 
 
@@ -217,7 +210,9 @@ class Slack(Block):
     """Toe compensation: where a line through the steep part meets zero force, travel begins."""
 
     start: Annotated[Share, Key("from"), "Of the largest force, such as 10 %"]
-    stop: Annotated[Share, Key("to"), LargerThan("start"), "Of the largest force, such as 30 %"]
+    stop: Annotated[
+        Share, Key("to"), LargerThan("start", "from"), "Of the largest force, such as 30 %"
+    ]
 
 
 def _words_once(value: object) -> object:
@@ -232,16 +227,7 @@ def _words_once(value: object) -> object:
 
 
 Reverse: TypeAlias = Annotated[
-    tuple[Literal["force", "displacement"], ...],
-    PlainValidator(_words_once),
-    PlainSerializer(list),
-    WithJsonSchema(
-        {
-            "type": "array",
-            "items": {"enum": ["force", "displacement"]},
-            "uniqueItems": True,
-        }
-    ),
+    tuple[Literal["force", "displacement"], ...], BeforeValidator(_words_once)
 ]
 
 
@@ -324,10 +310,13 @@ def known_version(value: object) -> int:
     return 1
 
 
+Version: TypeAlias = Annotated[Literal[1], BeforeValidator(known_version)]
+
+
 class Protocol(Block):
     """How one kind of test is processed, from its exports to its results."""
 
-    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
+    version: Version
     name: FileStem = Field(description="As the file is called, without .yaml")
     about: Remark = Field("", description="What it is for, in one line")
     follow_links: bool = Field(
@@ -349,7 +338,7 @@ class Protocol(Block):
 
     @property
     def channels(self) -> dict[str, ChannelSource]:
-        """The channels of all sources by name."""
+        """Return the channels of all sources by name."""
         named = (source.all_channels for source in self.sources.values())
         return {name: channel for channels in named for name, channel in channels.items()}
 
@@ -364,6 +353,6 @@ class Protocol(Block):
         return tuple(step.numbered(number) for number, step in enumerate(steps))
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> list[Fault]:
         """Check one part of the protocol against another."""
-        return cross_faults(data) if isinstance(data, Mapping) else []
+        return cross_faults(data)

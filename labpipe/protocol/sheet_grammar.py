@@ -5,10 +5,9 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from datetime import date
-from math import hypot, pi, sqrt
+from math import dist, pi, sqrt
 from typing import Annotated, Any, Literal
 
 import yaml
@@ -16,29 +15,33 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
     ValidationError,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault, UsageError, error_text
-from labpipe.protocol.faults import did_you_mean, error_of, faults_of, raised, shown
+from labpipe.protocol.faults import (
+    Values,
+    block_in,
+    did_you_mean,
+    error_of,
+    faults_of,
+    raised,
+    shown,
+)
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.plausible import SizeUncertainties
 from labpipe.protocol.source import Role
-from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import (
+    Day,
     FileStem,
     Line,
+    OrShort,
     Remark,
     Text,
     file_inside,
-    one_or_several,
-    parse_day,
+    row_of,
 )
 from labpipe.records.declarations import Length, LinearMass, Offset, Snake, WholeNumber
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
@@ -50,34 +53,8 @@ DENSEST_PACKING = pi / sqrt(12)
 OVERLAP_TOLERANCE = 0.01
 """Share of the thinner diameter by which wires may overlap, because insulation is soft."""
 Places = tuple[tuple[float, float], ...]
-Circle = tuple[float, float, float]
-"""x, y and diameter, m."""
 _WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
 _EXPECTED_WIRES = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
-
-
-@dataclass(frozen=True, slots=True)
-class _OrShort:
-    """Annotation of a block that people may also write in a shorter form.
-
-    Parameters
-    ----------
-    read : turns the short form into the block; gives back anything else as it is
-    schema : JSON Schema of the short form
-    """
-
-    read: Callable[[object], object]
-    schema: Mapping[str, Any]
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self.read, handler(source))
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"anyOf": [dict(self.schema), handler(schema)]}
 
 
 class SheetWires(Block):
@@ -120,28 +97,25 @@ def wires_in_words(value: object) -> object:
     return wires
 
 
-Wires = Annotated[
-    dict[Line, Annotated[SheetWires, _OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
+StatedWires = Annotated[
+    dict[Line, Annotated[SheetWires, OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
     Field(min_length=1),
-    _OrShort(wires_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+    OrShort(wires_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
 ]
 
 
-def _pair(value: object) -> object:
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
-        raise error_of(expected="a list of two lengths, such as [0 mm, 1.2 mm]", found=value)
-    return value
+Place = Annotated[tuple[Offset, Offset], row_of(2, "[0 mm, 1.2 mm]")]
 
 
 class SheetBundle(Block):
     """What a harness bundle is made of."""
 
-    wires: Wires = Field(description="By type: how many, or number and diameter")
+    wires: StatedWires = Field(description="By type: how many, or number and diameter")
     number: Annotated[int, WholeNumber(1, 100_000)] | None = Field(
         None, description="Of all wires together, as a check"
     )
     arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
-    positions: tuple[Annotated[tuple[Offset, Offset], BeforeValidator(_pair)], ...] | None = Field(
+    positions: tuple[Place, ...] | None = Field(
         None,
         description="[x, y] of every wire in the order of 'wires'; y is the direction of bending",
     )
@@ -152,7 +126,7 @@ class SheetBundle(Block):
 
     @property
     def record(self) -> Bundle:
-        """The bundle in the words of the rest of labpipe; lengths in m."""
+        """Return the bundle in the words of the rest of labpipe; lengths in m."""
         wires = (BundleWire(kind, of.number, of.diameter) for kind, of in self.wires.items())
         return Bundle(
             wires=tuple(wires),
@@ -165,80 +139,64 @@ class SheetBundle(Block):
         )
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Refuse a taping of no tape, a tape that is not wound, a bore of no conduit."""
-        return list(_contradictions(data)) if isinstance(data, Mapping) else []
+        tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
+        if tape == NONE and taping != NONE:
+            remedy = "Write what tape it is, such as 'tape: PVC', or 'tape: unknown'."
+            yield Fault(("taping",), "'none' where there is no tape", shown(taping), remedy)
+        if tape != NONE and taping == NONE:
+            remedy = "Write how it is wound: 'taping: half-lap' or 'taping: coarse'."
+            yield Fault(("tape",), "'none' where 'taping' is 'none'", shown(tape), remedy)
+        if conduit == NONE and data.get("conduit_bore") is not None:
+            remedy, found = "Write what conduit it is, or leave the bore out.", data["conduit_bore"]
+            yield Fault(
+                ("conduit_bore",), "no bore where there is no conduit", shown(found), remedy
+            )
 
-    @field_validator("number")
+    @field_validator("number", "arrangement", "positions", "conduit_bore")
     @classmethod
-    def _is_the_sum(cls, number: int | None, info: ValidationInfo) -> int | None:
-        wires = info.data.get("wires")
-        if wires is None or number in (None, _number_of(wires)):
-            return number
+    def _fits_the_wires(cls, value: Any, info: ValidationInfo) -> Any:
+        wires, check = info.data.get("wires"), _BUNDLE_CHECKS[str(info.field_name)]
+        if wires is None or value is None:
+            return value
+        if faults := list(check(value, wires)):
+            raise raised(faults, value)
+        return value
+
+
+Wires = Mapping[str, SheetWires]
+
+
+def _number_faults(number: int, wires: Wires) -> Iterator[Fault]:
+    total = _number_of(wires)
+    if number != total:
         numbers = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
-        expected = f"{_number_of(wires)}, the number of the wires ({numbers})"
-        raise error_of(expected=expected, found=number, remedy="Correct one of the two.")
+        expected = f"{total}, the number of the wires ({numbers})"
+        yield Fault((), expected, repr(str(number)), "Correct one of the two.")
 
-    @field_validator("arrangement")
-    @classmethod
-    def _arranges_kinds(cls, arrangement: str, info: ValidationInfo) -> str:
-        wires = info.data.get("wires")
-        if wires is None or len(wires) > 1 or arrangement == PACKED:
-            return arrangement
-        expected = "'packed' for wires of one type"
+
+def _arrangement_faults(arrangement: str, wires: Wires) -> Iterator[Fault]:
+    if len(wires) == 1 and arrangement != PACKED:
         remedy = "Only wires of different types can be spread one way or another: leave it out."
-        raise error_of(expected=expected, found=arrangement, remedy=remedy)
-
-    @field_validator("positions")
-    @classmethod
-    def _lie_beside_each_other(
-        cls, positions: Places | None, info: ValidationInfo
-    ) -> Places | None:
-        wires = info.data.get("wires")
-        if wires is None or positions is None:
-            return positions
-        faults = list(_position_faults(positions, wires))
-        if faults:
-            raise raised(faults, positions)
-        return positions
-
-    @field_validator("conduit_bore")
-    @classmethod
-    def _holds_the_wires(cls, bore: float | None, info: ValidationInfo) -> float | None:
-        wires = info.data.get("wires")
-        diameters = [] if wires is None else _diameters(wires)
-        if bore is None or not diameters:
-            return bore
-        densest = 1.0 if len(diameters) == 1 else DENSEST_PACKING
-        least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
-        if bore < least:
-            expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
-            actual = f"{bore * 1e3:.4g} mm"
-            remedy = "Check the bore, the diameters and the number of wires."
-            raise raised([Fault((), expected, actual, remedy)], bore)
-        return bore
+        yield Fault((), "'packed' for wires of one type", repr(arrangement), remedy)
 
 
-def _contradictions(data: Mapping[Any, Any]) -> Iterator[Fault]:
-    """Find words of a bundle that deny each other."""
-    tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
-    if tape == NONE and taping != NONE:
-        remedy = "Write what tape it is, such as 'tape: PVC', or 'tape: unknown'."
-        yield Fault(("taping",), "'none' where there is no tape", repr(str(taping)), remedy)
-    if tape != NONE and taping == NONE:
-        remedy = "Write how it is wound: 'taping: half-lap' or 'taping: coarse'."
-        yield Fault(("tape",), "'none' where 'taping' is 'none'", repr(str(tape)), remedy)
-    if conduit == NONE and data.get("conduit_bore") is not None:
-        remedy = "Write what conduit it is, or leave the bore out."
-        actual = repr(str(data["conduit_bore"]))
-        yield Fault(("conduit_bore",), "no bore where there is no conduit", actual, remedy)
+def _bore_faults(bore: float, wires: Wires) -> Iterator[Fault]:
+    diameters = _diameters(wires)
+    densest = 1.0 if len(diameters) == 1 else DENSEST_PACKING
+    least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
+    if bore < least:
+        expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
+        remedy = "Check the bore, the diameters and the number of wires."
+        yield Fault((), expected, f"{bore * 1e3:.4g} mm", remedy)
 
 
-def _number_of(wires: Mapping[str, SheetWires]) -> int:
+def _number_of(wires: Wires) -> int:
     return sum(of.number for of in wires.values())
 
 
-def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
+def _diameters(wires: Wires) -> list[float]:
     """Diameter of every wire, m; nothing where one is not known."""
     stated = [(of.number, of.diameter) for of in wires.values()]
     complete = [(number, diameter) for number, diameter in stated if diameter is not None]
@@ -246,7 +204,7 @@ def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
     return diameters if len(complete) == len(stated) else []
 
 
-def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iterator[Fault]:
+def _position_faults(positions: Places, wires: Wires) -> Iterator[Fault]:
     """Find what keeps positions from being those of the wires."""
     number, diameters = _number_of(wires), _diameters(wires)
     if len(positions) != number:
@@ -258,27 +216,30 @@ def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iter
         expected = "positions of wires whose diameters are given"
         yield Fault((), expected, f"none for {missing}", remedy)
     else:
-        circles = [(*place, size) for place, size in zip(positions, diameters, strict=True)]
         kinds = [kind for kind, of in wires.items() for _ in range(of.number)]
-        yield from _overlaps(circles, [f"wire {i + 1} ({kind})" for i, kind in enumerate(kinds)])
+        names = [f"wire {i} ({kind})" for i, kind in enumerate(kinds, start=1)]
+        yield from _overlaps(list(zip(names, positions, diameters, strict=True)))
 
 
-def _overlaps(circles: Sequence[Circle], names: Sequence[str]) -> Iterator[Fault]:
+def _overlaps(circles: list[tuple[str, tuple[float, float], float]]) -> Iterator[Fault]:
     """Find wires that lie inside an earlier one; the first such pair of each wire."""
-    for later, circle in enumerate(circles):
-        depths = [_overlap(circle, other) for other in circles[:later]]
-        earlier = next((number for number, depth in enumerate(depths) if depth > 0.0), None)
-        if earlier is not None:
-            actual = f"{names[later]} {depths[earlier] * 1e3:.3g} mm inside {names[earlier]}"
-            remedy = "Check both positions and the diameters."
-            yield Fault((later,), "wires beside each other", actual, remedy)
+    for later, (name, place, size) in enumerate(circles):
+        for other_name, other_place, other_size in circles[:later]:
+            depth = (size + other_size) / 2 - dist(place, other_place)
+            if depth > OVERLAP_TOLERANCE * min(size, other_size):
+                found = f"{name} {depth * 1e3:.3g} mm inside {other_name}"
+                remedy = "Check both positions and the diameters."
+                yield Fault((later,), "wires beside each other", found, remedy)
+                break
 
 
-def _overlap(one: Circle, other: Circle) -> float:
-    """How deep one circle lies in another, m; 0 within the tolerance."""
-    apart = hypot(one[0] - other[0], one[1] - other[1])
-    depth = (one[2] + other[2]) / 2 - apart
-    return depth if depth > OVERLAP_TOLERANCE * min(one[2], other[2]) else 0.0
+_BUNDLE_CHECKS: Mapping[str, Callable[[Any, Wires], Iterator[Fault]]] = {
+    "number": _number_faults,
+    "arrangement": _arrangement_faults,
+    "positions": _position_faults,
+    "conduit_bore": _bore_faults,
+}
+"""Checks of the fields of a bundle against its wires."""
 
 
 def bundle_in_words(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -345,72 +306,46 @@ class SheetSpecimen(Block):
 
     @property
     def dimensions(self) -> dict[str, float]:
-        """Lengths by name, m."""
+        """Return the lengths by name, m."""
         length = {} if self.length is None else {"length": self.length}
         return length | dict(self.__pydantic_extra__)
 
     @property
     def record(self) -> Specimen:
-        """The specimen in the words of the rest of labpipe; lengths in m."""
+        """Return the specimen in the words of the rest of labpipe; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
         named = (self.type, self.spool, self.sample)
         return Specimen(*named, self.dimensions, bundle, self.labels)
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Refuse dimensions that look like a misspelt key, and labels that are called like keys."""
-        if not isinstance(data, Mapping):
-            return []
         keys = [*cls.keys(), "span"]
-        faults = [_misspelt(str(key), keys) for key in data if _is_misspelt(str(key), keys)]
-        misspelt = {fault.path[0] for fault in faults}
-        faults += [
-            _no_dimension(str(key), value)
-            for key, value in data.items()
-            if key not in misspelt and key not in keys and _is_no_length(value)
-        ]
-        labels = data.get("labels")
-        taken = [key for key in labels if key in keys] if isinstance(labels, Mapping) else []
-        return faults + [_taken(key) for key in taken]
+        for key, value in data.items():
+            if key in keys:
+                continue
+            small = re.sub(r"\W+", "_", key.casefold())
+            remedy = f"Write it as {small!r}." if small != key else did_you_mean(key, keys)
+            if re.fullmatch(_NAME, key) is None or difflib.get_close_matches(key, keys, 1, 0.8):
+                expected = "a known key, or the name of a dimension in small letters"
+                yield Fault((key,), expected, repr(key), remedy, "key")
+            elif not _may_be_length(value):
+                expected = "a dimension, which is a length with its unit such as '2 mm'"
+                remedy = f"Write other words on the specimen as 'labels: {{{key}: {value}}}'."
+                yield Fault((key,), expected, shown(value), remedy, "key")
+        for key in {*block_in(data, "labels")} & {*keys}:
+            expected = "a label that is not called like a key of 'specimen'"
+            remedy = "Write it one level up, or rename it."
+            yield Fault(("labels", key), expected, repr(key), remedy, "key")
 
 
-def _is_misspelt(key: str, keys: list[str]) -> bool:
-    if key in keys:
-        return False
-    if re.fullmatch(_NAME, key) is None:
-        return True
-    return bool(difflib.get_close_matches(key, keys, n=1, cutoff=0.8))
-
-
-def _misspelt(key: str, keys: list[str]) -> Fault:
-    small = re.sub(r"\W+", "_", key.casefold())
-    remedy = did_you_mean(key, keys)
-    if small != key and re.fullmatch(_NAME, small):
-        remedy = f"Write it as {small!r}."
-    expected = "a known key, or the name of a dimension in small letters"
-    return Fault((key,), expected, repr(key), remedy, "key")
-
-
-def _is_no_length(value: object) -> bool:
-    """Whether a value is a word, or no length: a label rather than a dimension."""
+def _may_be_length(value: object) -> bool:
+    """Return whether a value is a length, or one without its unit; else it is a label."""
     try:
         parse_quantity(value, "m")
     except ValueError:
-        return isinstance(value, str) and re.fullmatch(_BARE, value) is None
-    return False
-
-
-def _no_dimension(key: str, value: object) -> Fault:
-    expected = "a dimension, which is a length with its unit such as '2 mm'"
-    remedy = f"Write other words on the specimen as 'labels: {{{key}: {value}}}'."
-    return Fault((key,), expected, shown(value), remedy, "key")
-
-
-def _taken(key: str) -> Fault:
-    expected = "a label that is not called like a key of 'specimen'"
-    return Fault(
-        ("labels", key), expected, repr(key), "Write it one level up, or rename it.", "key"
-    )
+        return not isinstance(value, str) or re.fullmatch(_BARE, value) is not None
+    return True
 
 
 COPY_IT = "Copy the export into the folder of the test and name it from there."
@@ -425,16 +360,8 @@ def _listed(value: object) -> object:
 
 FileNames = Annotated[
     tuple[Annotated[str, file_inside("the folder of the test", COPY_IT)], ...],
-    BeforeValidator(_listed),
+    OrShort(_listed, {"type": "string"}),
     Field(min_length=1),
-    one_or_several({"type": "string"}),
-]
-
-
-DayOrNothing = Annotated[
-    date | None,
-    BeforeValidator(lambda value: None if value is None else parse_day(value)),
-    WithJsonSchema({"type": ["string", "null"], "format": "date"}),
 ]
 
 
@@ -453,7 +380,7 @@ class TestSheet(Block):
     test: FileStem
     protocol: Text = Field(description="Name of a protocol, or a path to one")
     specimen: SheetSpecimen
-    date: DayOrNothing = None
+    date: Day | None = None
     operator: Remark = ""
     files: dict[Role, FileNames] = Field(
         min_length=1, description="By role: a file, or the parts of one recording in order"

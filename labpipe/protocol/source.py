@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from math import hypot
-from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
 from pydantic import (
-    BeforeValidator,
     Field,
     PlainSerializer,
     PrivateAttr,
+    ValidationInfo,
+    field_validator,
 )
 
+from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import PlausibleRange
-from labpipe.protocol.uncertainties import Certificate, standard_uncertainty
-from labpipe.protocol.values import SI_UNITS, Text, one_or_several, si_unit_like
-from labpipe.records.declarations import Snake, Uncertainty
+from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, si_unit_like
+from labpipe.records.declarations import Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
 
@@ -31,11 +32,6 @@ MARKER_READERS: Final = frozenset(
 """Those whose exports hold marker tracks rather than channels."""
 
 
-def _listed(value: object) -> object:
-    """Take one word for a list of one."""
-    return value if isinstance(value, list | tuple) else [value]
-
-
 if TYPE_CHECKING:
     _ReaderName = str
 else:
@@ -43,19 +39,50 @@ else:
 
 Readers = Annotated[
     tuple[_ReaderName, ...],
-    BeforeValidator(_listed),
+    OrShort(listed, {"enum": list(READERS)}),
     Field(min_length=1),
-    one_or_several({"enum": list(READERS)}),
 ]
 
 Names = Annotated[
     tuple[Text, ...],
-    BeforeValidator(_listed),
+    OrShort(listed, {"type": ["string", "number"], "minLength": 1}),
     Field(min_length=1),
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
-    one_or_several({"type": ["string", "number"], "minLength": 1}),
 ]
 """One name, or several of which the first that the export has counts."""
+
+
+CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=10.0)]
+
+
+class Certificate(Block):
+    """What the certificate of a calibration says of an instrument."""
+
+    number: Text
+    date: Day = Field(description="Of the calibration")
+    due: Day | None = Field(
+        None, description="Of the next one; numbers of a later test that rest on it are doubtful"
+    )
+    uncertainty: Uncertainty | None = Field(
+        None, description="Expanded, as certificates state it: k times the standard uncertainty"
+    )
+    k: CoverageFactor = Field(2.0, description="Coverage factor; 1 for a standard uncertainty")
+
+    @field_validator("due")
+    @classmethod
+    def _is_after_the_date(cls, due: Any, info: ValidationInfo) -> Any:
+        calibrated = info.data.get("date")
+        if due is not None and calibrated is not None and due <= calibrated:
+            expected = f"a day after 'date', {calibrated}"
+            raise error_of(expected=expected, found=due, remedy="Correct the one that is wrong.")
+        return due
+
+
+def standard_uncertainty(certificate: Certificate | None) -> float | None:
+    """Of the scale that was calibrated, as a ratio; None where no certificate says one."""
+    if certificate is None or certificate.uncertainty is None:
+        return None
+    return certificate.uncertainty / certificate.k
 
 
 class Calibration(Block):
@@ -99,38 +126,38 @@ class ChannelSource(Block):
 
     @property
     def key(self) -> str:
-        """Dotted key of the channel, as an override begins: ``sources.frame.channels.force``."""
+        """Return the dotted key of the channel for overrides: ``sources.frame.channels.force``."""
         return self._key
 
     @property
     def target_unit(self) -> str:
-        """SI unit of the channel once calibrated."""
+        """Return the SI unit of the channel once calibrated."""
         return SI_UNITS[self.quantity or self._name]
 
     @property
     def channel_unit(self) -> str | None:
-        """SI unit of the channel before calibration; None where the export must say it."""
+        """Return the SI unit before calibration; None if the export must state it."""
         if self.unit is None:
             return None
         return self.target_unit if self.calibration is None else si_unit_like(self.unit)
 
     @property
     def gain(self) -> float:
-        """Calibration gain, `target_unit` per `channel_unit`; 1 without a calibration."""
+        """Return the gain, `target_unit` per `channel_unit`; 1 without a calibration."""
         if self.calibration is None:
             return 1.0
         return parse_quantity(self.calibration.gain, f"{self.target_unit}/({self.channel_unit})")
 
     @property
     def offset(self) -> float:
-        """Calibration offset, in `target_unit`; 0 without one."""
+        """Return the calibration offset, in `target_unit`; 0 without one."""
         if self.calibration is None or self.calibration.offset is None:
             return 0.0
         return parse_quantity(self.calibration.offset, self.target_unit)
 
     @property
     def gain_uncertainty(self) -> float:
-        """Standard uncertainty of gain and scale as a ratio; 0 where it is not stated."""
+        """Return the standard uncertainty of gain and scale as a ratio; 0 if not stated."""
         if (certified := standard_uncertainty(self.certificate)) is not None:
             return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
@@ -138,15 +165,15 @@ class ChannelSource(Block):
 
     @property
     def peak_range(self) -> tuple[float, float] | None:
-        """Smallest and largest plausible peak, in `target_unit`; None where it is not stated."""
+        """Return the smallest and largest plausible peak, in `target_unit`; None if not stated."""
         if self.plausible_peak is None:
             return None
         ends = self.plausible_peak.start, self.plausible_peak.stop
-        least, most = (parse_quantity(end, self.target_unit) for end in ends)
-        return least, most
+        lowest, highest = (parse_quantity(end, self.target_unit) for end in ends)
+        return lowest, highest
 
     def named(self, name: str, key: str) -> ChannelSource:
-        """Give back the same channel under the name that labpipe uses for it, and its key."""
+        """Return the channel with its name in labpipe and its key."""
         channel = self.model_copy()
         channel._name, channel._key = name, key
         return channel
@@ -183,24 +210,17 @@ class Source(Block):
 
     @property
     def key(self) -> str:
-        """Dotted key of the source, as an override begins: ``sources.frame``."""
+        """Return the dotted key of the source, as an override begins: ``sources.frame``."""
         return f"sources.{self._role}"
 
     @property
     def all_channels(self) -> dict[str, ChannelSource]:
-        """The channels by name, however they were written; empty for marker tracks."""
+        """Return the channels by name, however they were written; empty for marker tracks."""
         key = self.key
         if self.channel is not None:
-            single = ChannelSource(
-                channel=self.channel,
-                unit=self.unit,
-                wrong_unit_in_file=self.wrong_unit_in_file,
-                calibration=self.calibration,
-                quantity=self.quantity,
-                plausible_peak=self.plausible_peak,
-                scale_uncertainty=self.scale_uncertainty or 0.0,
-                zero_drift=self.zero_drift,
-                certificate=self.certificate,
+            stated = {name: getattr(self, name) for name in ChannelSource.model_fields}
+            single = ChannelSource.model_construct(
+                **{name: value for name, value in stated.items() if value is not None}
             )
             return {self._role: single.named(self._role, key)}
         several = (self.channels or {}).items()
@@ -208,12 +228,12 @@ class Source(Block):
 
     @property
     def camera_uncertainty(self) -> float:
-        """Standard uncertainty of the scale of marker tracks, as a ratio; 0 where not stated."""
+        """Return the standard uncertainty of the scale of marker tracks; 0 if not stated."""
         certified = standard_uncertainty(self.certificate)
         return (self.scale_uncertainty or 0.0) if certified is None else certified
 
     def in_role(self, role: str) -> Source:
-        """Give back the same source, knowing its role."""
+        """Return the source with its role."""
         source = self.model_copy()
         source._role = role
         return source

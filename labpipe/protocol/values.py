@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import PurePosixPath, PureWindowsPath
 from types import MappingProxyType
 from typing import Annotated, Any, Final
 
-from pydantic import BeforeValidator, WithJsonSchema
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    WithJsonSchema,
+)
 from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
 
 from labpipe.protocol.faults import error_of
 from labpipe.records.declarations import PatternText, Quantity, Span, WholeNumber
@@ -60,7 +68,7 @@ _PURE = re.compile(rf"\s*{_NUMBER}\s*(1|%|percent|ppm)?\s*")
 
 
 def number_remedy(number: str, unit: str = "") -> str:
-    """Say how to write a number that has thousands separators or a decimal comma.
+    """Describe how to write a number that has thousands separators or a decimal comma.
 
     Parameters
     ----------
@@ -75,10 +83,10 @@ def number_remedy(number: str, unit: str = "") -> str:
     point = number.replace(",", ".")
     is_decimal = _DECIMAL_COMMA.fullmatch(number) is not None
     if re.fullmatch(_NUMBER, number) is None and (grouped := _GROUPED.fullmatch(number)):
-        whole = number.replace(grouped[1], "").replace(",", ".")
+        plain_number = number.replace(grouped[1], "").replace(",", ".")
         if is_decimal:
-            return f"Write {whole}{behind} or {point}{behind}, as meant."
-        return f"Write it without thousands separators: {whole}{behind}."
+            return f"Write {plain_number}{behind} or {point}{behind}, as meant."
+        return f"Write it without thousands separators: {plain_number}{behind}."
     return f"Write it with a decimal point: {point}{behind}." if is_decimal else ""
 
 
@@ -107,7 +115,7 @@ def unit_remedy(unit: str, si_unit: str) -> str:
 
 
 def quantity_remedy(text: object, si_unit: str, example: str) -> str:
-    """Say how to write a quantity that `parse_quantity` refuses.
+    """Describe how to write a quantity that `parse_quantity` refuses.
 
     Parameters
     ----------
@@ -174,7 +182,7 @@ class QuantityText:
             remedy = f"Write it such as {self.of.example!r}."
             raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy)
         above = -math.inf if self.of.above is None else self.of.above
-        if not (above < value and self.of.least <= value <= self.of.most):
+        if not (above < value and self.of.minimum <= value <= self.of.maximum):
             raise error_of(expected=f"a {self._meaning} {self._range}", found=text, remedy=_CORRECT)
         return value
 
@@ -200,23 +208,23 @@ class QuantityText:
         low = "that is finite"
         if self.of.above is not None:
             low = f"above {self.written(self.of.above)}"
-        elif math.isfinite(self.of.least):
-            low = f"from {self.written(self.of.least)} up"
-        high = f", at most {self.written(self.of.most)}" if math.isfinite(self.of.most) else ""
+        elif math.isfinite(self.of.minimum):
+            low = f"from {self.written(self.of.minimum)} up"
+        high = (
+            f", at most {self.written(self.of.maximum)}" if math.isfinite(self.of.maximum) else ""
+        )
         return f"{low}{high}"
 
     @property
     def schema(self) -> JsonSchemaValue:
         """JSON Schema of the text."""
-        texts: JsonSchemaValue = {
-            "type": "string",
-            "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
-            "description": f"A {self._meaning}, {self._range}",
-            "examples": [self.of.example],
-        }
-        if self.of.unit != "1":
-            return texts
-        return texts | {"type": ["string", "number"], "pattern": rf"^\s*{_NUMBER}\s*(%|ppm)?\s*$"}
+        kinds, unit = (
+            ("string", r"\S.*") if self.of.unit != "1" else (["string", "number"], "(%|ppm)?")
+        )
+        description = f"A {self._meaning}, {self._range}"
+        pattern = rf"^\s*{_NUMBER}\s*{unit}\s*$"
+        examples = [self.of.example]
+        return {"type": kinds, "pattern": pattern, "description": description, "examples": examples}
 
 
 def _with_unit(value: float, unit: str) -> str:
@@ -238,8 +246,8 @@ def parse_whole(of: WholeNumber, text: object) -> int:
         If it is no whole number, or out of range.
     """
     is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
-    if not is_whole or not of.least <= int(str(text)) <= of.most:
-        expected = f"a whole number from {of.least} to {of.most}"
+    if not is_whole or not of.minimum <= int(str(text)) <= of.maximum:
+        expected = f"a whole number from {of.minimum} to {of.maximum}"
         raise error_of(expected=expected, found=text)
     return int(str(text))
 
@@ -248,7 +256,7 @@ _SPANS: Final = MappingProxyType(
     {
         "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
         "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
-        "branch": QuantityText(Quantity("1", "%", "5 %", least=1e-6, most=1.0)),
+        "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
     }
 )
 _SPAN_WORDS = "a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or '51 samples'"
@@ -289,15 +297,6 @@ def written_span(span: Span) -> str:
     if span.kind == "samples":
         return f"{span.value:.0f} samples"
     return _SPANS[span.kind].written(span.value)
-
-
-SPAN_SCHEMA: Final[JsonSchemaValue] = {
-    "type": "string",
-    "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
-    "description": f"{_SPAN_WORDS[0].upper()}{_SPAN_WORDS[1:]}",
-    "examples": ["0.1 s", "2 mm", "5 %", "51 samples"],
-}
-"""JSON Schema of a span."""
 
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
@@ -421,22 +420,56 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def one_or_several(item: dict[str, Any]) -> WithJsonSchema:
-    """Describe, for editors, one value or a list of at least one.
+@dataclass(frozen=True, slots=True, eq=False)
+class OrShort:
+    """Annotation of a value that people may also write in a shorter form.
 
     Parameters
     ----------
-    item : JSON Schema of one
+    read : turns the short form into the long one; gives back anything else as it is
+    schema : JSON Schema of the short form
     """
-    return WithJsonSchema({"anyOf": [item, {"type": "array", "minItems": 1, "items": item}]})
+
+    read: Callable[[object], object]
+    schema: Mapping[str, Any]
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.read, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"anyOf": [dict(self.schema), handler(schema)]}
 
 
-Text = Annotated[
-    str, BeforeValidator(_text), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
-]
-Line = Annotated[
-    str, BeforeValidator(_line), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
-]
+def listed(value: object) -> object:
+    """Take one value for a list of one."""
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def row_of(count: int, example: str) -> BeforeValidator:
+    """Accept a list of so many quantities.
+
+    Parameters
+    ----------
+    count : of the quantities
+    example : how a person writes the list
+    """
+
+    def check(value: object) -> object:
+        number = len(value) if isinstance(value, list | tuple) else 0
+        if number != count:
+            found = f"a list of {number}" if number else value
+            raise error_of(expected=f"a list of {count} quantities, such as {example}", found=found)
+        return value
+
+    return BeforeValidator(check)
+
+
+Text = Annotated[str, BeforeValidator(_text), Field(min_length=1)]
+Line = Annotated[str, BeforeValidator(_line), Field(min_length=1)]
 """Text for headings, tables and drawings."""
 Remark = Annotated[
     str,
@@ -444,11 +477,5 @@ Remark = Annotated[
     WithJsonSchema({"type": ["string", "null"]}),
 ]
 """Text that may be empty or left out."""
-Day = Annotated[
-    date, BeforeValidator(parse_day), WithJsonSchema({"type": "string", "format": "date"})
-]
-FileStem = Annotated[
-    str,
-    BeforeValidator(_file_stem),
-    WithJsonSchema({"type": ["string", "number"], "pattern": r"^\w[\w.+-]*$"}),
-]
+Day = Annotated[date, BeforeValidator(parse_day)]
+FileStem = Annotated[str, BeforeValidator(_file_stem)]

@@ -6,15 +6,15 @@ import difflib
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import BeforeValidator, ValidationError, model_validator
 from pydantic_core import CoreSchema, core_schema
 
-from labpipe.errors import Fault, nearest
-from labpipe.protocol.faults import error_of, faults_of, raised
+from labpipe.errors import Fault
+from labpipe.protocol.faults import Values, error_of, faults_of, not_among, raised
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import number_remedy
 from labpipe.records.wire import WireSpec
@@ -24,10 +24,6 @@ Curve = tuple[Numbers, Numbers]
 """Strains and stresses, Pa."""
 _B = TypeVar("_B", bound=Block)
 
-MAX_AREA_DEVIATION = 0.02
-"""Share by which a conductor area may differ from that of the strands' diameters."""
-MAX_MASS_RATIO = 4.0 / 3.0
-"""Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap."""
 _UNITS = {
     "mm": ("_mm", 1e-3),
     "mm^2": ("_mm2", 1e-6),
@@ -54,31 +50,33 @@ class Column:
     Parameters
     ----------
     unit : as shown to people; empty for a pure number
-    least, most : in that unit; they are wider than any wire needs: outside is only a wrong unit or
-        a slip of the hand, and no number inside is too large to work with
+    minimum, maximum : in that unit; they are wider than any wire needs: outside is only a wrong
+        unit or a slip of the hand, and no number inside is too large to work with
     several : whether a cell holds a list
-    whole : whether only whole numbers are allowed
+    is_integer : whether only whole numbers are allowed
     period : after which numbers mean the same again, such as 360 deg
     """
 
     unit: str
-    least: float
-    most: float
+    minimum: float
+    maximum: float
     several: bool = False
-    whole: bool = False
+    is_integer: bool = False
     period: float = math.inf
 
     @property
     def factor(self) -> float:
-        """From the unit to SI."""
+        """Return the factor from the unit to SI."""
         return _UNITS[self.unit][1]
 
     @property
     def allowed(self) -> str:
-        """What a cell may hold, such as ``a number from 0.05 to 200 mm``."""
-        kind = f"{'whole ' * self.whole}number"
-        kind, parted = (f"{kind}s", ", separated by ';'") if self.several else (f"a {kind}", "")
-        return f"{kind} from {self.least:.10g} to {self.most:.10g} {self.unit}".rstrip() + parted
+        """Return what a cell may hold, such as ``a number from 0.05 to 200 mm``."""
+        noun = f"{'whole ' * self.is_integer}number"
+        noun, parted = (f"{noun}s", ", separated by ';'") if self.several else (f"a {noun}", "")
+        return (
+            f"{noun} from {self.minimum:.10g} to {self.maximum:.10g} {self.unit}".rstrip() + parted
+        )
 
     def parse(self, text: object) -> float | Numbers:
         """Read the number, or the numbers, of a cell; they stay in the unit of the column.
@@ -96,24 +94,24 @@ class Column:
         return numbers if self.several else numbers[0]
 
     def _number(self, part: str, cell: str) -> float:
-        fits = _NUMBER.fullmatch(part) and self.least <= float(part) <= self.most
-        if not fits or (self.whole and float(part) % 1.0):
+        fits = _NUMBER.fullmatch(part) and self.minimum <= float(part) <= self.maximum
+        if not fits or (self.is_integer and float(part) % 1.0):
             remedy = _list_remedy(part) if self.several and ";" not in cell else ""
             remedy = remedy or number_remedy(part) or "Correct the cell; is the unit right?"
             raise error_of(expected=self.allowed, found=cell, remedy=remedy)
         value = math.fmod(float(part), self.period)
-        return int(value) if self.whole else value
+        return int(value) if self.is_integer else value
 
     def in_si(self, value: float) -> float:
         """Turn a number of the column into SI; twelve digits, so that 1.4 mm is 0.0014 m."""
-        return value if self.whole else float(f"{value * self.factor:.12g}")
+        return value if self.is_integer else float(f"{value * self.factor:.12g}")
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.parse)
 
 
 def _list_remedy(part: str) -> str:
-    """What to do about commas in a cell that may hold several numbers; empty for none."""
+    """Return what to do about commas in a cell that may hold several numbers; empty for none."""
     listed = ";".join(number.strip() for number in part.split(","))
     if _DECIMAL_COMMA.fullmatch(part):
         return f"Separate numbers by ';': write {listed} for two, {part.replace(',', '.')} for one."
@@ -138,18 +136,21 @@ class WireRow(Block):
 
     wire: Annotated[str, BeforeValidator(_name)]
     wire_diameter_mm: Annotated[float, Column("mm", 0.05, 200.0)]
-    strands: Annotated[int, Column("", 1, 2000, whole=True)]
+    strands: Annotated[int, Column("", 1, 2000, is_integer=True)]
     insulation_thickness_mm: Annotated[float, Column("mm", 0.001, 100.0)]
     lay_angles_deg: Annotated[Numbers, Column("deg", -80.0, 80.0, several=True)] = ()
     conductor_area_mm2: Annotated[float | None, Column("mm^2", 1e-5, 4e4)] = None
     strand_diameter_mm: Annotated[float | None, Column("mm", 0.005, 50.0)] = None
     strand_diameters_mm: Annotated[Numbers, Column("mm", 0.005, 50.0, several=True)] = ()
-    layer_counts: Annotated[tuple[int, ...], Column("", 1, 2000, several=True, whole=True)] = ()
+    layer_counts: Annotated[
+        tuple[int, ...], Column("", 1, 2000, several=True, is_integer=True)
+    ] = ()
     layer_radii_mm: Annotated[Numbers, Column("mm", 0.0, 100.0, several=True)] = ()
     insulation_modulus_mpa: Annotated[float | None, Column("MPa", 0.1, 1e7)] = None
     conductor_modulus_gpa: Annotated[float | None, Column("GPa", 0.1, 1000.0)] = None
     poisson: Annotated[float | None, Column("", -0.99, 0.5)] = None
     insulation_poisson: Annotated[float | None, Column("", -0.99, 0.5)] = None
+    insulation_strain: Annotated[float | None, Column("", 1e-4, 1.0)] = None
     copper_k_mpa: Annotated[float | None, Column("MPa", 1.0, 1e4)] = None
     copper_n: Annotated[float | None, Column("", 0.01, 0.99)] = None
     friction_strand: Annotated[float | None, Column("", 0.0, 10.0)] = None
@@ -166,25 +167,19 @@ class WireRow(Block):
         Literal["auto", "hexagonal", "concentric", "packed", "compressed"],
         BeforeValidator(lambda text: str(text).casefold()),
     ] = "auto"
-    insulation_strain: Annotated[float | None, Column("", 1e-4, 1.0)] = None
     stress_table: str = ""
     insulation_table: str = ""
     remark: str = ""
 
     @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Refuse stress tables together with the numbers that they replace."""
-        row, faults = data if isinstance(data, Mapping) else {}, []
         for table, numbers in _NUMBERS_OF.items():
-            stated = [name for name in numbers if row.get(name)]
-            if row.get(table) and stated:
+            stated = [name for name in numbers if data.get(name)]
+            if data.get(table) and stated:
                 expected = "either a stress table, whose first slope is the modulus, or the numbers"
-                actual, remedy = (
-                    f"a stress table and {', '.join(stated)}",
-                    "Empty one or the other.",
-                )
-                faults.append(Fault((table,), expected, actual, remedy))
-        return faults
+                found = f"a stress table and {', '.join(stated)}"
+                yield Fault((table,), expected, found, "Empty one or the other.")
 
     @model_validator(mode="before")
     @classmethod
@@ -200,18 +195,18 @@ class WireRow(Block):
 
     @property
     def has_mass(self) -> bool:
-        """Whether the sheet says what the wire weighs."""
+        """Return whether the sheet says what the wire weighs."""
         return self.mass_per_length_g_per_m is not None
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Strands of each layer, the core included."""
+        """Return the strands of each layer, the core included."""
         rings = range(1, len(self.lay_angles_deg) + 1)
         return self.layer_counts or (1, *(6 * ring for ring in rings))
 
     @property
     def diameters(self) -> Numbers:
-        """Strand diameter of each layer, mm."""
+        """Return the strand diameter of each layer, mm."""
         if self.strand_diameters_mm:
             return self.strand_diameters_mm
         area = self.conductor_area_mm2 or 0.0
@@ -220,7 +215,7 @@ class WireRow(Block):
 
     @property
     def copper(self) -> float:
-        """Area of all strands, mm^2."""
+        """Return the area of all strands, mm^2."""
         pairs = zip(self.counts, self.diameters, strict=True)
         return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in pairs))
 
@@ -265,6 +260,8 @@ def _layer_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _size_faults(row: WireRow) -> Iterator[Fault]:
+    # Share by which a conductor area may differ from that of the strands' diameters.
+    max_area_deviation = 0.02
     one, per_layer, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
     if one and per_layer:
         actual = "strand_diameter_mm and strand_diameters_mm"
@@ -276,8 +273,8 @@ def _size_faults(row: WireRow) -> Iterator[Fault]:
         expected = "a conductor area or a strand diameter"
         remedy = "Fill in conductor_area_mm2 or strand_diameter_mm."
         yield Fault(("strand_diameter_mm",), expected, "blank cells", remedy)
-    elif area and abs(area / row.copper - 1.0) > MAX_AREA_DEVIATION:
-        expected = f"the {row.copper:.4g} mm^2 of the strands within {MAX_AREA_DEVIATION:.0%}"
+    elif area and abs(area / row.copper - 1.0) > max_area_deviation:
+        expected = f"the {row.copper:.4g} mm^2 of the strands within {max_area_deviation:.0%}"
         remedy = "Correct the area or the strand diameter, or empty one of them."
         yield Fault(("conductor_area_mm2",), expected, f"{area:.4g} mm^2", remedy)
 
@@ -325,6 +322,8 @@ def _room_faults(row: WireRow) -> Iterator[Fault]:
 
 def _mass_faults(row: WireRow) -> Iterator[Fault]:
     """Find a mass that cannot be that of the strands and the wall."""
+    # Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap.
+    max_mass_ratio = 4.0 / 3.0
     stated = row.mass_per_length_g_per_m
     if stated is None:
         return
@@ -334,21 +333,19 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     outer, bore = row.wire_diameter_mm, row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
     conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
     insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
-    whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if 1.0 / MAX_MASS_RATIO <= stated / whole <= MAX_MASS_RATIO:
+    expected_mass = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
+    if 1.0 / max_mass_ratio <= stated / expected_mass <= max_mass_ratio:
         return
-    expected = f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} "
+    expected = (
+        f"within a third of the {expected_mass:.4g} g/m of the section (strands of {conductor:.4g} "
+    )
     expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"
     remedy = "Correct the mass, the sizes or the densities; the unit is g/m, which is kg/km."
     yield Fault(("mass_per_length_g_per_m",), expected, f"{stated:.4g} g/m", remedy)
 
 
 def _density(stated: float | None, field: str) -> float:
-    return stated if stated is not None else float(_default_of(field))
-
-
-def _default_of(field: str) -> Any:
-    return next(spec_field.default for spec_field in fields(WireSpec) if spec_field.name == field)
+    return _SPEC_DEFAULTS[field] if stated is None else stated
 
 
 def wire_spec(
@@ -374,42 +371,40 @@ def wire_spec(
     values: dict[str, Any] = {"layer_counts": row.counts, "stress_table": curve}
     values["insulation_table"] = insulation
     values["strand_diameters"] = tuple(map(COLUMNS["strand_diameter_mm"].in_si, row.diameters))
-    values["lay_angles"] = tuple(map(COLUMNS["lay_angles_deg"].in_si, row.lay_angles_deg))
-    if row.layer_radii_mm:
-        values["layer_radii"] = tuple(map(COLUMNS["layer_radii_mm"].in_si, row.layer_radii_mm))
-    for name in COLUMNS:
+    for name, column in COLUMNS.items():
         value = getattr(row, name)
         if isinstance(value, float) and name not in SIZES:
-            values[field_of(name)] = COLUMNS[name].in_si(value)
+            values[field_of(name)] = column.in_si(value)
+    for name in ("lay_angles_deg", *(["layer_radii_mm"] if row.layer_radii_mm else [])):
+        values[field_of(name)] = tuple(map(COLUMNS[name].in_si, getattr(row, name)))
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
     needless = {*(_OF_THE_CURVE if curve else ()), *(_OF_THE_WALL if insulation else ())}
     needless |= {*(_DENSITIES if row.has_mass else ())}
-    silent = {field_of(name): name for name in _WITH_DEFAULT if name not in needless}
     defaults = {
-        field: default_words(name) + " (blank in this row)" * (name in blank)
-        for field, name in silent.items()
-        if field not in values
+        field_of(name): default_words(name) + " (blank in this row)" * (name in blank)
+        for name in WireRow.model_fields
+        if name not in needless
+        and field_of(name) not in values
+        and (field_of(name) in _SPEC_DEFAULTS or name == "largest_curvature_per_m")
     }
     return WireSpec(name=row.wire, **values, defaults=defaults, place=place)
 
 
-_WITH_DEFAULT = (
-    *("insulation_modulus_mpa", "conductor_modulus_gpa", "poisson"),
-    *("insulation_poisson", "insulation_strain", "copper_k_mpa", "copper_n"),
-    *("friction_strand", "friction_insulation", "radial_force_n"),
-    *(*_DENSITIES, "length_mm", "tension_n"),
-    *("orientation_deg", "largest_curvature_per_m", "layout"),
-)
+_SPEC_DEFAULTS: Final[Mapping[str, Any]] = {
+    spec_field.name: spec_field.default
+    for spec_field in fields(WireSpec)
+    if isinstance(spec_field.default, str | float)
+}
 
 
 def field_of(name: str) -> str:
-    """Field of `WireSpec` that a column fills: its name without the unit."""
+    """Return the field of `WireSpec` that a column fills: its name without the unit."""
     return name.removesuffix(_UNITS[COLUMNS[name].unit][0]) if name in COLUMNS else name
 
 
 def default_words(name: str) -> str:
-    """Say the value that is taken where a column is blank, such as ``tension 0 N``.
+    """Return the value used if a column is blank, such as ``tension 0 N``.
 
     Parameters
     ----------
@@ -418,31 +413,27 @@ def default_words(name: str) -> str:
     field = field_of(name)
     if field == "largest_curvature":
         return "largest curvature at a bending radius of five wire diameters"
-    value = _default_of(field)
-    if value is MISSING:
-        message = f"{name}: allowed are columns with a default"
-        raise ValueError(message)
-    column = COLUMNS.get(name)
+    value, column = _SPEC_DEFAULTS[field], COLUMNS.get(name)
     value_text = f"{value}" if column is None else f"{value / column.factor:.6g} {column.unit}"
     return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
 
-def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
+def parse_row(row_type: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
     """Read the texts of a row by column, or find all that is wrong with them.
 
     Parameters
     ----------
-    kind : `WireRow`, or `labpipe.protocol.stress_curve.StressPoint`
+    kind : `WireRow`, or `labpipe.protocol.wire_rows.StressPoint`
     texts : by column; a blank cell is an empty text
     """
     try:
-        return kind.model_validate(texts)
+        return row_type.model_validate(texts)
     except ValidationError as error:
-        return faults_of(error, data=texts, keys=kind.keys())
+        return faults_of(error, data=texts, keys=row_type.keys())
 
 
 def column_name(heading: str) -> str:
-    """Name of the column that a heading means: in small letters, blanks as underscores."""
+    """Return the column name of a heading: in small letters, blanks as underscores."""
     return re.sub(r"[\s-]+", "_", heading.casefold())
 
 
@@ -461,9 +452,15 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     intended = set(names)
     for number, name in enumerate(names):
         if name not in WireRow.model_fields:
-            column, fault = _unknown(name, headings[number])
-            intended.add(column)
-            yield number, fault
+            meant = next((x for x in COLUMNS if _is_in_another_unit(name, x)), "")
+            unit = COLUMNS[meant].unit if meant else ""
+            remedy = f"Give it in {unit} as {meant!r}." if unit else ""
+            like = difflib.get_close_matches(name, WireRow.model_fields, n=1)
+            intended |= {meant, *like}
+            other = "Correct its name, or remove the column."
+            columns = list(WireRow.model_fields)
+            fault = not_among((), headings[number], columns, "one of the columns", remedy=other)
+            yield number, replace(fault, remedy=remedy or fault.remedy)
         elif name in names[:number]:
             remedy = "Remove or rename one of them."
             yield number, Fault((), "each column once", f"{name!r} again", remedy)
@@ -475,25 +472,80 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
         yield 0, Fault((), expected, "none of them", "Add one.")
 
 
-def _unknown(name: str, heading: str) -> tuple[str, Fault]:
-    """The column that an unknown one may mean, empty if none is like it, and words for it."""
-    columns = list(WireRow.model_fields)
-    same = [column for column in COLUMNS if _is_in_another_unit(name, column)]
-    like = same or difflib.get_close_matches(name, columns, n=1)
-    if not like:
-        expected = f"a column of a wire sheet, such as {', '.join(map(repr, _ALWAYS_THERE))}"
-        return "", Fault((), expected, repr(heading), "Correct its name, or remove the column.")
-    nearest_column = like[0]
-    remedy = f"Did you mean {nearest_column!r}?"
-    if same and COLUMNS[nearest_column].unit:
-        remedy = f"Give it in {COLUMNS[nearest_column].unit} as {nearest_column!r}."
-    listed = dict.fromkeys([nearest_column, *nearest(name, columns, most=3)])
-    expected = f"one of {', '.join(map(repr, listed))}, ..."
-    return nearest_column, Fault((), expected, repr(heading), remedy)
-
-
 def _is_in_another_unit(name: str, column: str) -> bool:
     """Recognise wire_diameter_in, or wire_diameter alone, for wire_diameter_mm."""
     stem = field_of(column)
     rest = name.removeprefix(stem)
     return stem != column and rest != name and bool(re.fullmatch(r"(_per)?(_[a-z0-9]{1,8})?", rest))
+
+
+FIRST_SLOPES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
+"""Slopes (Pa) between which the first one is, of strands and insulation by the column that names
+the table: a wrong unit of strain or stress is outside."""
+
+
+class StressPoint(Block):
+    """One point of a measured stress-strain curve."""
+
+    strain: Annotated[float, Column("", 0.0, 0.6)]
+    stress_mpa: Annotated[float, Column("MPa", 0.0, 1e5)]
+
+
+def curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault] | None:
+    """Find the first point that makes no curve: strains grow, stresses never fall, nor stiffen.
+
+    Parameters
+    ----------
+    points : in the order of the table; one at zero may come first
+    column : of the wire sheet that names the table
+
+    Returns
+    -------
+    Number of the point, counted from 0, and what is wrong with it.
+    """
+    last, first_slope = (0.0, 0.0), 0.0
+    for number, point in enumerate(points):
+        here = (point.strain, point.stress_mpa)
+        if number == 0 and not any(here):
+            continue
+        if wrong := _step_fault(last, here, first_slope):
+            return number, wrong
+        first_slope = first_slope or (here[1] - last[1]) / (here[0] - last[0])
+        last = here
+    if not first_slope:
+        return 0, Fault((), "a point beyond zero", "none", "Fill in the table.")
+    low, high = FIRST_SLOPES[column]
+    if low <= first_slope * 1e6 <= high:
+        return None
+    expected = f"a first slope of {low / 1e9:g} to {high / 1e9:g} GPa"
+    remedy = "Give the strain as a plain number, not in per cent, and the stress in MPa."
+    first = next(number for number, point in enumerate(points) if point.strain)
+    return first, Fault((), expected, f"{first_slope / 1e3:.4g} GPa", remedy)
+
+
+def _step_fault(
+    last: tuple[float, float], here: tuple[float, float], first_slope: float
+) -> Fault | None:
+    """What is wrong with a point behind another one, both of strain and stress in MPa."""
+    # Share of the first slope.
+    rounding = 1e-6
+    remedy = "Put the rows in order and correct them."
+    step, rise = here[0] - last[0], here[1] - last[1]
+    if step <= 0.0:
+        return Fault((), f"a strain above {last[0]:g}", f"{here[0]:g}", remedy)
+    if rise < 0.0 or not (rise or first_slope):
+        expected = f"a stress of {last[1]:g} MPa or more, and more than zero"
+        return Fault((), expected, f"{here[1]:g} MPa", remedy)
+    if first_slope and rise / step > first_slope * (1.0 + rounding):
+        expected = f"a slope up to the first, {first_slope / 1e3:.4g} GPa"
+        return Fault((), expected, f"{rise / step / 1e3:.4g} GPa", remedy)
+    return None
+
+
+def curve_of(points: Sequence[StressPoint]) -> Curve:
+    """Strains and stresses (Pa) beyond zero."""
+    stress = StressPoint.model_fields["stress_mpa"].metadata[0].in_si
+    beyond = [point for point in points if point.strain > 0.0]
+    return tuple(point.strain for point in beyond), tuple(
+        stress(point.stress_mpa) for point in beyond
+    )

@@ -8,11 +8,10 @@ because people read protocols.
 from __future__ import annotations
 
 import errno
-import re
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import yaml
 from yaml.composer import Composer
@@ -20,44 +19,36 @@ from yaml.composer import Composer
 from labpipe.errors import Fault, KeyPath, ProtocolError, error_text
 from labpipe.protocol.faults import shown
 
+if TYPE_CHECKING:
+    from yaml import BaseLoader as _Parser
+else:
+    _Parser = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
+
 Mark: TypeAlias = tuple[int, int]
 """Line and column, counted from 1."""
+PlacedFault: TypeAlias = tuple[str, Mark, str]
+"""A fault, ready to be listed with others: file, position and the whole message."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
 _NOTHING = ("", "~", "null")
-_AMBIGUOUS_YAML = re.compile(r"[!?\t\r\x85\u2028\u2029\ufeff]|:\s*[]},]|[|>][-+\d]*#|---\s*\Z")
-"""Text that libyaml and the Python parser read differently: some characters, a key without a value
-in brackets, a comment directly after a block indicator, nothing after three dashes."""
 
 
-@dataclass(frozen=True, slots=True)
-class YamlPosition:
-    """The position of a key and its value.
+@dataclass(slots=True)
+class Spot:
+    """Where a value is written, and everything in it.
 
     Parameters
     ----------
     file : name of the YAML file
+    name : key or number of an item, as written
     key, value : beginning of each
+    inner : spots of the keys of a block, or of the items of a list by their number
     """
 
     file: str
+    name: str | int
     key: Mark
     value: Mark
-
-
-@dataclass(frozen=True, slots=True)
-class PlacedFault:
-    """One fault, placed, ready to be listed with others.
-
-    Parameters
-    ----------
-    file : name of the YAML file
-    mark : line and column
-    text : the whole message
-    """
-
-    file: str
-    mark: Mark
-    text: str
+    inner: dict[str | int, Spot] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -66,30 +57,42 @@ class Document:
 
     Parameters
     ----------
-    file : its name, as in messages
+    spot : of the whole
     data : blocks as dict, lists as list, everything else as text or None
-    spots : position of each value
     faults : of the YAML itself
-    numbers : by path of a list from which items were removed, the original numbers of the others
     """
 
-    file: str
-    data: object = None
-    spots: dict[KeyPath, YamlPosition] = field(default_factory=dict)
+    spot: Spot
+    data: Any = None
     faults: list[PlacedFault] = field(default_factory=list)
-    numbers: dict[KeyPath, tuple[int, ...]] = field(default_factory=dict)
 
-    def at(self, path: KeyPath) -> object:
+    def at(self, path: KeyPath) -> Any:
         """Find the value under a path.
 
         Parameters
         ----------
         path : of a value that is there
         """
-        node: Any = self.data
+        node = self.data
         for part in path:
             node = node[part]
         return node
+
+    def spot_at(self, path: KeyPath) -> tuple[Spot, KeyPath]:
+        """Find the spot under a path, or of the innermost block around it; the path as written.
+
+        Parameters
+        ----------
+        path : perhaps of a value that is not in the file
+        """
+        spot, written = self.spot, list[str | int]()
+        for number, part in enumerate(path):
+            inner = spot.inner.get(part)
+            if inner is None:
+                return spot, (*written, *path[number:])
+            spot = inner
+            written.append(spot.name)
+        return spot, tuple(written)
 
     def place(self, fault: Fault, remark: str = "") -> PlacedFault:
         """Add its position to a fault.
@@ -99,22 +102,9 @@ class Document:
         fault : a path that is not in the file means the block around it
         remark : added to the end
         """
-        path = fault.path
-        while path not in self.spots:
-            path = path[:-1]
-        spot = self.spots[path]
+        spot, path = self.spot_at(fault.path)
         mark = spot.key if fault.at == "key" else spot.value
-        return place_fault(
-            spot.file, mark, replace(fault, path=self._as_written(fault.path)), remark
-        )
-
-    def _as_written(self, path: KeyPath) -> KeyPath:
-        """Replace numbers of list items by those in the file."""
-        numbers = ((part, self.numbers.get(path[:i])) for i, part in enumerate(path))
-        return tuple(
-            written[part] if written is not None and isinstance(part, int) else part
-            for part, written in numbers
-        )
+        return place_fault(spot.file, mark, replace(fault, path=path), remark)
 
 
 def place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFault:
@@ -129,9 +119,9 @@ def place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> Placed
     """
     key = ".".join(str(part) for part in fault.path)
     place = f"line {mark[0]}, column {mark[1]}" + (f" ({key})" if key else "")
-    remedy = " ".join(part for part in (fault.remedy, remark) if part)
+    remedy = f"{fault.remedy} {remark}".strip()
     text = error_text(file, place, expected=fault.expected, found=fault.found, remedy=remedy)
-    return PlacedFault(file, mark, text.rstrip())
+    return file, mark, text.rstrip()
 
 
 def read_text(path: Path) -> str:
@@ -146,30 +136,60 @@ def read_text(path: Path) -> str:
     ProtocolError
         If there is no such file, or it is not text of at most 1 MB.
     """
+    max_bytes = 1_000_000
     try:
-        _require_readable(path)
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise OSError(errno.EINVAL, "a pipe or a device")
+        if path.is_file() and (size := path.stat().st_size) > max_bytes:
+            raise OSError(errno.EFBIG, f"one of {size / 1e6:.0f} megabytes")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        actual = f"the byte 0x{error.object[error.start]:02x}"
+        place, found = f"byte {error.start}", f"the byte 0x{error.object[error.start]:02x}"
         remedy = "Save it as UTF-8."
-        text = error_text(
-            path, f"byte {error.start}", expected="UTF-8 text", found=actual, remedy=remedy
-        )
+        text = error_text(path, place, expected="UTF-8 text", found=found, remedy=remedy)
         raise ProtocolError(text) from error
     except OSError as error:
-        actual = (error.strerror or str(error)).lower()
-        remedy = "Check the name and the folder."
-        text = error_text(path, "", expected="a YAML file", found=actual, remedy=remedy)
+        found, remedy = (error.strerror or str(error)).lower(), "Check the name and the folder."
+        text = error_text(path, "", expected="a YAML file", found=found, remedy=remedy)
         raise ProtocolError(text) from error
 
 
-def _require_readable(path: Path) -> None:
-    """Refuse devices, and files that are too large."""
-    max_bytes = 1_000_000
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise OSError(errno.EINVAL, "a pipe or a device")
-    if path.is_file() and path.stat().st_size > max_bytes:
-        raise OSError(errno.EFBIG, f"one of {path.stat().st_size / 1e6:.0f} megabytes")
+class _HardToReadError(Exception):
+    """Valid YAML that is refused because it is hard to read: its event and the fault."""
+
+
+class _StrictComposer(Composer):
+    """Refuses aliases and deep nesting."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        max_depth = 16
+        event: yaml.Event = self.peek_event()  # type: ignore[attr-defined]
+        if isinstance(event, yaml.AliasEvent):
+            found = f"the alias '*{event.anchor}'"
+            raise _HardToReadError(event, Fault((), "a value", found, "Write it out."))
+        if self.depth >= max_depth:
+            fault = Fault((), f"at most {max_depth} levels", "more", "Write it in fewer levels.")
+            raise _HardToReadError(event, fault)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+class _Loader(_StrictComposer, _Parser):
+    """Composes the nodes of a text."""
+
+    def __init__(self, text: str) -> None:
+        _Parser.__init__(self, text)
+        Composer.__init__(self)
+
+
+@lru_cache(maxsize=64)
+def _composed(text: str) -> yaml.Node | None:
+    """Compose the nodes of a text, cached for all tests of a protocol."""
+    return yaml.compose(text, Loader=_Loader)
 
 
 def parse_yaml(text: str, file: str) -> Document:
@@ -189,83 +209,21 @@ def parse_yaml(text: str, file: str) -> Document:
     ProtocolError
         If the text is not YAML.
     """
-    document = Document(file)
-    node = _compose(text, file)
-    if node is None:
-        document.spots[()] = YamlPosition(file, (1, 1), (1, 1))
-    else:
-        document.spots[()] = YamlPosition(file, _mark(node), _mark(node))
-        document.data = _value(node, (), document)
+    try:
+        node = _composed(text)
+    except _HardToReadError as error:
+        event, fault = error.args
+        raise ProtocolError(place_fault(file, _mark(event), fault)[2]) from error
+    except (yaml.YAMLError, UnicodeError) as error:
+        raise ProtocolError(_syntax(error, text, file)) from error
+    mark = (1, 1) if node is None else _mark(node)
+    document = Document(Spot(file, "", mark, mark))
+    if node is not None:
+        document.data = _value(node, (), document.spot, document.faults)
     return document
 
 
-class _Composer(Composer):
-    """Refuses aliases and deep nesting."""
-
-    depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        max_depth = 16
-        event: yaml.Event = self.peek_event()  # type: ignore[attr-defined]
-        if isinstance(event, yaml.AliasEvent):
-            actual = f"the alias '*{event.anchor}'"
-            raise _AmbiguousYamlError(event, Fault((), "a value", actual, "Write it out."))
-        if self.depth >= max_depth:
-            remedy = "Write it in fewer levels."
-            raise _AmbiguousYamlError(
-                event, Fault((), f"at most {max_depth} levels", "more", remedy)
-            )
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-
-class _AmbiguousYamlError(Exception):
-    """Valid YAML that is refused because it is hard to read."""
-
-
-class _Loader(_Composer, yaml.BaseLoader):
-    """The Python parser, which describes syntax errors."""
-
-
-_QuickLoader: type[yaml.BaseLoader] | type[yaml.CBaseLoader] = _Loader
-if yaml.__with_libyaml__:
-
-    class _LibyamlLoader(_Composer, yaml.CBaseLoader):
-        """The libyaml parser, seven times as fast."""
-
-        def __init__(self, text: str) -> None:
-            yaml.CBaseLoader.__init__(self, text)
-            Composer.__init__(self)
-
-    _QuickLoader = _LibyamlLoader
-
-
-@lru_cache(maxsize=64)
-def _quickly_composed(text: str) -> tuple[yaml.Node | None] | None:
-    """Compose the nodes of a text, cached for all tests of a protocol; None if it has faults."""
-    if _AMBIGUOUS_YAML.search(text):
-        return None
-    try:
-        return (yaml.compose(text, Loader=_QuickLoader),)
-    except (yaml.YAMLError, _AmbiguousYamlError, UnicodeError):
-        return None
-
-
-def _compose(text: str, file: str) -> yaml.Node | None:
-    if quick := _quickly_composed(text):
-        return quick[0]
-    try:
-        return yaml.compose(text, Loader=_Loader)
-    except _AmbiguousYamlError as error:
-        event, fault = error.args
-        raise ProtocolError(place_fault(file, _mark(event), fault).text) from error
-    except yaml.YAMLError as error:
-        raise ProtocolError(_syntax(error, text, file)) from error
-
-
-def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
+def _syntax(error: Exception, text: str, file: str) -> str:
     """Describe an error of the YAML library."""
     mark = getattr(error, "problem_mark", None)
     if mark is not None:
@@ -275,43 +233,40 @@ def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
         place = f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
     problem = getattr(error, "problem", None) or getattr(error, "reason", "") or "something else"
     context = getattr(error, "context", None)
-    actual = f"text that is none ({problem}{f' {context}' if context else ''})"
+    found = f"text that is none ({problem}{f' {context}' if context else ''})"
     remedy = "Look at this line and the one before it: indentation, ':' and brackets."
-    return error_text(file, place, expected="YAML", found=actual, remedy=remedy)
+    return error_text(file, place, expected="YAML", found=found, remedy=remedy)
 
 
-def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
+def _value(node: yaml.Node, path: KeyPath, spot: Spot, faults: list[PlacedFault]) -> object:
+    """Convert a node to plain values; fill in the spots of everything in it."""
+
+    def refuse(place: yaml.Node, fault: Fault) -> None:
+        faults.append(place_fault(spot.file, _mark(place), fault))
+
     if node.tag not in _PLAIN_TAGS:
-        fault = Fault(path, "a plain value", f"the tag {node.tag!r}", "Leave the tag out.")
-        document.faults.append(place_fault(document.file, _mark(node), fault))
-    if isinstance(node, yaml.MappingNode):
-        return _block(node, path, document)
+        found = f"the tag {node.tag!r}"
+        refuse(node, Fault(path, "a plain value", found, "Leave the tag out."))
     if isinstance(node, yaml.SequenceNode):
-        items = []
-        for number, item in enumerate(node.value):
-            here = (*path, number)
-            document.spots[here] = YamlPosition(document.file, _mark(item), _mark(item))
-            items.append(_value(item, here, document))
-        return items
-    is_plain = isinstance(node, yaml.ScalarNode) and not node.style
-    return None if is_plain and node.value in _NOTHING else node.value
-
-
-def _block(node: yaml.MappingNode, path: KeyPath, document: Document) -> dict[str, object]:
+        marks = [_mark(item) for item in node.value]
+        spot.inner = {i: Spot(spot.file, i, mark, mark) for i, mark in enumerate(marks)}
+        items = enumerate(node.value)
+        return [_value(item, (*path, i), spot.inner[i], faults) for i, item in items]
+    if not isinstance(node, yaml.MappingNode):
+        is_plain = isinstance(node, yaml.ScalarNode) and not node.style
+        return None if is_plain and node.value in _NOTHING else node.value
     block: dict[str, object] = {}
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            fault = Fault(path, "a word as key", shown(key.value), "Write 'key: value'.")
-            document.faults.append(place_fault(document.file, _mark(key), fault))
+            refuse(key, Fault(path, "a word as key", shown(key.value), "Write 'key: value'."))
             continue
-        here = (*path, key.value)
-        if key.value in block:
-            first = document.spots[here].key[0]
-            fault = Fault(here, "each key once", f"{key.value!r} again (first in line {first})")
-            document.faults.append(place_fault(document.file, _mark(key), fault))
+        name, here = key.value, (*path, key.value)
+        if name in block:
+            found = f"{name!r} again (first in line {spot.inner[name].key[0]})"
+            refuse(key, Fault(here, "each key once", found))
             continue
-        document.spots[here] = YamlPosition(document.file, _mark(key), _mark(value))
-        block[key.value] = _value(value, here, document)
+        spot.inner[name] = Spot(spot.file, name, _mark(key), _mark(value))
+        block[name] = _value(value, here, spot.inner[name], faults)
     return block
 
 

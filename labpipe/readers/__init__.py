@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 from labpipe.errors import ReadError
 from labpipe.readers.raw_files import unreadable
 from labpipe.readers.workbooks import is_workbook, open_sheets
+from labpipe.records.quality import Severity
 from labpipe.records.recording import EXPORT_FORMATS, ExportFormat
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Reader:
 
     @property
     def name(self) -> str:
-        """Name of the format, as in protocols."""
+        """Return the name of the format, as in protocols."""
         return self.format.name
 
     def recognise(self, path: Path) -> bool:
@@ -82,13 +83,8 @@ def recognise_export(path: Path) -> Reader:
     from labpipe.readers.unknown_files import describe_unknown
 
     unknown = describe_unknown(path)
-    raise unreadable(
-        path,
-        "",
-        f"an export of a known format ({', '.join(READERS)})",
-        unknown.what,
-        unknown.remedy,
-    )
+    expected = f"an export of a known format ({', '.join(READERS)})"
+    raise unreadable(path, "", expected, unknown.what, unknown.remedy)
 
 
 def read_export(
@@ -123,20 +119,20 @@ def read_export(
     allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
     export_reader = _find_reader(path, allowed, dialect)
     if export_reader.name not in allowed:
-        raise unreadable(
-            path,
-            "",
-            f"a file of the format {' or '.join(allowed)}",
-            f"one of the format {export_reader.name}",
-            "Name the right file, or change `reader` in the protocol.",
-        )
+        expected = f"a file of the format {' or '.join(allowed)}"
+        remedy = "Name the right file, or change `reader` in the protocol."
+        raise unreadable(path, "", expected, f"one of the format {export_reader.name}", remedy)
     if export_reader.name == "load-frame":
         from labpipe.readers import load_frame
 
         recording = load_frame.read(path, channels=channels, dialect=dialect, part=part)
     else:
         recording = export_reader.read(path, channels=channels)
-    _refuse_broken_time(recording, path)
+    for note in recording.notes:
+        if note.severity is Severity.ERROR:
+            expected = "time that increases from sample to sample"
+            remedy = "Export the recording again; it cannot be processed as it is."
+            raise unreadable(path, note.where, expected, note.message, remedy)
     return recording
 
 
@@ -151,17 +147,3 @@ def _find_reader(path: Path, allowed: Sequence[str], dialect: Sequence[str] | No
         if dialect and list(allowed) == ["load-frame"] and path.is_file():
             return READERS["load-frame"]
         raise
-
-
-def _refuse_broken_time(recording: Recording, path: Path) -> None:
-    from labpipe.records.quality import Severity
-
-    for note in recording.notes:
-        if note.severity is Severity.ERROR:
-            raise unreadable(
-                path,
-                note.where,
-                "time that increases from sample to sample",
-                note.message,
-                "Export the recording again; it cannot be processed as it is.",
-            )

@@ -134,8 +134,24 @@ def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: 
             if len(indices) == 1:
                 return indices[0]
             if indices:
-                raise NoChannelError(_ambiguous(name, [paths[i] for i in indices], file), names)
-    raise NoChannelError(_unknown(names, paths, file), names)
+                same = _quoted_list([paths[i] for i in indices])
+                message = error_text(
+                    file,
+                    f"channel {name!r}",
+                    expected="a name that only one channel has",
+                    found=f"{len(indices)} channels of that name",
+                    remedy=f"Give the full path, one of: {same}.",
+                )
+                raise NoChannelError(message, names)
+    close = list(dict.fromkeys(near for name in names for near in nearest(name, paths)))[:5]
+    remedy = "The file holds no channels."
+    if close:
+        remedy = f"Nearest: {_quoted_list(close)}. `labpipe inspect` lists them all."
+    place = f"channel {' or '.join(map(repr, names[:6]))}"
+    place += f" or {len(names) - 6} more" if len(names) > 6 else ""
+    expected = f"one of the {len(paths)} channels of the file"
+    message = error_text(file, place, expected=expected, found="no such channel", remedy=remedy)
+    raise NoChannelError(message, names)
 
 
 def is_exact_name(wanted: ReportOptions, channel: Channel) -> bool:
@@ -190,28 +206,6 @@ def _spellings(path: str) -> set[str]:
     return {path, plain} | unbroken
 
 
-def _ambiguous(wanted: str, paths: list[str], file: object) -> str:
-    return error_text(
-        file,
-        f"channel {wanted!r}",
-        expected="a name that only one channel has",
-        found=f"{len(paths)} channels of that name",
-        remedy=f"Give the full path, one of: {_quoted_list(paths)}.",
-    )
-
-
-def _unknown(names: tuple[str, ...], paths: list[str], file: object) -> str:
-    close = list(dict.fromkeys(near for name in names for near in nearest(name, paths)))[:5]
-    remedy = "The file holds no channels."
-    if close:
-        remedy = f"Nearest: {_quoted_list(close)}. `labpipe inspect` lists them all."
-    expected = f"one of the {len(paths)} channels of the file"
-    place = f"channel {' or '.join(map(repr, names[:6]))}"
-    if len(names) > 6:
-        place += f" or {len(names) - 6} more"
-    return error_text(file, place, expected=expected, found="no such channel", remedy=remedy)
-
-
 def _quoted_list(paths: list[str]) -> str:
     return ", ".join(f"'{path}'" for path in paths)
 
@@ -236,23 +230,26 @@ def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
     -------
     Notes ``constant_channel``, ``units_not_stated`` and ``names_not_unique``.
     """
+    total, notes = len(channels), []
+
+    def add(code: str, message: str) -> None:
+        notes.append(QualityNote(code, Severity.INFO, "channels", message))
+
     constant = [channel.path for channel in channels if _is_constant(channel.values)]
+    if constant:
+        shown = _first_paths(constant)
+        add("constant_channel", f"{len(constant)} of {total} channels never change: {shown}")
     without_unit = [channel.path for channel in channels if not channel.unit_in_file]
+    if without_unit and len(without_unit) == total:
+        add("units_not_stated", "the export states no units; the protocol must")
+    elif without_unit:
+        shown = f"{len(without_unit)} of {total} channels: {_first_paths(without_unit)}"
+        add("units_not_stated", f"no unit is stated for {shown}")
     names = Counter(channel.name for channel in channels)
     shared = [f"{count} are called '{name}'" for name, count in names.items() if count > 1]
-    total, notes = len(channels), []
-    if constant:
-        message = f"{len(constant)} of {total} channels never change: {_first_paths(constant)}"
-        notes.append(QualityNote("constant_channel", Severity.INFO, "channels", message))
-    if without_unit:
-        count = f"{len(without_unit)} of {total}"
-        message = f"no unit is stated for {count} channels: {_first_paths(without_unit)}"
-        if len(without_unit) == total:
-            message = "the export states no units; the protocol must"
-        notes.append(QualityNote("units_not_stated", Severity.INFO, "channels", message))
     if shared:
-        message = f"of {total} channels {', '.join(shared[:_MAX_NOTED])}: distinguish them by path"
-        notes.append(QualityNote("names_not_unique", Severity.INFO, "channels", message))
+        shown = ", ".join(shared[:_MAX_NOTED])
+        add("names_not_unique", f"of {total} channels {shown}: distinguish them by path")
     return notes
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.readers.channels import ReportOptions, channel_notes, find_channel, unique_names
 from labpipe.readers.raw_files import unreadable
 from labpipe.readers.time_axes import clock_notes
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 
@@ -88,13 +88,33 @@ def load_export(
     paths = unique_names([trace.path for trace in export.traces])
     traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
     if channels is not None:
-        known = [(trace.name, trace.path) for trace in traces]
-        chosen = sorted({find_channel(wanted, known, path) for wanted in channels})
+        known_traces = [(trace.name, trace.path) for trace in traces]
+        chosen = sorted({find_channel(wanted, known_traces, path) for wanted in channels})
         traces = [traces[i] for i in chosen]
-    names = _clock_names([name for name, _ in export.axes])
+    rasters = [raster or "time" for raster, _ in export.axes]
+    names = [
+        f"{name} [{i}]" if rasters.count(name) > 1 else name
+        for i, name in enumerate(rasters, start=1)
+    ]
     used = range(len(names)) if channels is None else sorted({t.clock for t in traces})
     clocks = {i: Clock(names[i], _samples(export.axes[i][1]())) for i in used}
-    loaded = [_channel(trace, clocks[trace.clock], path) for trace in traces]
+    notes = [*export.notes]
+    if len(names) > 1:
+        message = f"{len(names)} time axes: {', '.join(names)}"
+        notes.append(QualityNote("several_clocks", Severity.INFO, "file", message))
+    broken = [trace.path for trace in traces if "\\n" in trace.path]
+    if broken:
+        message = f"a path holds the two characters backslash-n: '{broken[0]}'"
+        notes.append(QualityNote("line_break_in_path", Severity.INFO, "channels", message))
+    for clock in clocks.values():
+        notes += clock_notes(clock)
+    if export.start is not None and clocks:
+        notes += _start_note(next(iter(clocks.values())), export.start)
+    loaded = []
+    for trace in traces:
+        channel, its_notes = _channel(trace, clocks[trace.clock], path)
+        loaded.append(channel)
+        notes += its_notes
     version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
         reader=reader,
@@ -103,16 +123,41 @@ def load_export(
         clocks=tuple(clocks.values()),
         channels=tuple(loaded),
         metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
-        notes=(
-            *export.notes,
-            *_clock_count_note(names),
-            *_path_notes(traces),
-            *(note for clock in clocks.values() for note in clock_notes(clock)),
-            *_start_note(list(clocks.values()), export.start),
-            *_value_notes(traces, loaded),
-            *channel_notes(loaded),
-        ),
+        notes=(*notes, *channel_notes(loaded)),
     )
+
+
+def _samples(values: object) -> Floats:
+    return np.asarray(values, dtype=np.float64).ravel()
+
+
+def _start_note(clock: Clock, stated: float) -> list[QualityNote]:
+    """Compare the stated start with the first time axis, to within half a step."""
+    first, second = clock.time[:2] if len(clock.time) > 1 else (stated, stated)
+    if abs(stated - first) <= 0.5 * abs(second - first):
+        return []
+    message = f"StartTimestamp says {stated:.7g} s, the time axis begins at {first:.7g} s: kept"
+    return [QualityNote("start_differs", Severity.INFO, f"clock {clock.name}", message)]
+
+
+def _channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[QualityNote]]:
+    """Load a channel; infinities become NaN, which are noted."""
+    values = _samples(trace.load())
+    if len(values) != len(clock.time):
+        expected = f"{len(clock.time)} samples as on its time axis '{clock.name}'"
+        remedy = "Export the recording again; the file may have been edited."
+        raise unreadable(path, f"channel '{trace.path}'", expected, f"{len(values)}", remedy)
+    infinite, blank = int(np.isinf(values).sum()), np.flatnonzero(~np.isfinite(values))
+    notes = []
+    if infinite:
+        values = np.where(np.isinf(values), np.nan, values)
+    if len(blank):
+        message = f"{len(blank)} of {len(values)} samples are not numbers"
+        message += f" ({infinite} of them infinite)" if infinite else ""
+        message += f", the first at sample {blank[0] + 1}"
+        notes.append(QualityNote("not_finite", Severity.WARNING, trace.path, message))
+    unit = trace.unit_in_file
+    return Channel(trace.name, trace.path, values, clock=clock.name, unit_in_file=unit), notes
 
 
 def to_json(value: object) -> object:
@@ -129,73 +174,6 @@ def to_json(value: object) -> object:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-def _clock_names(rasters: Sequence[str]) -> list[str]:
-    names = [raster or "time" for raster in rasters]
-    return [f"{name} [{i + 1}]" if names.count(name) > 1 else name for i, name in enumerate(names)]
-
-
-def _samples(values: object) -> Floats:
-    return np.asarray(values, dtype=np.float64).ravel()
-
-
-def _channel(trace: Trace, clock: Clock, path: Path) -> Channel:
-    values = _samples(trace.load())
-    if len(values) != len(clock.time):
-        raise unreadable(
-            path,
-            f"channel '{trace.path}'",
-            f"{len(clock.time)} samples as on its time axis '{clock.name}'",
-            f"{len(values)}",
-            "Export the recording again; the file may have been edited.",
-        )
-    infinite = np.isinf(values)
-    if infinite.any():
-        values = np.where(infinite, np.nan, values)
-    return Channel(
-        trace.name, trace.path, values, clock=clock.name, unit_in_file=trace.unit_in_file
-    )
-
-
-def _clock_count_note(clocks: Sequence[str]) -> list[QualityNote]:
-    if len(clocks) < 2:
-        return []
-    message = f"{len(clocks)} time axes: {', '.join(clocks)}"
-    return [QualityNote("several_clocks", Severity.INFO, "file", message)]
-
-
-def _path_notes(traces: Sequence[Trace]) -> list[QualityNote]:
-    broken = [trace.path for trace in traces if "\\n" in trace.path]
-    if not broken:
-        return []
-    message = f"a path holds the two characters backslash-n: '{broken[0]}'"
-    return [QualityNote("line_break_in_path", Severity.INFO, "channels", message)]
-
-
-def _start_note(clocks: Sequence[Clock], stated: float | None) -> list[QualityNote]:
-    """Compare the stated start with the first time axis, to within half a step."""
-    if stated is None or not clocks or len(clocks[0].time) < 2:
-        return []
-    first, second = clocks[0].time[:2]
-    if abs(stated - first) <= 0.5 * abs(second - first):
-        return []
-    message = f"StartTimestamp says {stated:.7g} s, the time axis begins at {first:.7g} s: kept"
-    return [QualityNote("start_differs", Severity.INFO, f"clock {clocks[0].name}", message)]
-
-
-def _value_notes(traces: Sequence[Trace], channels: Sequence[Channel]) -> list[QualityNote]:
-    pairs = [(t, c, np.isnan(c.values)) for t, c in zip(traces, channels, strict=True)]
-    return [_blank_note(trace, blank, of.path) for trace, of, blank in pairs if blank.any()]
-
-
-def _blank_note(trace: Trace, blank: Flags, where: str) -> QualityNote:
-    infinite = int(np.isinf(_samples(trace.load())).sum())
-    first = int(np.flatnonzero(blank)[0]) + 1
-    message = f"{int(blank.sum())} of {len(blank)} samples are not numbers"
-    message += f" ({infinite} of them infinite)" if infinite else ""
-    message += f", the first at sample {first}"
-    return QualityNote("not_finite", Severity.WARNING, where, message)
-
-
 def day_of_saving(header: str) -> date | None:
     """Return the day in the header text of a MAT file, which is always in English.
 
@@ -208,9 +186,9 @@ def day_of_saving(header: str) -> date | None:
     The day; None if there is none.
     """
     match = _SAVED.search(header)
-    if match is None or match.group(1) not in _MONTHS:
+    if match is None or match[1] not in _MONTHS:
         return None
-    return _day(int(match.group(3)), _MONTHS.index(match.group(1)) + 1, int(match.group(2)))
+    return _day(int(match[3]), _MONTHS.index(match[1]) + 1, int(match[2]))
 
 
 def written_date(text: str, near: date | None) -> str:

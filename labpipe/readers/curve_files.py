@@ -11,8 +11,8 @@ lengths side by side. One blank cell is refused.
 File structure: cells separated by tabulator, semicolon, comma or blanks, whichever splits the first
 rows into numbers; decimal point or comma, the same in the whole file. Rows above the names are
 skipped. A file without names is read if its columns are numbered. Of a workbook, the first sheet.
-An incomplete last line without line end (`table_body.whole_lines`) is refused: a curve has no
-notes, and its last point is often its largest force.
+An incomplete last line without line end (`number_table.whole_lines`) is refused, as are words among
+the numbers: a curve has no notes, and its last point is often its largest force.
 
 A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read
 directly: deflection and force of a pushed tip at each increment, from ``*NODE PRINT`` of ``U``
@@ -30,44 +30,35 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice, pairwise
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.errors import ReadError, nearest
-from labpipe.readers.raw_files import (
-    decode,
-    is_binary,
-    line_start,
-    lines_of,
-    read_content,
-    unreadable,
-)
-from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
-from labpipe.readers.table_body import Body, whole_lines
+from labpipe.errors import nearest
+from labpipe.readers.number_table import Body, read_columns, sheet_text
+from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content, unreadable
+from labpipe.readers.sheet_cells import workbook_cells
 from labpipe.readers.text_cells import (
     NUMERAL,
     are_units,
-    is_grouped,
-    is_number,
+    has_dimension_of,
+    is_sample,
     is_unit,
     name_and_unit,
     split_line,
     without_brackets,
 )
-from labpipe.readers.workbooks import is_workbook
+from labpipe.readers.workbooks import is_workbook, open_sheets
 from labpipe.records.arrays import Floats
 from labpipe.units import si_factor, whole_number
 
-__all__ = ["MIN_CURVE_POINTS", "CurveColumn", "read_curve"]
+__all__ = ["CurveColumn", "read_curve"]
 
 MIN_CURVE_POINTS = 3
 """Points of a curve."""
-_SEPARATORS = ("\t", ";", ",", " ")
 _ENCODINGS = ("utf-8", "latin-1")
-_NOT_FINITE = frozenset({"nan", "inf", "infinity"})
 _USUAL_NAMES = {
     "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
     "force": ("force", "tip force"),
@@ -81,163 +72,6 @@ _RUN_AGAIN = "Run ccx again; the file may have been cut off."
 _PRINT_REMEDY = (
     "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
 )
-
-
-def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple[Floats, Floats]:
-    """Read a loading curve.
-
-    Parameters
-    ----------
-    path : text or xlsx
-    deflection, force : the columns
-
-    Returns
-    -------
-    Deflection (m), increasing from row to row, and force (N), both of shape (n,).
-
-    Raises
-    ------
-    ReadError
-        If the file, a column or a unit is missing, a cell contains no finite number, a deflection
-        is not above the one before, the largest force is negative, or there are fewer than 3
-        points.
-    """
-    table = _table(path)
-    wanted = (deflection, force)
-    columns = [find_column(table, column) for column in wanted]
-    if columns[0] == columns[1]:
-        place = f"column {columns[0] + 1} for both"
-        raise unreadable(
-            path, head_of(table), "two columns", place, "Name another one for the force."
-        )
-    factors = [unit_factor(table, at, column) for at, column in zip(columns, wanted, strict=True)]
-    points = _points(table, columns)
-    across, up = (
-        column.sign * factor * np.array([_number(point[i], path) for point in points])
-        for i, (column, factor) in enumerate(zip(wanted, factors, strict=True))
-    )
-    _check_order(path, points, across)
-    _check_sign(path, points, up)
-    return across, up
-
-
-def _table(path: Path) -> CurveTable:
-    cells = workbook_cells(path) if is_workbook(path) else _text_cells(path)
-    unread = next((cell for row in cells for cell in row if cell.unread), None)
-    if unread is not None:
-        remedy = "Correct the cell, and save the workbook in the spreadsheet program."
-        raise unreadable(path, unread.place, "a value", unread.unread, remedy)
-    filled = [row for row in cells if any(cell.text for cell in row)]
-    first = next((i for i, row in enumerate(filled) if _is_sample(row)), None)
-    if first is None:
-        remedy = "Give deflection and force in two columns, one row per point."
-        raise unreadable(path, "", "rows of numbers", "none", remedy)
-    above = filled[:first]
-    units: tuple[str, ...] = ()
-    if len(above) > 1 and are_units([cell.text for cell in above[-1]]):
-        units = tuple(without_brackets(cell.text) for cell in above.pop())
-    names = _without_mark(above[-1]) if above else ()
-    width = max(len(row) for row in filled[first:])
-    return CurveTable(path, names, (*units, *[""] * max(width, len(names))), filled[first:])
-
-
-def _without_mark(row: Sequence[Cell]) -> Row:
-    """Return a heading without a comment mark before it."""
-    bare = Cell(row[0].text.lstrip("# "), row[0].place)
-    return (bare, *row[1:]) if bare.text else tuple(row[1:])
-
-
-def _text_cells(path: Path) -> list[list[Cell]]:
-    # Lines in which the first row of numbers is searched.
-    head_lines = 400
-    content = read_content(path)
-    if is_binary(content):
-        remedy = "Save the curve as csv or xlsx."
-        raise unreadable(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
-    lines = lines_of(decode(content.data, content, _ENCODINGS, path))
-    if is_calculix(lines):
-        return tip_rows(lines, path)
-    for separator in _SEPARATORS:
-        rows = (_cells(split_line(line, separator), i) for i, line in enumerate(lines, start=1))
-        head = list(islice(rows, head_lines))
-        first = next((i for i, row in enumerate(head) if _is_sample(row)), None)
-        if first is not None:
-            names, start = [cell.text for cell in head[first]], line_start(content.data, first)
-            columns = range(len(names))
-            body = Body(content.data, names, columns, first + 1, separator, start=start)
-            if whole_lines(body)[1]:
-                expected = "a complete last line; the numbers above it are longer"
-                remedy = "Export the curve again; if the line is complete, add a line end."
-                found = repr(lines[-1][-60:])
-                raise unreadable(path, f"line {len(lines)}", expected, found, remedy)
-            return [*head, *rows]
-    return []
-
-
-def _cells(cells: Sequence[str], line: int) -> list[Cell]:
-    return [Cell(text.strip(), f"line {line}, column {i}") for i, text in enumerate(cells, start=1)]
-
-
-def _is_sample(row: Sequence[Cell]) -> bool:
-    filled = [cell.text for cell in row if cell.text]
-    return len(filled) > 1 and all(is_number(text) or _is_not_finite(text) for text in filled)
-
-
-def _is_not_finite(text: str) -> bool:
-    return text.lstrip("+-").casefold() in _NOT_FINITE
-
-
-def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
-    """Return the two cells of each row with values, with one decimal sign."""
-    points = []
-    for row in table.rows:
-        blank = Cell("", row[0].place.partition(",")[0])
-        point = [row[at] if at < len(row) else blank for at in columns]
-        if any(cell.text for cell in point):
-            points.append(point)
-    if len(points) < MIN_CURVE_POINTS:
-        expected, remedy = f"at least {MIN_CURVE_POINTS} points", "Give more points of the curve."
-        raise unreadable(table.path, "", expected, f"{len(points)}", remedy)
-    texts = [cell for point in points for cell in point]
-    if any("." in cell.text for cell in texts):
-        for cell in texts:
-            if "," in cell.text:
-                remedy = "Write the file again with one decimal sign and no thousands separator."
-                expected, found = "a decimal point, as elsewhere in the file", repr(cell.text)
-                raise unreadable(table.path, cell.place, expected, found, remedy)
-    return points
-
-
-def _number(cell: Cell, path: Path) -> float:
-    sign = "," if "," in cell.text else "."
-    if NUMERAL[sign].fullmatch(cell.text) and math.isfinite(float(cell.text.replace(",", "."))):
-        return float(cell.text.replace(",", "."))
-    found = repr(cell.text) if cell.text else "a blank cell"
-    remedy = "Correct the row, or remove it."
-    if is_grouped(cell.text):
-        remedy = "Write the file again without thousands separators."
-    raise unreadable(path, cell.place, "a finite number", found, remedy)
-
-
-def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Floats) -> None:
-    """Refuse a curve that turns back or has two forces at one deflection."""
-    for number, (before, here) in enumerate(pairwise(deflection.tolist()), start=1):
-        if here <= before:
-            remedy = "Keep the first loading only, its points in order, each deflection once."
-            if deflection[-1] < deflection[0]:
-                remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
-            expected = f"a deflection above the one before ({1e3 * before:.6g} mm)"
-            found = f"{1e3 * here:.6g} mm"
-            raise unreadable(path, points[number][0].place, expected, found, remedy)
-
-
-def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> None:
-    """Refuse a curve whose largest force is negative."""
-    at = int(np.argmax(np.abs(force)))
-    if force[at] <= 0.0:
-        expected, found = "a largest force above zero", f"{force[at]:.6g} N"
-        remedy = "If the file counts downwards, write 'sign: -1' for the force."
-        raise unreadable(path, points[at][1].place, expected, found, remedy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,83 +93,189 @@ class CurveColumn:
     unit: str | None = None
     sign: int = 1
 
+    @property
+    def example(self) -> str:
+        """Return a usual unit."""
+        return "mm" if self.si_unit == "m" else "N"
+
 
 @dataclass(frozen=True, slots=True)
-class CurveTable:
-    """Cells below their headings.
+class _Table:
+    """The columns of a file.
 
     Parameters
     ----------
     path : of the file
     names : of the columns, with their units; empty without any
     units : of the row of units; empty texts without one
-    rows : rows of samples and those among them
+    head : place of the names, or of the first row
+    body : the rows of samples
     """
 
     path: Path
-    names: Row
-    units: tuple[str, ...]
-    rows: Sequence[Sequence[Cell]]
+    names: Sequence[str]
+    units: Sequence[str]
+    head: str
+    body: Body
 
 
-def head_of(table: CurveTable) -> str:
-    """Return the place of the names, or of the first row."""
-    row = table.names or table.rows[0]
-    return row[0].place.partition(",")[0]
-
-
-def find_column(table: CurveTable, wanted: CurveColumn) -> int:
-    """Find a column by its name, or by its number if none has that name.
+def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple[Floats, Floats]:
+    """Read a loading curve.
 
     Parameters
     ----------
-    table : cells of the file
-    wanted : the column
+    path : text or xlsx
+    deflection, force : the columns
 
     Returns
     -------
-    Its number, counted from 0.
+    Deflection (m), increasing from row to row, and force (N), both of shape (n,).
 
     Raises
     ------
     ReadError
-        If there is none, or several have the name.
+        If the file, a column or a unit is missing, a cell contains no finite number, a deflection
+        is not above the one before, the largest force is negative, or there are fewer than 3
+        points.
     """
+    table = _sheet_table(path) if is_workbook(path) else _text_table(path)
+    wanted = (deflection, force)
+    columns = [_find_column(table, column) for column in wanted]
+    if columns[0] == columns[1]:
+        found, remedy = f"column {columns[0] + 1} for both", "Name another one for the force."
+        raise unreadable(path, table.head, "two columns", found, remedy)
+    factors = [_unit_factor(table, i, column) for i, column in zip(columns, wanted, strict=True)]
+    rows, points = _points(table, columns)
+    places = [[f"{table.body.place(row)}, column {i + 1}" for i in columns] for row in rows]
+    across, up = (
+        column.sign * factor * values
+        for column, factor, values in zip(wanted, factors, points, strict=True)
+    )
+    turns = np.flatnonzero(np.diff(across) <= 0.0)
+    if len(turns):
+        remedy = "Keep the first loading only, its points in order, each deflection once."
+        if across[-1] < across[0]:
+            remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
+        before, here = (1e3 * across[turns[0] + i] for i in (0, 1))
+        expected = f"a deflection above the one before ({before:.6g} mm)"
+        raise unreadable(path, places[turns[0] + 1][0], expected, f"{here:.6g} mm", remedy)
+    top = int(np.argmax(np.abs(up)))
+    if up[top] <= 0.0:
+        remedy = "If the file counts downwards, write 'sign: -1' for the force."
+        expected, found = "a largest force above zero", f"{up[top]:.6g} N"
+        raise unreadable(path, places[top][1], expected, found, remedy)
+    return across, up
+
+
+def _sheet_table(path: Path) -> _Table:
+    unread = next((cell for row in workbook_cells(path) for cell in row if cell.unread), None)
+    if unread is not None:
+        remedy = "Correct the cell, and save the workbook in the spreadsheet program."
+        raise unreadable(path, unread.place, "a value", unread.unread, remedy)
+    name, rows = next(iter(open_sheets(path).items()))
+    return _table(lines_of(sheet_text(rows)), "\t", path, f"sheet '{name}'")
+
+
+def _text_table(path: Path) -> _Table:
+    content = read_content(path)
+    if is_binary(content):
+        remedy = "Save the curve as csv or xlsx."
+        raise unreadable(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
+    lines = lines_of(decode(content.data, content, _ENCODINGS, path))
+    if is_calculix(lines):
+        lines = _tip_lines(lines, path)
+    return _table(lines, "\t;, ", path)
+
+
+def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -> _Table:
+    # Lines in which the first row of numbers is searched.
+    head_lines = 400
+    for separator in separators:
+        rows = [
+            [cell.strip() for cell in split_line(line, separator)] for line in lines[:head_lines]
+        ]
+        first = next(
+            (i for i, row in enumerate(rows) if sum(map(bool, row)) > 1 and is_sample(row)), None
+        )
+        if first is not None:
+            break
+    else:
+        remedy = "Give deflection and force in two columns, one row per point."
+        raise unreadable(path, "", "rows of numbers", "none", remedy)
+    above = [i for i, row in enumerate(rows[:first]) if any(row)]
+    units: list[str] = []
+    if len(above) > 1 and are_units(rows[above[-1]]):
+        units = [without_brackets(cell) for cell in rows[above.pop()]]
+    names = rows[above[-1]] if above else []
+    if names:  # a comment mark may stand before them
+        names[:1] = [names[0].lstrip("# ")] if names[0].lstrip("# ") else []
+    width = max(len(rows[first]), len(names))
+    body = Body(
+        data="\n".join(lines[first:]).encode(),
+        names=[*names, *[""] * (width - len(names))],
+        columns=(),
+        first_line=first + 1,
+        separator=separator,
+        sheet=sheet,
+    )
+    head = body.place((above[-1] if above else first) - first)
+    return _Table(path, names, [*units, *[""] * (width - len(units))], head, body)
+
+
+def _points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floats]]:
+    """Return the rows with values, and both columns."""
+    body = replace(table.body, columns=sorted(columns))
+    arrays, notes = read_columns(body, table.path)
+    for note in notes:
+        if note.code == "truncated":
+            remedy = "Export the curve again; if the line is complete, add a line end."
+            expected = "a complete last line; the numbers above it are longer"
+            place = body.place(body.data.count(b"\n"))
+            found = repr(body.data[body.data.rfind(b"\n") + 1 :].decode()[-60:])
+            raise unreadable(table.path, place, expected, found, remedy)
+        if note.code != "lines_short":
+            remedy = "Correct the rows, or remove them."
+            raise unreadable(table.path, "", "rows of finite numbers", note.message, remedy)
+    points = [arrays[i] for i in columns]
+    blank = np.isnan(points)
+    half = np.flatnonzero(blank[0] != blank[1])
+    if len(half):
+        place = f"{body.place(int(half[0]))}, column {columns[int(blank[1, half[0]])] + 1}"
+        remedy = "Correct the row, or remove it."
+        raise unreadable(table.path, place, "a finite number", "a blank cell", remedy)
+    rows = np.flatnonzero(~blank[0])
+    if len(rows) < MIN_CURVE_POINTS:
+        expected, remedy = f"at least {MIN_CURVE_POINTS} points", "Give more points of the curve."
+        raise unreadable(table.path, "", expected, f"{len(rows)}", remedy)
+    return rows.tolist(), [values[rows] for values in points]
+
+
+def _find_column(table: _Table, wanted: CurveColumn) -> int:
+    """Return the index of a column by its name, or by its number if none has that name."""
     names = _USUAL_NAMES[wanted.what] if wanted.column is None else (wanted.column,)
     spellings = {name.strip().casefold() for name in names}
     matches = [
         i
-        for i, cell in enumerate(table.names)
-        if spellings & {cell.text.casefold(), _split_unit(cell.text, wanted.si_unit)[0].casefold()}
+        for i, name in enumerate(table.names)
+        if spellings & {name.casefold(), _split_unit(name, wanted.si_unit)[0].casefold()}
     ]
     if len(matches) == 1:
         return matches[0]
     if matches:
         text = f"{len(matches)}: columns {', '.join(str(i + 1) for i in matches)}"
         remedy = "Give the number of the right one."
-        raise unreadable(table.path, head_of(table), f"one column {names[0]!r}", text, remedy)
+        raise unreadable(table.path, table.head, f"one column {names[0]!r}", text, remedy)
     width = len(table.units)
     number = whole_number(wanted.column or "")
     if number is not None and 1 <= number <= width:
         return number - 1
-    raise _no_column(table, wanted, names[0])
-
-
-def _no_column(table: CurveTable, wanted: CurveColumn, name: str) -> ReadError:
-    place = head_of(table)
-    example = f"{wanted.what}: {{column: U2, unit: {_example(wanted)}}}"
-    remedy = f"Name it in the plan, such as {example}."
     if not table.names:
         remedy = f"Number it in the plan, such as {wanted.what}: {{column: 1, unit: mm}}."
-        expected = f"a row of names above the numbers, with a column {name!r}"
-        return unreadable(table.path, place, expected, "numbers alone", remedy)
-    known = [cell.text for cell in table.names if cell.text]
-    found = ", ".join(repr(name) for name in nearest(name, known))
-    return unreadable(table.path, place, f"a column {name!r}", found, remedy)
-
-
-def _example(wanted: CurveColumn) -> str:
-    return "mm" if wanted.si_unit == "m" else "N"
+        expected = f"a row of names above the numbers, with a column {names[0]!r}"
+        raise unreadable(table.path, table.head, expected, "numbers alone", remedy)
+    remedy = f"Name it in the plan, such as {wanted.what}: {{column: U2, unit: {wanted.example}}}."
+    found = ", ".join(repr(name) for name in nearest(names[0], [*filter(None, table.names)]))
+    raise unreadable(table.path, table.head, f"a column {names[0]!r}", found, remedy)
 
 
 def _split_unit(text: str, si_unit: str) -> tuple[str, str]:
@@ -348,42 +288,22 @@ def _split_unit(text: str, si_unit: str) -> tuple[str, str]:
     if pair is not None and is_unit(pair[1]):
         return pair
     name, _, tail = text.rpartition("_")
-    return (name, tail) if name and _is_convertible(tail, si_unit) else (text, "")
+    return (name, tail) if name and tail and has_dimension_of(tail, si_unit) else (text, "")
 
 
-def _is_convertible(unit: str, si_unit: str) -> bool:
-    try:
-        si_factor(unit, si_unit)
-    except ValueError:
-        return False
-    return bool(unit)
-
-
-def unit_factor(table: CurveTable, at: int, wanted: CurveColumn) -> float:
-    """Return the factor from the unit of a column to SI.
-
-    Parameters
-    ----------
-    table : cells of the file
-    at : number of the column, counted from 0
-    wanted : the column, with its unit if the plan states it
-
-    Raises
-    ------
-    ReadError
-        If the unit is not stated, is of another dimension, or plan and heading differ.
-    """
-    head = table.names[at].text if at < len(table.names) else ""
+def _unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
+    """Return the factor from the unit of a column to SI; refuse units that contradict."""
+    head = table.names[at] if at < len(table.names) else ""
     stated = _split_unit(head, wanted.si_unit)[1] or table.units[at]
-    place = f"{head_of(table)}, column {at + 1}"
+    place = f"{table.head}, column {at + 1}"
     unit = wanted.unit or stated
     if not unit:
         expected = f"a unit of the {wanted.what}"
-        remedy = f"Write it in the heading ({wanted.what} / {_example(wanted)}) or in the plan."
+        remedy = f"Write it in the heading ({wanted.what} / {wanted.example}) or in the plan."
         raise unreadable(table.path, place, expected, f"none in {head!r}", remedy)
     for text in {unit, stated or unit}:
-        if not _is_convertible(text, wanted.si_unit):
-            expected = f"a unit of the {wanted.what}, such as {_example(wanted)}"
+        if not has_dimension_of(text, wanted.si_unit):
+            expected = f"a unit of the {wanted.what}, such as {wanted.example}"
             raise unreadable(table.path, place, expected, f"{text!r}", "Correct the heading.")
     factor = si_factor(unit, wanted.si_unit)
     if stated and not math.isclose(si_factor(stated, wanted.si_unit), factor):
@@ -392,15 +312,14 @@ def unit_factor(table: CurveTable, at: int, wanted: CurveColumn) -> float:
     return factor
 
 
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """The values below one heading, of the second component."""
+class _Block(NamedTuple):
+    """The mean of the second component below one heading."""
 
     quantity: str
     set_name: str
     time: str
     line: int
-    values: tuple[float, ...]
+    value: float
 
 
 def is_calculix(lines: Sequence[str]) -> bool:
@@ -413,24 +332,8 @@ def is_calculix(lines: Sequence[str]) -> bool:
     return _HEADING.fullmatch(next((line for line in lines if line.strip()), "")) is not None
 
 
-def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
-    """Return deflection and force of the tip.
-
-    Parameters
-    ----------
-    lines : of the file
-    path : named in errors
-
-    Returns
-    -------
-    A row of headings with their units, and one row per increment.
-
-    Raises
-    ------
-    ReadError
-        If one of the two is missing, their times differ, there is more than one set of nodes, or a
-        line under a heading is not numeric.
-    """
+def _tip_lines(lines: Sequence[str], path: Path) -> list[str]:
+    """Return lines of deflection and force of the tip, with units and line numbers of the file."""
     blocks = list(_blocks(lines, path))
     names = sorted({block.set_name for block in blocks})
     if len(names) > 1:
@@ -441,20 +344,23 @@ def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
     )
     for quantity, printed in ((_DEFLECTION, deflections), (_FORCE, forces)):
         if not printed:
-            others = ", ".join(sorted({block.quantity for block in blocks}))
-            raise unreadable(path, "", f"blocks '{quantity}'", f"only {others}", _PRINT_REMEDY)
-    _require_pairs(path, deflections, forces)
-    times = 2.0 if names[0].upper().endswith(HALF_MODEL_SUFFIX) else 1.0
-    heading = [Cell(name, "line 1") for name in ("deflection / m", "force / N")]
-    rows = [
-        [_cell(sum(u.values) / len(u.values), u), _cell(times * f.values[0], f)]
-        for u, f in zip(deflections, forces, strict=True)
-    ]
-    return [heading, *rows]
-
-
-def _cell(value: float, block: _Block) -> Cell:
-    return Cell(f"{value:.9g}", f"line {block.line}")
+            found = f"only {', '.join(sorted({block.quantity for block in blocks}))}"
+            raise unreadable(path, "", f"blocks '{quantity}'", found, _PRINT_REMEDY)
+    times = [[block.time for block in printed] for printed in (deflections, forces)]
+    for block in (*deflections, *forces):
+        if not all(block.time in others for others in times):
+            expected = f"displacements and total force at time {block.time}"
+            found = f"only {block.quantity}"
+            raise unreadable(path, f"line {block.line}", expected, found, _RUN_AGAIN)
+    if times[0] != times[1]:
+        found = f"{len(deflections)} and {len(forces)} in another order"
+        raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)
+    share = 2.0 if names[0].upper().endswith(HALF_MODEL_SUFFIX) else 1.0
+    table = [""] * (len(lines) + 1)
+    table[0] = "deflection / m\tforce / N"
+    for u, f in zip(deflections, forces, strict=True):
+        table[u.line - 1] = f"{u.value:.9g}\t{share * f.value:.9g}"
+    return table
 
 
 def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
@@ -463,37 +369,16 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
     ends = [*(i for i, _ in headings[1:]), len(lines)]
     for (start, match), end in zip(headings, ends, strict=True):
         quantity, _, set_name, time = (group.strip() for group in match.groups())
-        at_second = 2 if quantity != _FORCE else 1
-        filled = [i for i in range(start + 1, end) if lines[i].strip()]
-        values = tuple(
-            _second_component(lines[i], at_second, f"line {i + 1}", path) for i in filled
-        )
-        if not values:
+        second = 2 if quantity != _FORCE else 1  # behind the number of the node
+        values, filled = [], [i for i in range(start + 1, end) if lines[i].strip()]
+        if not filled:
             expected = f"numbers under '{quantity}'"
             raise unreadable(path, f"line {start + 1}", expected, "none", _RUN_AGAIN)
-        yield _Block(quantity, set_name, time, filled[0] + 1, values)
-
-
-def _second_component(line: str, at: int, place: str, path: Path) -> float:
-    """Return the second component. Exponents of very small ones may lack the letter."""
-    cells = line.split()
-    try:
-        if len(cells) == at + 2:
-            return float(cells[at])
-    except ValueError:
-        pass
-    expected = f"{at + 2} numbers"
-    raise unreadable(path, place, expected, repr(line.strip()[:60]), _RUN_AGAIN)
-
-
-def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_Block]) -> None:
-    """Refuse deflections without forces, and vice versa."""
-    at, of = [block.time for block in deflections], [block.time for block in forces]
-    alone = next((block for block in deflections if block.time not in of), None)
-    alone = alone or next((block for block in forces if block.time not in at), None)
-    if alone is not None:
-        expected = f"displacements and total force at time {alone.time}"
-        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _RUN_AGAIN)
-    if at != of:
-        found = f"{len(at)} and {len(of)} in another order"
-        raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)
+        for i in filled:
+            cells = lines[i].split()
+            # Exponents of very small numbers beside it may lack the letter.
+            if len(cells) != second + 2 or not NUMERAL["."].fullmatch(cells[second]):
+                found = repr(lines[i].strip()[:60])
+                raise unreadable(path, f"line {i + 1}", f"{second + 2} numbers", found, _RUN_AGAIN)
+            values.append(float(cells[second]))
+        yield _Block(quantity, set_name, time, filled[0] + 1, sum(values) / len(values))

@@ -28,15 +28,13 @@ from pathlib import Path
 
 from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import Export, Trace, load_export, written_date
-from labpipe.readers.number_rows import read_columns
+from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import read_head, reading, unreadable
-from labpipe.readers.table_body import Body
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
 from labpipe.units import whole_number
 
-_SAMPLES_MARK = b"trace_values"
+_SAMPLES_MARK = b"\ntrace_values"
 _NAMES = "trace_names"
 _EXPORT_AGAIN = "Export the recording from ControlDesk as CSV again."
 _TRACE_PROPERTIES = (
@@ -71,92 +69,57 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     read_head(path)
     with reading(path, "a readable file"):
         content = path.read_bytes().removeprefix(BOM_UTF8)
-    start = _samples_offset(content, path)
+    above, mark, data = (b"\n" + content).partition(_SAMPLES_MARK)
+    if not mark:
+        last_line = content.count(b"\n") + 1
+        expected = "a line that begins with trace_values"
+        raise unreadable(path, f"line {last_line}", expected, "none", _EXPORT_AGAIN)
     with reading(path, "rows of properties"):
-        text = content[:start].decode("utf-8", errors="replace")
+        text = above[1:].decode("utf-8", errors="replace")
         rows = list(csv.reader(io.StringIO(text, newline="")))
-    traces = _properties(rows, path)
-    samples, notes = _samples(content, start, traces, path)
-    export = _export(rows, traces, samples, notes)
-    return load_export(export, reader="dspace-csv", path=path, channels=channels)
-
-
-def _samples_offset(content: bytes, path: Path) -> int:
-    """Return the offset of the line that begins the samples."""
-    start = 0 if content.startswith(_SAMPLES_MARK) else content.find(b"\n" + _SAMPLES_MARK) + 1
-    if start or content.startswith(_SAMPLES_MARK):
-        return start
-    last_line = content.count(b"\n") + 1
-    place = f"line {last_line}"
-    raise unreadable(path, place, "a line that begins with trace_values", "none", _EXPORT_AGAIN)
-
-
-def _properties(rows: Sequence[Sequence[str]], path: Path) -> dict[str, list[str]]:
-    """Return properties of the traces by the first cell of their row, one value per trace."""
-    properties = {row[0]: list(row[1:]) for row in rows if row and row[0]}
-    if len(properties.get(_NAMES, [])) < 1:
-        raise unreadable(
-            path,
-            f"lines 1 to {len(rows)}",
-            "a row trace_names with one cell per trace",
-            "none",
-            _EXPORT_AGAIN,
-        )
-    width = len(properties[_NAMES])
-    return {key: (cells + [""] * width)[:width] for key, cells in properties.items()}
-
-
-def _samples(
-    content: bytes, start: int, traces: Mapping[str, list[str]], path: Path
-) -> tuple[Mapping[int, Floats], list[QualityNote]]:
-    """Return all traces by number; the first cell of a line is not a sample."""
-    size = traces.get("trace_size", [""])[0]
-    width = len(traces[_NAMES])
+    properties = {row[0]: row[1:] for row in rows if row and row[0]}
+    names = properties.get(_NAMES, [])
+    if not names:
+        expected = "a row trace_names with one cell per trace"
+        raise unreadable(path, f"lines 1 to {len(rows)}", expected, "none", _EXPORT_AGAIN)
     body = Body(
-        data=content,
-        names=("", "time", *traces[_NAMES][1:]),
-        columns=range(1, width + 1),
-        first_line=content[:start].count(b"\n") + 1,
+        data=data,
+        names=("", "time", *names[1:]),
+        columns=range(1, len(names) + 1),
+        first_line=above.count(b"\n") + 1,
         separator=",",
         decimal=".",
-        start=start + len(_SAMPLES_MARK),
-        stated_rows=whole_number(size),
+        stated_rows=whole_number(properties.get("trace_size", [""])[0]),
         as_exported=True,
     )
-    return read_columns(body, path)
-
-
-def _export(
-    rows: Sequence[Sequence[str]],
-    traces: Mapping[str, list[str]],
-    samples: Mapping[int, Floats],
-    notes: Sequence[QualityNote],
-) -> Export:
+    samples, notes = read_columns(body, path)
+    traces = [
+        {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
+        for i in range(len(names))
+    ]
     about = _descriptions(rows)
     general, measurement = about.get("General", {}), about.get("Measurement", {})
     saved = _reference_day(measurement.get("ReferenceTime", ""))
-    day = written_date(general.get("DateTime", ""), saved)
-    raster = traces.get("raster", [""])[0]
-    return Export(
-        axes=[(raster, lambda: samples[1])],
-        traces=[_trace(traces, i, samples) for i in range(1, len(traces[_NAMES]))],
+    export = Export(
+        axes=[(traces[0].get("raster", ""), lambda: samples[1])],
+        traces=[_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
         origin=general.get("Origin", ""),
-        metadata={"date": day, **about},
+        metadata={"date": written_date(general.get("DateTime", ""), saved), **about},
         notes=notes,
         start=None,  # the axis begins at 0 whatever StartTimestamp says (25.1)
     )
+    return load_export(export, reader="dspace-csv", path=path, channels=channels)
 
 
-def _trace(traces: Mapping[str, list[str]], i: int, samples: Mapping[int, Floats]) -> Trace:
-    name = traces[_NAMES][i]
-    folder = traces.get("path", [""] * (i + 1))[i]
+def _trace(properties: Mapping[str, str], values: Floats) -> Trace:
+    name, folder = properties[_NAMES], properties.get("path", "")
     return Trace(
         name=name,
         path=f"{folder}/{name}" if folder else name,
-        unit_in_file=traces.get("trace_units", [""] * (i + 1))[i],
+        unit_in_file=properties.get("trace_units", ""),
         clock=0,
-        load=lambda: samples[i + 1],
-        about={key: traces[key][i] for key in _TRACE_PROPERTIES if key in traces},
+        load=lambda: values,
+        about={key: properties[key] for key in _TRACE_PROPERTIES if key in properties},
     )
 
 

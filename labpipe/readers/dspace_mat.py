@@ -19,8 +19,11 @@ in an HDF5 file with a 512-byte user block (v7.3). The content decides, not the 
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from math import ceil, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +39,6 @@ from labpipe.readers.controldesk import (
     to_json,
     written_date,
 )
-from labpipe.readers.mat5 import Node, parse_mat5
 from labpipe.readers.raw_files import read_head, reading, unreadable
 from labpipe.records.quality import QualityNote, Severity
 
@@ -45,10 +47,19 @@ if TYPE_CHECKING:
 
     from labpipe.records.recording import Recording
 
+MatValue = Any
+"""A struct array as a list of mappings, text, an array, or None for unused types."""
+
+_MATRIX, _COMPRESSED = 14, 15
+_NUMERIC = range(6, 16)
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
+_NUMBERS |= {12: "i8", 13: "u8"}
+_TEXT = {1: "latin-1", 2: "latin-1", 16: "utf-8"}
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _REVISION = re.compile(r"Revision (\d+\.\d+)")
 _QUOTED = re.compile(r'"([^"]*)"$')
 _KNOWN_REVISIONS = frozenset({"2.0", "2.1"})
+_EXPORT_AGAIN = "Export the recording from ControlDesk again."
 _MAX_EAGER = 64
 """Elements; larger arrays are read on demand."""
 
@@ -84,7 +95,7 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
 
 
 @contextmanager
-def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
+def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
     """Open either container; yield its variables and the header text with the day of saving."""
     head = read_head(path, 1024)
     created = head[:116].decode("latin-1").strip(" \0")
@@ -99,17 +110,18 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
         file = h5py.File(path, "r")
     with file:
         with reading(path, "a whole MAT v7.3 file"):
-            _require_all_inside(file)
+            _refuse_links(file)
             size = path.stat().st_size
             nodes = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
         yield nodes, created
 
 
-def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:
+def _from_hdf5(node: Any, file: h5py.File, size: int) -> MatValue:
     import h5py
 
     if not isinstance(node, h5py.Group):
         return _from_dataset(node, file, size)
+    _refuse_links(node)
     rows = [len(item) for item in node.values() if _holds_references(item)]
     if not rows:
         return [{key: _from_hdf5(item, file, size) for key, item in node.items()}]
@@ -120,13 +132,23 @@ def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:
     ]
 
 
+def _refuse_links(group: h5py.Group) -> None:
+    """Refuse links into other files, which exports do not use."""
+    import h5py
+
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+            message = f"{group.name.strip('/')}/{name} is a link into another file"
+            raise ValueError(message)
+
+
 def _holds_references(item: Any) -> bool:
     import h5py
 
     return isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is not None
 
 
-def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
+def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
     """Return text, a small array, or a data set that is read on demand."""
     # No deflated data set is larger than 1032 times its file.
     max_deflate_ratio = 1100
@@ -147,19 +169,6 @@ def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
     return item if item.size > _MAX_EAGER else np.asarray(item[()])
 
 
-def _require_all_inside(file: h5py.File) -> None:
-    """Refuse links into other files, which exports do not use."""
-    import h5py
-
-    def leaving(name: bytes, about: Any) -> bytes | None:
-        return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
-
-    link = file.id.links.visit(leaving, info=True)
-    if link is not None:
-        message = f"{link.decode(errors='replace')} is a link into another file"
-        raise ValueError(message)
-
-
 def _is_whole(item: h5py.Dataset) -> bool:
     """Return whether the file contains all samples of a data set; small ones are not checked."""
     if item.size <= _MAX_EAGER:
@@ -170,29 +179,21 @@ def _is_whole(item: h5py.Dataset) -> bool:
     return bool(item.id.get_num_chunks() >= prod(ceil(every / one) for every, one in sizes))
 
 
-def _find_recording(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str, Node]]:
+def _find_recording(
+    variables: Mapping[str, MatValue], path: Path
+) -> tuple[str, dict[str, MatValue]]:
     """Return the only variable with the fields X and Y, whatever its name."""
-    structs = {
-        name: item[0]
-        for name, item in variables.items()
-        if isinstance(item, list)
-        and item
-        and isinstance(item[0], dict)
-        and {"X", "Y"} <= {*item[0]}
-    }
+    structs = {name: _nested(variables, name) for name in variables}
+    structs = {name: item for name, item in structs.items() if {"X", "Y"} <= {*item}}
     if len(structs) == 1:
         return next(iter(structs.items()))
     names = ", ".join(list(structs or variables)[:5]) or "nothing"
-    raise unreadable(
-        path,
-        "",
-        "one variable with the fields X and Y, as ControlDesk writes it",
-        f"{len(structs)} among the variables {names}" if structs else f"only {names}",
-        "Export the recording from ControlDesk as MAT.",
-    )
+    found = f"{len(structs)} among the variables {names}" if structs else f"only {names}"
+    expected = "one variable with the fields X and Y, as ControlDesk writes it"
+    raise unreadable(path, "", expected, found, "Export the recording from ControlDesk as MAT.")
 
 
-def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Export:
+def _parse(name: str, tree: Mapping[str, MatValue], created: str, path: Path) -> Export:
     axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
     general = _nested(tree, "Description", "General")
     written = _text(general, "DateTime") or _text(_nested(tree, "Capture"), "DateTime")
@@ -214,31 +215,23 @@ def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Exp
     )
 
 
-def _structs(tree: Mapping[str, Node], field: str, path: Path) -> list[dict[str, Node]]:
+def _structs(tree: Mapping[str, MatValue], field: str, path: Path) -> list[dict[str, MatValue]]:
     items = tree[field]
     if isinstance(items, list) and all(isinstance(item, dict) and "Data" in item for item in items):
         return items
-    raise unreadable(
-        path,
-        f"field {field}",
-        "a struct with the field Data",
-        "something else",
-        "Export the recording from ControlDesk again.",
-    )
+    expected = "a struct with the field Data"
+    raise unreadable(path, f"field {field}", expected, "something else", _EXPORT_AGAIN)
 
 
-def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
+def _trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
     port, folder = _text(item, "Name"), _text(item, "Path")
     quoted = _QUOTED.search(port)  # revision 2.0 has the whole quoted path in Name
     full = f"{folder}/{port}" if folder else port
     index = _number(item.get("XIndex", 1))
     if index is None or not 1 <= index <= n_axes or index != int(index):
+        place, found = f"channel '{full}', XIndex", str(to_json(item.get("XIndex")))
         raise unreadable(
-            path,
-            f"channel '{full}', XIndex",
-            f"the number of a time axis, 1 to {n_axes}",
-            str(to_json(item.get("XIndex"))),
-            "Export the recording from ControlDesk again.",
+            path, place, f"the number of a time axis, 1 to {n_axes}", found, _EXPORT_AGAIN
         )
     return Trace(
         name=quoted.group(1) if quoted else port,
@@ -250,7 +243,7 @@ def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
     )
 
 
-def _loader(item: Mapping[str, Node], what: str, path: Path) -> Callable[[], object]:
+def _loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callable[[], object]:
     """Return a function that loads the samples of an axis or a channel as floats."""
 
     def load() -> object:
@@ -264,7 +257,7 @@ def _loader(item: Mapping[str, Node], what: str, path: Path) -> Callable[[], obj
     return load
 
 
-def _nested(tree: Mapping[str, Node], *keys: str) -> dict[str, Node]:
+def _nested(tree: Mapping[str, MatValue], *keys: str) -> dict[str, MatValue]:
     """Return the nested struct at the keys, empty if there is none."""
     for key in keys:
         below = tree.get(key)
@@ -274,32 +267,26 @@ def _nested(tree: Mapping[str, Node], *keys: str) -> dict[str, Node]:
     return dict(tree)
 
 
-def _text(item: Mapping[str, Node], key: str) -> str:
+def _text(item: Mapping[str, MatValue], key: str) -> str:
     value = item.get(key, "")
     return value if isinstance(value, str) else ""
 
 
-def _number(value: Node) -> float | None:
+def _number(value: MatValue) -> float | None:
     array = np.asarray(value) if value is not None else np.empty(0)
     return float(array.ravel()[0]) if array.size == 1 and array.dtype.kind in "biuf" else None
 
 
-def _revision(tree: Mapping[str, Node], path: Path) -> str:
+def _revision(tree: Mapping[str, MatValue], path: Path) -> str:
     info = _nested(tree, "Info")
     numbers = [_number(info.get(key)) for key in ("RevisionMajor", "RevisionMinor")]
     match = _REVISION.search(_text(_nested(tree, "Description"), "GeneratorVersion"))
+    revision = match[1] if match else ""
     if None not in numbers:
         revision = ".".join(f"{number:g}" for number in numbers)
-    else:
-        revision = match.group(1) if match else ""
     if revision and not revision.startswith("2."):
-        raise unreadable(
-            path,
-            "Info",
-            "a file format revision 2.x",
-            revision,
-            "Export the recording with ControlDesk 7 as MAT.",
-        )
+        remedy = "Export the recording with ControlDesk 7 as MAT."
+        raise unreadable(path, "Info", "a file format revision 2.x", revision, remedy)
     return revision
 
 
@@ -313,3 +300,147 @@ def _notes(metadata: Mapping[str, object], path: Path) -> list[QualityNote]:
         message = f"file format revision {revision or 'not stated'}: only 2.0 and 2.1 are known"
         notes.append(QualityNote("revision_unseen", Severity.WARNING, "file", message))
     return notes
+
+
+@dataclass(slots=True)
+class _Cursor:
+    """A position in the elements of a file, with the byte order of the file."""
+
+    data: memoryview
+    order: str
+    at: int = 0
+
+    def element(self) -> tuple[int, memoryview]:
+        """Return type and bytes of the next element, and advance past its padding."""
+        if self.at + 8 > len(self.data):
+            message = f"ends after {len(self.data)} bytes, within the tag of an element"
+            raise ValueError(message)
+        kind, size = struct.unpack_from(self.order + "II", self.data, self.at)
+        start, padded = self.at + 8, 8
+        if kind >> 16:  # small element: one word with size and type, then its data
+            size, kind, start = kind >> 16, kind & 0xFFFF, self.at + 4
+        elif kind != _COMPRESSED:
+            padded += -(-size // 8) * 8
+        else:
+            padded += size
+        if start + size > len(self.data):
+            message = f"an element of {size} bytes with {len(self.data) - start} bytes left"
+            raise ValueError(message)
+        self.at = min(self.at + padded, len(self.data))
+        return kind, self.data[start : start + size]
+
+    def numbers(self) -> np.ndarray:
+        """Return the numbers of the next element, in the type in which they are stored."""
+        kind, data = self.element()
+        if kind not in _NUMBERS:
+            message = f"type {kind} instead of numbers"
+            raise ValueError(message)
+        array: np.ndarray = np.frombuffer(data, dtype=self.order + _NUMBERS[kind])
+        return array
+
+    def inside(self, data: memoryview) -> _Cursor:
+        """Return a cursor over the parts of an element."""
+        return _Cursor(data, self.order)
+
+
+def parse_mat5(content: bytes) -> dict[str, MatValue]:
+    """Read the variables of a MAT file of version 5 (MathWorks, *MAT-File Format*, level 5).
+
+    Used instead of scipy.io.loadmat, which crashes the process (segmentation fault, scipy 1.17) on
+    some damaged files.
+
+    Parameters
+    ----------
+    content : the whole file
+
+    Returns
+    -------
+    Variables by name. A struct is a list of mappings (one per element of the struct array), text
+    is text (of one row), numbers are an array of shape (n,) in the type in which they are
+    stored. Sparse, complex, function and opaque variables are None.
+
+    Raises
+    ------
+    ValueError, struct.error, zlib.error, LookupError
+        If the file is cut off or damaged.
+    """
+    header_bytes = 128
+    order = ">" if content[126:128] == b"MI" else "<"
+    cursor = _Cursor(memoryview(content), order, header_bytes)
+    variables: dict[str, MatValue] = {}
+    while cursor.at < len(content):
+        kind, data = cursor.element()
+        if kind == _COMPRESSED:
+            kind, data = cursor.inside(memoryview(zlib.decompress(data))).element()
+        if kind == _MATRIX:
+            name, value = _matrix(cursor.inside(data))
+            variables[name] = value
+    return variables
+
+
+def _matrix(cursor: _Cursor) -> tuple[str, MatValue]:
+    """Return name and value of one array; an array of no bytes is empty."""
+    cell, struct_, object_, char = 1, 2, 3, 4
+    complex_flag = 0x0800
+    if not len(cursor.data):
+        return "", np.empty(0)
+    flags = int(cursor.numbers()[0])
+    count = int(np.prod([int(n) for n in cursor.numbers()], dtype=object))
+    _, name = cursor.element()
+    kind = flags & 0xFF
+    value: MatValue = None
+    if kind == object_:
+        cursor.element()  # its class name
+    if kind in {struct_, object_}:
+        value = _struct_array(cursor, count)
+    elif kind == cell:
+        value = [_part(cursor) for _ in range(_bounded(count, cursor))]
+    elif kind == char:
+        value = _mat5_text(cursor)
+    elif kind in _NUMERIC and not flags & complex_flag:
+        value = _array(cursor, count)
+    return bytes(name).decode("latin-1"), value
+
+
+def _part(cursor: _Cursor) -> MatValue:
+    kind, data = cursor.element()
+    if kind != _MATRIX:
+        message = f"type {kind} instead of an array"
+        raise ValueError(message)
+    return _matrix(cursor.inside(data))[1]
+
+
+def _struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
+    """Return the elements of a struct array, each with its fields in order."""
+    width = int(cursor.numbers()[0])
+    _, names = cursor.element()
+    packed = bytes(names)
+    if not packed or width < 1:
+        return []
+    keys = [packed[i : i + width].split(b"\0")[0] for i in range(0, len(packed), width)]
+    fields = [key.decode("latin-1") for key in keys]
+    return [{field: _part(cursor) for field in fields} for _ in range(_bounded(count, cursor))]
+
+
+def _bounded(count: int, cursor: _Cursor) -> int:
+    """Return a count of parts if there are eight bytes for each of them."""
+    if not 0 <= count <= len(cursor.data) // 8:
+        message = f"{count} parts in {len(cursor.data)} bytes"
+        raise ValueError(message)
+    return count
+
+
+def _mat5_text(cursor: _Cursor) -> str:
+    kind, data = cursor.element()
+    if kind in {4, 17}:
+        name = "utf-16-le" if cursor.order == "<" else "utf-16-be"
+        return bytes(data).decode(name, errors="replace")
+    return bytes(data).decode(_TEXT[kind], errors="replace")
+
+
+def _array(cursor: _Cursor, count: int) -> np.ndarray:
+    values = cursor.numbers()
+    if len(values) != count:
+        message = f"{len(values)} numbers instead of {count}"
+        raise ValueError(message)
+    return values

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, error_text
-from labpipe.readers.motive_table import derived_rate, unique_names
+from labpipe.readers.motive_takes import derived_rate, unique_names
 from labpipe.readers.raw_files import unreadable
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import whole_number
 
-_BODY_WORDS = frozenset({"trackable", "rigidbody"})
-
-
 _EXPORT_AGAIN = "Export the take from Motive again; the file may have been cut off or edited."
 
-Point = tuple[float, float, float]
+_BODY_WORDS = ("trackable", "rigidbody")
+_Point = tuple[float, float, float]
 
 
 @dataclass(slots=True)
@@ -34,7 +31,7 @@ class _Body:
     poses: dict[int, list[float]] = field(default_factory=dict)
     tracked: dict[int, bool] = field(default_factory=dict)
     errors: dict[int, float] = field(default_factory=dict)
-    measured: dict[int, list[Point]] = field(default_factory=dict)
+    measured: dict[int, list[_Point]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -50,7 +47,7 @@ class _Take:
     times: list[float] = field(default_factory=list)
     n_bodies: list[int] = field(default_factory=list)
     n_points: list[int] = field(default_factory=list)
-    named: dict[tuple[str, str], dict[int, Point]] = field(default_factory=dict)
+    named: dict[tuple[str, str], dict[int, _Point]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +93,17 @@ def parse_rows(text: str, path: Path) -> RowExport:
     """
     take, notes = _Take(), []
     lines = text.splitlines()
-    for number, cells in _cells(lines, path):
+    for number, line in enumerate(lines, start=1):
+        cells = [line]
         try:
-            _read_line(take, cells)
-        except (ValueError, IndexError, KeyError) as error:
+            cells = next(csv.reader([line]), [])
+            if cells:
+                _read_line(take, cells)
+        except (ValueError, IndexError, KeyError, csv.Error) as error:
             if number < len(lines):
-                raise ReadError(_bad_line(path, number, cells, error)) from error
+                expected = "one of the row types of a Motive export with all its cells"
+                found = f"'{cells[0][:20]}' with {len(cells)} cells ({error})"
+                raise unreadable(path, f"line {number}", expected, found, _EXPORT_AGAIN) from error
             message = f"the last line ({number}) is incomplete and was left out"
             notes.append(QualityNote("truncated", Severity.WARNING, "file", message))
     if not take.version.startswith("1."):
@@ -114,40 +116,20 @@ def parse_rows(text: str, path: Path) -> RowExport:
     return RowExport(take.version, _tracks(take), _about(take), notes + _notes(take))
 
 
-def _cells(lines: Sequence[str], path: Path) -> Iterator[tuple[int, list[str]]]:
-    for number, line in enumerate(lines, start=1):
-        try:
-            rows = list(csv.reader([line]))
-        except csv.Error as error:
-            raise ReadError(_bad_line(path, number, [line], error)) from error
-        if rows and rows[0]:
-            yield number, rows[0]
-
-
-def _bad_line(path: Path, number: int, cells: Sequence[str], error: Exception) -> str:
-    return error_text(
-        path,
-        f"line {number}",
-        expected="one of the row types of a Motive export with all its cells",
-        found=f"'{cells[0][:20]}' with {len(cells)} cells ({error})",
-        remedy=_EXPORT_AGAIN,
-    )
-
-
 def _read_line(take: _Take, cells: list[str]) -> None:
-    kind = cells[0]
-    if kind == "comment":
+    first_cell = cells[0]
+    if first_cell == "comment":
         take.title = take.title or cells[1]
-    elif kind == "info":
+    elif first_cell == "info":
         take.info[cells[1]] = cells[2]
         take.version = take.info.get("version", take.version)
-    elif kind in {"righthanded", "lefthanded"}:
-        take.handedness = kind
-    elif kind == "frame":
+    elif first_cell in {"righthanded", "lefthanded"}:
+        take.handedness = first_cell
+    elif first_cell == "frame":
         _read_frame(take, cells)
-    elif kind in _BODY_WORDS and _is_integer(cells[1]) and not _is_integer(cells[3]):
+    elif first_cell in _BODY_WORDS and _is_integer(cells[1]) and not _is_integer(cells[3]):
         _read_body(take, cells)
-    elif kind in _BODY_WORDS:
+    elif first_cell in _BODY_WORDS:
         take.bodies[cells[1]] = _Body(cells[1], cells[2], int(cells[3]))
     else:
         message = "unknown row type"
@@ -206,41 +188,37 @@ def _read_body(take: _Take, cells: list[str]) -> None:
     body.errors[row] = error
 
 
-def _point(cells: Sequence[str]) -> Point:
+def _point(cells: Sequence[str]) -> _Point:
     return float(cells[0]), float(cells[1]), float(cells[2])
 
 
 def _tracks(take: _Take) -> MarkerTracks:
+    """Return the measured markers of the bodies, then points with another name (1.1)."""
     time = np.array(take.times)
-    names, columns = _marker_columns(take)
-    positions = np.full((len(time), len(columns), 3), np.nan)
-    for i, column in enumerate(columns):
+    objects = [
+        (f"{body.name}-Marker {i + 1}", body.id)
+        for body in take.bodies.values()
+        for i in range(body.n_markers)
+    ]
+    columns = [
+        {row: points[i] for row, points in body.measured.items() if i < len(points)}
+        for body in take.bodies.values()
+        for i in range(body.n_markers)
+    ]
+    body_markers = {name for name, _ in objects}
+    others = {label: points for label, points in take.named.items() if label[0] not in body_markers}
+    positions = np.full((len(time), len(objects) + len(others), 3), np.nan)
+    for i, column in enumerate([*columns, *others.values()]):
         for row, place in column.items():
             positions[row, i] = place
     return MarkerTracks(
         time=time,
         frames=np.array(take.numbers),
         rate=derived_rate(time),
-        names=names,
+        names=unique_names([*objects, *others]),
         positions=positions,
         bodies=tuple(_rigid_body(body, len(time)) for body in take.bodies.values()),
     )
-
-
-def _marker_columns(take: _Take) -> tuple[tuple[str, ...], list[dict[int, Point]]]:
-    """Return measured markers of the bodies, then points with another name (1.1)."""
-    objects: list[tuple[str, str]] = []
-    columns: list[dict[int, Point]] = []
-    for body in take.bodies.values():
-        for i in range(body.n_markers):
-            objects.append((f"{body.name}-Marker {i + 1}", body.id))
-            columns.append({r: p[i] for r, p in body.measured.items() if i < len(p)})
-    body_markers = {name for name, _ in objects}
-    for label, column in take.named.items():
-        if label[0] not in body_markers:
-            objects.append(label)
-            columns.append(column)
-    return unique_names(objects), columns
 
 
 def _rigid_body(body: _Body, frames: int) -> RigidBody:
@@ -270,31 +248,25 @@ def _about(take: _Take) -> dict[str, object]:
 
 
 def _notes(take: _Take) -> list[QualityNote]:
+    frames, without_body = len(take.numbers), take.n_bodies.count(0)
     message = "no unit is stated: positions are taken as metres, mean errors as millimetres"
     notes = [QualityNote("unit_assumed", Severity.WARNING, "take", message)]
     stated = whole_number(take.info.get("framecount", ""))
-    if stated not in {None, len(take.numbers)}:
-        message = f"the header states {stated} rows, the file holds {len(take.numbers)} frames"
+    if stated not in {None, frames}:
+        message = f"the header states {stated} rows, the file holds {frames} frames"
         notes.append(QualityNote("rows_differ", Severity.WARNING, "file", message))
-    if 0 in take.n_bodies:
-        message = f"{take.n_bodies.count(0)} of {len(take.numbers)} frames hold no rigid body"
+    if without_body:
+        message = f"{without_body} of {frames} frames hold no rigid body"
         notes.append(QualityNote("frames_without_body", Severity.INFO, "take", message))
     message = f"{min(take.n_points)} to {max(take.n_points)} markers are seen in a frame"
     notes.append(QualityNote("visible_markers", Severity.INFO, "markers", message))
-    return notes + _anonymous_note(take)
-
-
-def _anonymous_note(take: _Take) -> list[QualityNote]:
-    """Count the points of version 1.0 that belong to no body: they have no identity."""
-    if take.named:
-        return []
-    measured = np.zeros(len(take.numbers), dtype=np.int64)
+    of_no_body = np.array(take.n_points)
     for body in take.bodies.values():
-        for row, places in body.measured.items():
-            measured[row] += sum(not np.isnan(place[0]) for place in places)
-    anonymous = np.array(take.n_points) - measured
-    if not (anonymous > 0).any():
-        return []
-    points, frames = int(anonymous[anonymous > 0].sum()), int((anonymous > 0).sum())
-    message = f"{points} points in {frames} frames belong to no body and have no identity: left out"
-    return [QualityNote("anonymous_markers", Severity.INFO, "markers", message)]
+        for row, points in body.measured.items():
+            of_no_body[row] -= sum(not np.isnan(point[0]) for point in points)
+    of_no_body = of_no_body[of_no_body > 0]
+    if len(of_no_body) and not take.named:  # in version 1.0 they have no identity
+        message = f"{of_no_body.sum()} points in {len(of_no_body)} frames belong to no body and"
+        message += " have no identity: left out"
+        notes.append(QualityNote("anonymous_markers", Severity.INFO, "markers", message))
+    return notes

@@ -8,7 +8,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers.expat import ExpatError
@@ -86,11 +86,11 @@ def reading(
         if isinstance(error, OSError) and error.filename is not None:
             found = f"one that cannot be opened ({error.strerror})"
             raise unreadable(path, "", "a file", found, _CHECK_NAME) from error
-        found = f"a damaged one ({_first_line(error)})"
-        raise unreadable(path, "", what, found, remedy) from error
+        first_line = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise unreadable(path, "", what, f"a damaged one ({first_line[:160]})", remedy) from error
 
 
-def read_head(path: Path, size: int = 65536) -> bytes:
+def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
     """Read the first bytes of an export.
 
     Parameters
@@ -108,29 +108,17 @@ def read_head(path: Path, size: int = 65536) -> bytes:
         If the file does not exist, is a folder, a pipe or a device, is not readable, or is empty.
     """
     with reading(path, "a readable file"):
-        kind, head = _special_kind(path), b""
-        if not kind:
-            with path.open("rb") as stream:
-                head = stream.read(size)
-    if kind:
-        remedy = "Name one of the files in it." if kind == "a folder" else "Name a plain file."
-        raise unreadable(path, "", "a file", kind, remedy)
+        if path.is_dir():
+            remedy = "Name one of the files in it."
+            raise unreadable(path, "", "a file", "a folder", remedy)
+        if path.exists() and not path.is_file():  # reading a pipe would block
+            raise unreadable(path, "", "a file", "a pipe or a device", "Name a plain file.")
+        with path.open("rb") as stream:
+            head = stream.read(size)
     if not head:
         remedy = "Save or export it again."
         raise unreadable(path, "", "a file with content", "an empty file (0 bytes)", remedy)
     return head
-
-
-def _special_kind(path: Path) -> str:
-    """Return the kind of a path that is not a plain file: reading a pipe would block."""
-    if path.is_dir():
-        return "a folder"
-    return "a pipe or a device" if path.exists() and not path.is_file() else ""
-
-
-def _first_line(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:160] if lines else type(error).__name__
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +155,6 @@ def read_content(path: Path) -> Content:
     return as_content(data)
 
 
-def read_beginning(path: Path) -> Content:
-    """Read the head of a text export for recognition."""
-    return as_content(read_head(path, HEAD_BYTES))
-
-
 def as_content(data: bytes) -> Content:
     """Normalise encoding and line ends, so that the bytes can be split into cells.
 
@@ -196,13 +179,12 @@ def as_content(data: bytes) -> Content:
 
 def _utf16(head: bytes) -> str:
     """Detect UTF-16 without a byte order mark: nearly every second byte is NUL."""
-    half = len(head) // 2
-    if half < 2 or b"\0" not in head:
-        return ""
-    if head[1::2].count(0) > 0.9 * half and not head[::2].count(0):
-        return "utf-16-le"
-    if head[::2].count(0) > 0.9 * half and not head[1::2].count(0):
-        return "utf-16-be"
+    for encoding, letters, zeros in (
+        ("utf-16-le", head[::2], head[1::2]),
+        ("utf-16-be", head[1::2], head[::2]),
+    ):
+        if len(head) > 3 and zeros.count(0) > 0.9 * (len(head) // 2) and not letters.count(0):
+            return encoding
     return ""
 
 
@@ -223,13 +205,13 @@ def lines_of(text: str) -> list[str]:
 
 def line_start(data: bytes, lines: int) -> int:
     """Return the offset of the line with this number, counted from 0."""
-    at = 0
+    offset = 0
     for _ in range(lines):
-        end = data.find(b"\n", at)
+        end = data.find(b"\n", offset)
         if end < 0:
             return len(data)
-        at = end + 1
-    return at
+        offset = end + 1
+    return offset
 
 
 def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) -> str:
@@ -254,24 +236,15 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
     if content.encoding:
         return data.decode(content.encoding, errors="replace")
     for encoding in encodings:
-        text = _decode_detected(data) if encoding == "detect" else _decode_strict(data, encoding)
-        if text is not None:
-            return text
+        if encoding == "detect":
+            from charset_normalizer import from_bytes
+
+            best = from_bytes(data).best()
+            if best is not None:
+                return str(best)
+        else:
+            with suppress(UnicodeDecodeError):  # a character cut at the end is omitted
+                return codecs.getincrementaldecoder(encoding)().decode(data, final=False)
     expected = f"text in {' or '.join(encodings)}"
     remedy = "Name the encoding in a card of your own."
     raise unreadable(path, "", expected, "other bytes", remedy)
-
-
-def _decode_strict(data: bytes, encoding: str) -> str | None:
-    """Decode strictly; a character cut at the end is omitted."""
-    try:
-        return codecs.getincrementaldecoder(encoding)().decode(data, final=False)
-    except UnicodeDecodeError:
-        return None
-
-
-def _decode_detected(data: bytes) -> str | None:
-    from charset_normalizer import from_bytes
-
-    best = from_bytes(data).best()
-    return None if best is None else str(best)

@@ -10,33 +10,15 @@ import csv
 import io
 import re
 import warnings
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import date, time, timedelta
-from math import isfinite
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias
 from zipfile import ZipFile, is_zipfile
 
-import numpy as np
-
 from labpipe.errors import ReadError, error_text
-from labpipe.readers.number_rows import filled_rows, words_note
 from labpipe.readers.raw_files import reading, unreadable
-from labpipe.readers.table_body import summary_note
-from labpipe.readers.text_cells import (
-    NUMERAL,
-    describe_cell,
-    is_missing,
-    is_summary_row,
-    lost_decimals_text,
-    thousandfold_jump,
-)
 from labpipe.readers.workbooks import column_letters, is_workbook, open_sheets
-from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote
 
 _SEPARATORS = ",;\t"
 _NUMBER_STARTS = re.compile(r"[-+]?\.?\d")
@@ -271,101 +253,3 @@ def _fit_row(row: list[Cell], width: int, path: Path) -> Row:
                 remedy += ' Put a list in quotes, "12;-15", and write a decimal point, no comma.'
             raise unreadable(path, cell.place, expected, found, remedy)
     return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))
-
-
-def as_text(cell: object) -> str:
-    """Return the value of a cell as text."""
-    if isinstance(cell, float):
-        return f"{cell:.15g}"
-    if isinstance(cell, date | time):
-        return cell.isoformat()
-    return str(cell).strip()
-
-
-def sheet_columns(
-    rows: Sequence[Sequence[object]], first: int, names: Mapping[int, str], where: tuple[Path, str]
-) -> tuple[dict[int, Floats], list[QualityNote]]:
-    """Read columns of numbers of a sheet; blank cells and words for missing values are NaN.
-
-    Parameters
-    ----------
-    rows : cells of the whole sheet, from `labpipe.readers.workbooks.open_sheets`
-    first : index of the first row of numbers
-    names : names of the wanted columns, by their index
-    where : file and sheet, for messages
-
-    Returns
-    -------
-    columns : by their index, up to the last row in which one of them is filled
-    notes : ``summary_rows_left_out`` and ``missing_words``, as in
-        `labpipe.readers.number_rows.read_columns`
-
-    Raises
-    ------
-    ReadError
-        If a cell is not a number or is too large, or a column lost its decimal signs.
-    """
-    last, notes = _find_summary(rows, first, list(names), where[1])
-    body, width = rows[first:last], max(names, default=-1) + 1
-    if min(map(len, body), default=width) < width:  # missing cells are blank
-        body = [[*row, *[""] * (width - len(row))] for row in body]
-    columns = {}
-    for at, name in names.items():
-        cells = list(map(itemgetter(at), body))
-        columns[at], column_notes = _column(cells, name, first, where)
-        notes += column_notes
-    filled = filled_rows(columns)
-    return {at: values[:filled] for at, values in columns.items()}, notes
-
-
-def _find_summary(
-    rows: Sequence[Sequence[object]], first: int, columns: Sequence[int], sheet: str
-) -> tuple[int, list[QualityNote]]:
-    """Return the index of the row after the last sample; rows below are text."""
-    last, firsts = len(rows), list[str]()
-    for at in range(len(rows) - 1, first, -1):
-        cells = [as_text(rows[at][column]) for column in columns if column < len(rows[at])]
-        if not any(cells):
-            continue
-        if not is_summary_row(cells):
-            break
-        firsts.insert(0, next(filter(None, cells)))
-        last = at
-    return last, [summary_note(firsts, f"{sheet}, row {last + 1}")] if firsts else []
-
-
-def _column(
-    cells: Sequence[object], name: str, first: int, where: tuple[Path, str]
-) -> tuple[Floats, list[QualityNote]]:
-    path, sheet = where
-    missing = Counter[str]()
-    if {float, int}.issuperset(map(type, cells)):
-        values = np.fromiter(cells, dtype=np.float64, count=len(cells))
-    else:
-        missing.update(cell for cell in cells if isinstance(cell, str) and is_missing(cell))
-        numbers = (
-            _number(cell, f"{sheet}, row {first + 1 + i}, column '{name}'", path)
-            for i, cell in enumerate(cells)
-        )
-        values = np.fromiter(numbers, dtype=np.float64, count=len(cells))
-    rows = thousandfold_jump(values)
-    if rows is not None:
-        jump = f"{sheet}, row {first + 1 + rows[1]}, column '{name}'"
-        raise ReadError(lost_decimals_text(path, jump, *(as_text(cells[row]) for row in rows)))
-    if not missing:
-        return values, []
-    row = first + 1 + next(i for i, cell in enumerate(cells) if cell in missing)
-    return values, [words_note(name, missing, f"{sheet}, row {row}")]
-
-
-def _number(cell: object, place: str, path: Path) -> float:
-    if isinstance(cell, float | int) and not isinstance(cell, bool):
-        return float(cell)
-    if isinstance(cell, timedelta):
-        return cell.total_seconds()
-    text = as_text(cell)
-    if not text or is_missing(text):
-        return float("nan")
-    if NUMERAL["."].fullmatch(text) and isfinite(float(text)):
-        return float(text)
-    raise unreadable(path, place, *describe_cell(text, "."))

@@ -1,21 +1,12 @@
-"""Cells of text exports: separation, numbers and units.
-
-A spreadsheet may read the decimal sign as a thousands separator and remove it: 1.063, 1.110797 and
-1.162 become 1063, 1110797 and 1162: whole numbers, of which those with more decimals are a thousand
-times too large. The original numbers cannot be restored.
-"""
+"""Cells of exports: separation, numbers and units."""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections.abc import Sequence
-from itertools import pairwise
+from datetime import date, time, timedelta
 
-import numpy as np
-
-from labpipe.errors import error_text
-from labpipe.records.arrays import Flags, Floats
 from labpipe.units import si_factor
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}([.,]\d{3})+)([eE][+-]?\d+)?")
@@ -73,6 +64,17 @@ _WORD_REMEDY = (
 )
 INFINITE_WORDS = frozenset({"inf", "infinity"})
 _GROUPED_DIGITS = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
+
+
+def as_text(cell: object) -> str:
+    """Return the value of a cell of a sheet as text."""
+    if isinstance(cell, timedelta):
+        cell = cell.total_seconds()
+    if isinstance(cell, float):
+        return f"{cell:.15g}"
+    if isinstance(cell, date | time):
+        return cell.isoformat()
+    return str(cell).strip()
 
 
 def is_number(cell: str) -> bool:
@@ -152,8 +154,8 @@ def split_line(line: str, separator: str) -> list[str]:
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a known unit."""
-    known = text in _COMMON_UNITS or text in _NO_DIMENSION
-    return known or any(has_dimension_of(text, unit) for unit in _SI_UNITS)
+    is_known = text in _COMMON_UNITS or text in _NO_DIMENSION
+    return is_known or any(has_dimension_of(text, unit) for unit in _SI_UNITS)
 
 
 def hold_units(cells: Sequence[str]) -> bool:
@@ -181,8 +183,8 @@ def bare_unit(cell: str, brackets: str) -> str | None:
     """Remove the brackets of a unit; None if required ones are missing."""
     if not brackets:
         return cell
-    whole = len(cell) > 1 and cell[0] == brackets[0] and cell[-1] == brackets[1]
-    return cell[1:-1].strip() if whole else None
+    is_in_brackets = len(cell) > 1 and cell[0] == brackets[0] and cell[-1] == brackets[1]
+    return cell[1:-1].strip() if is_in_brackets else None
 
 
 def without_brackets(cell: str) -> str:
@@ -203,8 +205,10 @@ def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
     -------
     Both; None if there is no unit.
     """
-    kinds = [_BRACKETED[brackets]] if brackets else list(_BRACKETED.values())
-    match = next((pattern_match for kind in kinds if (pattern_match := kind.fullmatch(cell))), None)
+    patterns = [_BRACKETED[brackets]] if brackets else list(_BRACKETED.values())
+    match = next(
+        (pattern_match for pattern in patterns if (pattern_match := pattern.fullmatch(cell))), None
+    )
     if match is None and not brackets:
         match = _UNIT_AFTER_MARK.fullmatch(cell)
         match = match if match is not None and is_unit(match[2]) else None
@@ -220,83 +224,3 @@ def quoted(cells: Sequence[str]) -> str:
 def is_grouped(cell: str) -> bool:
     """Return whether a cell has two thousands separators: no valid number has."""
     return _GROUPED_DIGITS.fullmatch(cell) is not None
-
-
-def lost_decimals_text(path: object, place: str, before: str, after: str) -> str:
-    """Return the message on a column that jumps by a thousand and back.
-
-    Parameters
-    ----------
-    path, place : of the first number after the jump
-    before, after : the numbers on both sides
-    """
-    return error_text(
-        path,
-        place,
-        expected="numbers that do not jump by a factor of a thousand and back",
-        found=f"'{after}' after '{before}'",
-        remedy=LOST_DECIMALS,
-    )
-
-
-def thousandfold_jump(values: Floats) -> tuple[int, int] | None:
-    """Find the first jump by a thousand and back in a column of whole numbers.
-
-    Parameters
-    ----------
-    values : one column, shape (rows,); NaN are ignored
-
-    Returns
-    -------
-    Rows of the numbers before and after the first such jump; None without such jumps, or if more
-    than half of the numbers have decimals.
-
-    Notes
-    -----
-    A jump counts if the numbers up to the return, divided (or multiplied) by a thousand, lie
-    between the two neighbours, as in a curve that lost its decimal signs. A spike or the overflow
-    of a counter has any value, and a multiple of a thousand lost no sign. Numbers with decimals are
-    ignored: 0.5 and 1.25 have no group of three digits, so that a spreadsheet keeps them.
-    """
-    factors = (1e3, 1e6)
-    head_rows = 1000
-    if not _are_mostly_whole(values[:head_rows]) or not _are_mostly_whole(values):
-        return None
-    rows = np.flatnonzero(values == np.rint(values))
-    jumps = (_first_jump(values[rows], factor) for factor in factors)
-    firsts = [at for at in jumps if at is not None]
-    return (int(rows[min(firsts)]), int(rows[min(firsts) + 1])) if firsts else None
-
-
-def _are_mostly_whole(values: Floats) -> bool:
-    whole = int(np.count_nonzero(values == np.rint(values)))
-    return whole > 0 and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))
-
-
-def _first_jump(values: Floats, factor: float) -> int | None:
-    # Factor by which the ratio may differ from a thousand.
-    tolerance = 1.5
-    # Between the jump and the return.
-    max_samples = 10
-    # Smaller whole numbers are counters and codes.
-    min_size = 100.0
-    size = np.abs(values)
-    smaller, larger = np.minimum(size[:-1], size[1:]), np.maximum(size[:-1], size[1:])
-    same_sign = values[:-1] * values[1:] > 0.0
-    ratio = larger / np.maximum(smaller, min_size)
-    near: Flags = (ratio > factor / tolerance) & (ratio < factor * tolerance)
-    near &= smaller >= min_size
-    jumps = np.flatnonzero(near & same_sign & (larger % 1000.0 != 0.0))
-    for up, down in pairwise(jumps):
-        if down - up <= max_samples and _is_scaled_between(size[up : down + 2], factor):
-            return int(up)
-    return None
-
-
-def _is_scaled_between(run: Floats, factor: float) -> bool:
-    """Return whether the scaled inner numbers lie between the first and the last one."""
-    relative_margin = 0.01
-    ends, inner = run[[0, -1]], run[1:-1]
-    scaled = inner / factor if inner[0] > ends[0] else inner * factor
-    spread = abs(ends[1] - ends[0]) + relative_margin * ends.max()
-    return bool(np.all((scaled >= ends.min() - spread) & (scaled <= ends.max() + spread)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -11,43 +11,8 @@ from labpipe.records.arrays import Flags, Floats, stretches_of
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks
 
-_MIN_FROZEN_STEPS = 10
-"""Successive unchanged steps from which a pose counts as frozen, not as at rest."""
-
-
 _UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A stretch of samples from `first` to `last`, inclusive, counted from 0."""
-
-    first: int
-    last: int
-
-    @property
-    def length(self) -> int:
-        """Number of samples."""
-        return self.last - self.first + 1
-
-
-def runs(flags: Flags) -> list[Run]:
-    """Find the stretches in which a flag is set.
-
-    Parameters
-    ----------
-    flags : shape (n,)
-
-    Returns
-    -------
-    The stretches in order.
-
-    Examples
-    --------
-    >>> runs(np.array([True, True, False, True]))
-    [Run(first=0, last=1), Run(first=3, last=3)]
-    """
-    return [Run(start, stop - 1) for start, stop in stretches_of(flags)]
+"""``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (1.1)."""
 
 
 def blank(positions: Floats) -> Flags:
@@ -59,7 +24,7 @@ def blank(positions: Floats) -> Flags:
 
     Returns
     -------
-    Extent (frames,).
+    shape (frames,).
     """
     return np.asarray(np.isnan(positions).any(axis=1))
 
@@ -73,22 +38,14 @@ def unchanged(positions: Floats) -> Flags:
 
     Returns
     -------
-    Extent (frames - 1,).
+    shape (frames - 1,).
     """
     return np.asarray((np.diff(positions, axis=0) == 0.0).all(axis=1))
 
 
-def longest(stretches: list[Run]) -> int:
-    """Return the length of the longest stretch, 0 if there is none."""
-    return max((run.length for run in stretches), default=0)
-
-
-def is_unlabelled(name: str) -> bool:
-    """Return whether a marker has no label.
-
-    Such markers are ``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (1.1).
-    """
-    return _UNLABELLED.fullmatch(name) is not None
+def longest(flags: Flags) -> int:
+    """Return the length of the longest stretch of flagged samples, 0 if there is none."""
+    return max((stop - start for start, stop in stretches_of(flags)), default=0)
 
 
 def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
@@ -108,70 +65,53 @@ def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
         return [QualityNote("take_empty", Severity.WARNING, "take", message)]
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     bodies = {body.name: body.position for body in tracks.bodies}
-    return [
-        *_blank_notes(markers),
-        *_gap_notes(markers, "marker_gaps"),
-        *_gap_notes(bodies, "body_gaps"),
-        *_frozen_notes(bodies | markers),
-        *_switch_notes(markers),
-        *_unlabelled_note(tracks.names),
-    ]
-
-
-def _blank_notes(markers: dict[str, Floats]) -> list[QualityNote]:
     never = [name for name, track in markers.items() if len(track) and blank(track).all()]
-    if not never:
-        return []
-    message = f"never seen: {', '.join(never)}"
-    return [QualityNote("marker_blank", Severity.WARNING, "markers", message)]
-
-
-def _gap_notes(objects: dict[str, Floats], code: str) -> list[QualityNote]:
     notes = []
+    if never:
+        message = f"never seen: {', '.join(never)}"
+        notes.append(QualityNote("marker_blank", Severity.WARNING, "markers", message))
+    notes += [*_gap_notes(markers, "marker_gaps"), *_gap_notes(bodies, "body_gaps")]
+    notes += [*_frozen_notes(bodies | markers), *_switch_notes(markers)]
+    unlabelled = sum(map(_is_unlabelled, tracks.names))
+    if unlabelled:
+        message = f"{unlabelled} of {len(tracks.names)} markers have no label"
+        notes.append(QualityNote("unlabelled_markers", Severity.INFO, "markers", message))
+    return notes
+
+
+def _is_unlabelled(name: str) -> bool:
+    return _UNLABELLED.fullmatch(name) is not None
+
+
+def _gap_notes(objects: Mapping[str, Floats], code: str) -> Iterator[QualityNote]:
     for name, track in objects.items():
         missing = blank(track)
-        if not missing.any() or missing.all():
-            continue
-        gaps = runs(missing)
-        message = f"missing in {int(missing.sum())} of {len(missing)} frames, gaps: {len(gaps)},"
-        message += f" the longest {longest(gaps)} frames"
-        notes.append(QualityNote(code, Severity.INFO, name, message))
-    return notes
+        if missing.any() and not missing.all():
+            message = f"missing in {int(missing.sum())} of {len(missing)} frames, gaps:"
+            message += f" {len(stretches_of(missing))}, the longest {longest(missing)} frames"
+            yield QualityNote(code, Severity.INFO, name, message)
 
 
-def _frozen_notes(objects: dict[str, Floats]) -> list[QualityNote]:
-    notes = []
+def _frozen_notes(objects: Mapping[str, Floats]) -> Iterator[QualityNote]:
+    # Successive unchanged steps from which a pose counts as frozen, not as at rest.
+    min_frozen_steps = 10
     for name, track in objects.items():
         still = unchanged(track)
-        stretches = runs(still)
-        if longest(stretches) < _MIN_FROZEN_STEPS:
-            continue
-        message = f"position unchanged to the last digit in {int(still.sum())} of"
-        message += f" {len(still)} steps, up to {longest(stretches)} in a row:"
-        message += " lost, with its last pose repeated?"
-        notes.append(QualityNote("frozen_pose", Severity.WARNING, name, message))
-    return notes
+        if longest(still) >= min_frozen_steps:
+            message = f"position unchanged to the last digit in {int(still.sum())} of"
+            message += f" {len(still)} steps, up to {longest(still)} in a row:"
+            message += " lost, with its last pose repeated?"
+            yield QualityNote("frozen_pose", Severity.WARNING, name, message)
 
 
-def _switch_notes(markers: dict[str, Floats]) -> list[QualityNote]:
+def _switch_notes(markers: Mapping[str, Floats]) -> Iterator[QualityNote]:
     """Find labelled markers missing in exactly the frames where an unlabelled one is seen."""
-    unlabelled = {name: ~blank(track) for name, track in markers.items() if is_unlabelled(name)}
-    notes = []
+    unlabelled = {name: ~blank(track) for name, track in markers.items() if _is_unlabelled(name)}
     for name, track in markers.items():
         missing = blank(track)
         others = [other for other, seen in unlabelled.items() if np.array_equal(seen, missing)]
-        if is_unlabelled(name) or not others or not missing.any():
-            continue
-        where = ", ".join(f"{run.first}-{run.last}" for run in runs(missing)[:3])
-        seen = ", ".join(others)
-        message = f"missing in rows {where}, exactly where {seen} is seen: label switch?"
-        notes.append(QualityNote("label_switch", Severity.WARNING, name, message))
-    return notes
-
-
-def _unlabelled_note(names: tuple[str, ...]) -> list[QualityNote]:
-    count = sum(is_unlabelled(name) for name in names)
-    if not count:
-        return []
-    message = f"{count} of {len(names)} markers have no label"
-    return [QualityNote("unlabelled_markers", Severity.INFO, "markers", message)]
+        if name not in unlabelled and others and missing.any():
+            ranges = [f"{start}-{stop - 1}" for start, stop in stretches_of(missing)[:3]]
+            message = f"missing in rows {', '.join(ranges)}, exactly where {', '.join(others)} is"
+            message += " seen: label switch?"
+            yield QualityNote("label_switch", Severity.WARNING, name, message)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from labpipe.readers.raw_files import as_content, lines_of, read_head
-from labpipe.readers.text_cells import is_number, is_sample, split_line
+from labpipe.readers.raw_files import Content, as_content, lines_of, read_head
+from labpipe.readers.text_cells import is_sample, split_line
 from labpipe.readers.workbooks import is_locked
 
 _EXPORT_KNOWN = "Export the recording in one of these formats."
@@ -41,9 +42,6 @@ _BY_FIRST_BYTES = (
     (b"<?xml", "XML", _EXPORT_KNOWN),
     (b"{", "JSON", _EXPORT_KNOWN),
 )
-_SEPARATOR_NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
-_MIN_ROWS = 2
-"""Successive rows of numbers that make a table."""
 
 
 class UnknownFile(NamedTuple):
@@ -76,39 +74,25 @@ def describe_unknown(path: Path) -> UnknownFile:
     for first, what, remedy in _BY_FIRST_BYTES:
         if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(first):
             return UnknownFile(what, remedy)
-    content = as_content(head)
+    return _describe_content(as_content(head))
+
+
+def _describe_content(content: Content) -> UnknownFile:
     if b"\0" in content.data:
         return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)
     lines = lines_of(content.data.decode("utf-8", errors="replace"))
-    return _table(lines) or _text(lines)
-
-
-def _text(lines: Sequence[str]) -> UnknownFile:
     first = next((line.strip() for line in lines if line.strip()), "")
-    what = f"text that begins with '{first[:40]}'" if first else "nothing but blanks"
-    return UnknownFile(what, _EXPORT_KNOWN)
+    if not first:
+        return UnknownFile("nothing but blanks", _EXPORT_KNOWN)
+    if any(_has_table(lines, separator) for separator in "\t;, "):
+        return UnknownFile(
+            f"a table that begins with '{first[:40]}'", f"{_KNOWN_BY} {_CARD_REMEDY}"
+        )
+    return UnknownFile(f"text that begins with '{first[:40]}'", _EXPORT_KNOWN)
 
 
-def _table(lines: Sequence[str]) -> UnknownFile | None:
-    """Describe a table of numbers in a text; None if there is none."""
-    for separator, marks in _SEPARATOR_NAMES.items():
-        rows = [[cell.strip() for cell in split_line(line, separator)] for line in lines]
-        first = next((i for i in range(len(rows)) if _are_samples(rows[i : i + _MIN_ROWS])), None)
-        if first is not None:
-            above = next((row for row in reversed(rows[:first]) if any(row)), [])
-            columns = f"{len(rows[first])} columns separated by {marks}"
-            what = f"a table of {columns}, {_names_text(above)}"
-            return UnknownFile(what, f"{_KNOWN_BY} {_CARD_REMEDY}")
-    return None
-
-
-def _are_samples(rows: Sequence[Sequence[str]]) -> bool:
-    filled = len(rows) == _MIN_ROWS and all(sum(map(bool, row)) > 1 for row in rows)
-    return filled and all(map(is_sample, rows))
-
-
-def _names_text(names: Sequence[str]) -> str:
-    if not any(names) or any(is_number(name) for name in names):
-        return "without names"
-    shown = ", ".join(f"'{name[:40]}'" for name in names[:4])
-    return f"called {shown}" + (" ..." if len(names) > 4 else "")
+def _has_table(lines: Sequence[str], separator: str) -> bool:
+    """Return whether two successive lines hold several numbers each."""
+    rows = ([cell for cell in split_line(line, separator) if cell.strip()] for line in lines)
+    are_samples = (len(row) > 1 and is_sample(row) for row in rows)
+    return any(one and two for one, two in pairwise(are_samples))

@@ -60,8 +60,8 @@ class ArrayRecord:
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        kind: Any = type(self)
-        arrays, tuples = _fields_with_axes(kind)
+        record_type: Any = type(self)
+        arrays, tuples = _fields_with_axes(record_type)
         lengths = {axis: len(getattr(self, name)) for name, axis in tuples}
         for name, dtype, axes in arrays:
             array = np.asarray(getattr(self, name), dtype=dtype).view()
@@ -90,11 +90,11 @@ def dtype_of(array_type: Any) -> Any:
 
 @cache
 def _fields_with_axes(
-    kind: Any,
+    record_type: Any,
 ) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]]]:
     """Return name, number type and axes of arrays, and name and axis of annotated tuples."""
     arrays, tuples = [], []
-    for name, hint in get_type_hints(kind, include_extras=True).items():
+    for name, hint in get_type_hints(record_type, include_extras=True).items():
         values, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         axes = tuple(axis for axis in marks if isinstance(axis, str | int))
         if axes and get_origin(values) is np.ndarray:
@@ -182,16 +182,16 @@ def part_of(samples: Samples, stretch: slice) -> Samples:
     return samples[stretch]
 
 
-def ratio(over: Floats, under: Floats) -> Floats:
-    """Divide; NaN where the divisor is zero.
+def ratio(numerator: Floats, denominator: Floats) -> Floats:
+    """Return the ratio; NaN where the divisor is zero.
 
     Parameters
     ----------
-    over, under : shape (...), of shapes that go together
+    numerator, denominator : shape (...), of shapes that go together
     """
-    shape = np.broadcast_shapes(np.shape(over), np.shape(under))
+    shape = np.broadcast_shapes(np.shape(numerator), np.shape(denominator))
     quotient: Floats = np.full(shape, np.nan)
-    np.divide(over, under, out=quotient, where=np.not_equal(under, 0.0))
+    np.divide(numerator, denominator, out=quotient, where=np.not_equal(denominator, 0.0))
     return quotient
 
 
@@ -210,22 +210,22 @@ def stretches_of(flags: Flags) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
-def samples_of(at: Ints) -> Samples:
+def samples_of(indices: Ints) -> Samples:
     """Convert sample numbers to a slice if they are consecutive, which avoids copies.
 
     Parameters
     ----------
-    at : shape (m,), ascending
+    indices : shape (m,), ascending
 
     Examples
     --------
     >>> samples_of(np.array([3, 4, 5])), samples_of(np.array([3, 5]))
     (slice(3, 6, None), array([3, 5]))
     """
-    if not len(at):
+    if not len(indices):
         return slice(0, 0)
-    stretch = slice(int(at[0]), int(at[-1]) + 1)
-    return stretch if stretch.stop - stretch.start == len(at) else at
+    stretch = slice(int(indices[0]), int(indices[-1]) + 1)
+    return stretch if stretch.stop - stretch.start == len(indices) else indices
 
 
 def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:

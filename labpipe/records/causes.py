@@ -84,7 +84,7 @@ def contribution(cause: str, change: float) -> Contribution:
     Parameters
     ----------
     cause : a key of `IS_COMMON`
-    change : as `Contribution` has it
+    change : as for `Contribution`
 
     Raises
     ------

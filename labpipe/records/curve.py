@@ -20,7 +20,7 @@ AT_REST = -1
 """Branch number of samples that belong to no branch: before, after and between movements."""
 
 
-_NORMAL_95 = 1.959963984540054
+NORMAL_95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
 
 
@@ -41,13 +41,13 @@ class Interval:
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
         """Make the normal 95 % interval, value -+ 1.96 error, of a known standard error."""
-        half = _NORMAL_95 * error
+        half = NORMAL_95 * error
         return cls(value - half, value + half)
 
     @property
     def standard_error(self) -> float:
-        """Standard error of a normal 95 % interval, in the unit of its ends."""
-        return (self.upper - self.lower) / (2.0 * _NORMAL_95)
+        """Return the standard error of a normal 95 % interval, in the unit of its ends."""
+        return (self.upper - self.lower) / (2.0 * NORMAL_95)
 
 
 class Direction(StrEnum):
@@ -306,7 +306,7 @@ class BendingCloud(ArrayRecord):
 
     @property
     def noise(self) -> Floats:
-        """Standard error of each curvature, noise and shape together, shape (n, stations), 1/m.
+        """Return the standard errors of noise and shape together, shape (n, stations), 1/m.
 
         The shape counts as a rectangle of the half width that one coefficient more makes.
         """
@@ -322,7 +322,7 @@ _Stiffnesses: TypeAlias = Annotated[Floats, "point", Unit("N*m^2")]
 class MeasuredLaw(ArrayRecord):
     """The monotone moment-curvature law of the first loading, with 95 % intervals.
 
-    Arrays of shape (n,) unless said otherwise; NaN in the stiffnesses where `is_known` is not.
+    Arrays of shape (n,) unless stated otherwise; NaN in the stiffnesses where `is_known` is not.
 
     Parameters
     ----------

@@ -37,15 +37,15 @@ class Quantity:
     shown : unit in which a resolved protocol writes it
     example : how a person writes it
     above : in `unit`, the value must be larger; None for no such bound
-    least, most : in `unit`, smallest and largest valid value
+    minimum, maximum : in `unit`, smallest and largest valid value
     """
 
     unit: str
     shown: str
     example: str
     above: float | None = None
-    least: float = -math.inf
-    most: float = math.inf
+    minimum: float = -math.inf
+    maximum: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +54,11 @@ class WholeNumber:
 
     Parameters
     ----------
-    least, most : smallest and largest valid value
+    minimum, maximum : smallest and largest valid value
     """
 
-    least: int
-    most: int
+    minimum: int
+    maximum: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +94,11 @@ class LargerThan:
     Parameters
     ----------
     field : name of the other field, which is declared before
+    key : its key in YAML
     """
 
     field: str
+    key: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,25 +142,27 @@ class Span:
 Length: TypeAlias = Annotated[float, Quantity("m", "mm", "53 mm", above=0.0)]
 Offset: TypeAlias = Annotated[float, Quantity("m", "mm", "0.8 mm")]
 """A length that may also be zero or negative."""
-Distance: TypeAlias = Annotated[float, Quantity("m", "mm", "4 mm", least=0.0)]
+Distance: TypeAlias = Annotated[float, Quantity("m", "mm", "4 mm", minimum=0.0)]
 Area: TypeAlias = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", above=0.0)]
 Moment: TypeAlias = Annotated[float, Quantity("s", "s", "1.234 s")]
 """A time that may also be zero or negative."""
-Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", least=-0.01, most=0.01)]
+Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", minimum=-0.01, maximum=0.01)]
 """By how much one clock runs faster than another."""
 Duration: TypeAlias = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
-Force: TypeAlias = Annotated[float, Quantity("N", "N", "5 mN", least=0.0)]
-Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", least=0.0)]
-Mass: TypeAlias = Annotated[float, Quantity("kg", "g", "2.7 g", least=0.0)]
-LinearMass: TypeAlias = Annotated[float, Quantity("kg/m", "g/m", "6.1 g/m", above=0.0, most=100.0)]
+Force: TypeAlias = Annotated[float, Quantity("N", "N", "5 mN", minimum=0.0)]
+Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", minimum=0.0)]
+Mass: TypeAlias = Annotated[float, Quantity("kg", "g", "2.7 g", minimum=0.0)]
+LinearMass: TypeAlias = Annotated[
+    float, Quantity("kg/m", "g/m", "6.1 g/m", above=0.0, maximum=100.0)
+]
 """Mass per length."""
 Speed: TypeAlias = Annotated[float, Quantity("m/s", "mm/s", "1 mm/s", above=0.0)]
 Curvature: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "20 1/m", above=0.0)]
 Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
-Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0)]
-Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0, most=1.0)]
+Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0)]
+Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0, maximum=1.0)]
 """A standard uncertainty as a share of what it belongs to."""
-Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, most=1.0)]
+Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, maximum=1.0)]
 """A part of a whole."""
 Snake: TypeAlias = Annotated[
     str, PatternText(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
@@ -199,7 +203,7 @@ class Output:
     is_set_by_stroke: bool = False
 
     def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
-        """Name in the summary, of several the first.
+        """Return the name in the summary, of several the first.
 
         Parameters
         ----------
@@ -243,7 +247,7 @@ def kinds_of(union: Any) -> dict[str, Any]:
 
 @cache
 def defaults_of(kind: Any) -> dict[str, Any]:
-    """Settings that a block may leave out, by name.
+    """Return the settings that a block may leave out, by name.
 
     Parameters
     ----------
@@ -254,7 +258,7 @@ def defaults_of(kind: Any) -> dict[str, Any]:
 
 @cache
 def existing_in(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
-    """Names of the settings that must name something that exists.
+    """Return the names of the settings that must name something that exists.
 
     Parameters
     ----------
@@ -279,11 +283,11 @@ class _Step:
 
     @property
     def key(self) -> str:
-        """Dotted key of the step, as an override begins: ``steps.2``."""
+        """Return the dotted key of the step, as an override begins: ``steps.2``."""
         return f"steps.{self.number}"
 
     def numbered(self, number: int) -> Self:
-        """Give back the same step, knowing its number in the list as written, from 0."""
+        """Return the step with its number in the list as written, from 0."""
         return replace(self, number=number)
 
 

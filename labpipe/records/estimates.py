@@ -20,8 +20,8 @@ class Estimate:
     ----------
     value, error : number and its standard error, in the same unit
     n : number of samples it rests on
-    interval : 95 % interval if it differs from the normal one of `error`, because there are few
-        degrees of freedom or the uncertainty is asymmetric; else None
+    interval : 95 % interval if it differs from the normal interval of `error`, because there are
+        few degrees of freedom or the uncertainty is asymmetric; else None
     """
 
     value: float
@@ -73,7 +73,7 @@ def or_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
     return call
 
 
-def widened(estimate: Estimate, *errors: float) -> Estimate:
+def add_errors(estimate: Estimate, *errors: float) -> Estimate:
     """Add independent standard errors to an estimate, in quadrature.
 
     Parameters
@@ -83,28 +83,33 @@ def widened(estimate: Estimate, *errors: float) -> Estimate:
 
     Returns
     -------
-    The estimate with the larger error. Each side of an interval of its own grows in quadrature by
-    the normal 95 % half width of `errors`, so that an asymmetric interval stays asymmetric.
+    The estimate with the larger error. If it has its own interval, each side of the interval grows
+    in quadrature by the normal 95 % half-width of `errors`, so that an asymmetric interval stays
+    asymmetric.
 
     Notes
     -----
-    The standard error from an uncertain input is the change of the number if the input is larger by
-    one standard uncertainty (GUM, JCGM 100:2008, sec. 5.1.3).
+    The standard error from an uncertain input is found by a second computation, in which the input
+    is larger by one standard uncertainty; the error is the difference of the two results (GUM, JCGM
+    100:2008, sec. 5.1.3).
     """
     added_error = hypot(*errors)
     interval = estimate.interval
     if interval is not None and added_error > 0.0:
-        added = Interval.normal_95(0.0, added_error).upper
-        middle = _centre_of(estimate.value, interval)
-        lower, upper = hypot(middle - interval.lower, added), hypot(interval.upper - middle, added)
-        interval = Interval(middle - lower, middle + upper)
+        added_half_width = Interval.normal_95(0.0, added_error).upper
+        centre = _centre_of(estimate.value, interval)
+        lower, upper = (
+            hypot(centre - interval.lower, added_half_width),
+            hypot(interval.upper - centre, added_half_width),
+        )
+        interval = Interval(centre - lower, centre + upper)
     return Estimate(estimate.value, hypot(estimate.error, added_error), estimate.n, interval)
 
 
 def _centre_of(value: float, interval: Interval) -> float:
     """Return the value, or the middle of the interval if it does not contain the value.
 
-    The bias from noise is subtracted from the interval, not from the number.
+    The interval is corrected for the bias from noise and the value is not, so it may lie outside.
     """
     is_inside = interval.lower <= value <= interval.upper
     return value if is_inside else 0.5 * (interval.lower + interval.upper)

@@ -144,20 +144,20 @@ class MeanInterval:
 
     @property
     def middle(self) -> float:
-        """What the interval lies about: the estimate, or else the mean."""
+        """Return what the interval lies about: the estimate, or else the mean."""
         return self.mean if self.estimate is None else self.estimate
 
     @property
     def half(self) -> float:
-        """Half the width that the interval has, or had before it was put on a log scale; NaN."""
+        """Return the half-width of the interval, before a log scale if it has one, or NaN."""
         if self.interval is None:
             return float("nan")
         lower, upper = self.interval.lower, self.interval.upper
         return 0.5 * self.middle * log(upper / lower) if self.is_log else 0.5 * (upper - lower)
 
     @property
-    def apart(self) -> float | None:
-        """The estimate where a reader must see it beside the mean, as `apart_from` says."""
+    def distinct_estimate(self) -> float | None:
+        """Return the estimate where a reader must see it beside the mean, as `apart_from` says."""
         return apart_from(self.mean, self.estimate, self.interval)
 
 
@@ -191,8 +191,9 @@ class NestedMean:
     decision : what was averaged, and the numbers that say so
     spool_means : by spool, mean and interval over its samples
     within : standard deviation of samples of one spool; NaN where no spool has two samples
-    between : standard deviation of the true means of spools: the scatter of the spool means less
-        what their samples explain; 0 where that is all of it, NaN for one spool or without `within`
+    between_spools : standard deviation of the true means of spools: the scatter of the spool means
+        less what their samples explain; 0 where that is all of it, NaN for one spool or without
+        `within`
     spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN where it cannot be
         had
     """
@@ -204,7 +205,7 @@ class NestedMean:
     decision: Decision
     spool_means: Mapping[str, MeanInterval]
     within: float
-    between: float
+    between_spools: float
     spool_p: float
 
 
@@ -237,7 +238,7 @@ class Band(ArrayRecord):
     lower, upper : shape (n,), pointwise band: holds the mean at one displacement
     lower_all, upper_all : shape (n,), simultaneous band: holds the whole mean curve
     n : number of curves averaged
-    over : ``samples`` or ``spool means``
+    members : ``samples`` or ``spool means``
     reason : why there is no curve (then all are empty), no band (then all four are NaN), or the
         pointwise interval at three displacements alone (NaN elsewhere: ``few_curves``); else None
     """
@@ -249,18 +250,18 @@ class Band(ArrayRecord):
     lower_all: Vector
     upper_all: Vector
     n: int
-    over: str
+    members: str
     reason: Reason | None = None
 
     @property
     def has_area(self) -> bool:
-        """Tell whether there is a band to draw, and not intervals at some displacements alone."""
+        """Return whether there is a band to draw, not just intervals at some displacements."""
         max_marks = 3
         return bool(np.isfinite(self.lower).sum() > max_marks)
 
     @property
     def marks(self) -> Ints:
-        """Places of the intervals that are drawn one by one; empty where there is a band."""
+        """Return the places of the intervals that are drawn singly; empty if there is a band."""
         places = np.flatnonzero(np.isfinite(self.lower))
         return places if not self.has_area else places[:0]
 
@@ -303,7 +304,7 @@ class Contrast:
 
     Parameters
     ----------
-    between : second less first; on a log scale the logarithm of second over first
+    difference : second less first; on a log scale the logarithm of second over first
     errors : standard errors of the two means, by scatter; on a log scale over the means
     counts : values behind each of the means
     shared : standard uncertainty of what tests of a rig share, as far as it does not cancel
@@ -311,7 +312,7 @@ class Contrast:
     is_log : of numbers that cannot be negative
     """
 
-    between: float
+    difference: float
     errors: tuple[float, float]
     counts: tuple[int, int]
     shared: float = 0.0
@@ -320,12 +321,12 @@ class Contrast:
 
     @property
     def error(self) -> float:
-        """Standard error of the difference, by scatter."""
+        """Return the standard error of the difference, by scatter."""
         return hypot(*self.errors)
 
     @property
     def degrees(self) -> float:
-        """Degrees of freedom after Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
+        """Return the degrees of freedom after Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         free = [count - 1 for count in self.counts]
         spread = sum(square**2 / degrees for square, degrees in zip(squares, free, strict=True))
@@ -377,19 +378,19 @@ class Difference:
 
     @property
     def share(self) -> float | None:
-        """Second over first less 1, of numbers that cannot be negative."""
+        """Return the second over first less 1, of numbers that cannot be negative."""
         is_log = self.contrast is not None and self.contrast.is_log
-        return expm1(self.contrast.between) if self.contrast is not None and is_log else None
+        return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
     @property
     def words(self) -> str:
-        """The verdict with its reason and caveats."""
+        """Return the verdict with its reason and caveats."""
         verdict = f"{self.verdict}: {self.why}" if self.why else str(self.verdict)
         return "; ".join((verdict, *self.caveats))
 
     @property
     def question(self) -> str:
-        """The one field that the groups differ in; empty for several or none."""
+        """Return the one field that the groups differ in; empty for several or none."""
         (only,) = self.fields if len(self.fields) == 1 else ("",)
         return only
 

@@ -70,17 +70,17 @@ class Bundle:
 
     @property
     def number(self) -> int:
-        """Number of wires."""
+        """Return the number of wires."""
         return sum(wire.number for wire in self.wires)
 
     @property
     def composition(self) -> str:
-        """Wires in words, such as ``10 B1 + 9 B2``."""
+        """Return the wires in words, such as ``10 B1 + 9 B2``."""
         return " + ".join(f"{wire.number} {wire.type}" for wire in self.wires)
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """What groups can be made by, in words."""
+        """Return what groups can be made by, in words."""
         return {
             "wire": " & ".join(wire.type for wire in self.wires),
             "number": str(self.number),
@@ -167,12 +167,12 @@ class BundleModel(ArrayRecord):
 
     @property
     def is_doubtful(self) -> Flags:
-        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        """Return whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature)
 
     @property
     def is_doubtful_stick(self) -> Flags:
-        """Whether each curvature is beyond `doubtful_curvature_stick`, shape (n,)."""
+        """Return whether each curvature is beyond `doubtful_curvature_stick`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature_stick)
 
 

@@ -105,7 +105,7 @@ class Finding:
 
     @property
     def code(self) -> str:
-        """Code of the note."""
+        """Return the code of the note."""
         return self.note.code
 
 
@@ -144,7 +144,9 @@ def doubtful(
     return Finding(note, tuple(Doubt(quantity, reason, during, clock) for quantity in quantities))
 
 
-def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: int = 100) -> Finding:
+def doubtful_stretches(
+    quantity: str, note: QualityNote, clock: str, *, max_stretches: int = 100
+) -> Finding:
     """Doubt a quantity in the stretches that a note speaks of, or in all of the record.
 
     Parameters
@@ -152,10 +154,10 @@ def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: in
     quantity : see `Doubt`
     note : with stretches on the clock named `clock`, or without any
     clock : role of the recording
-    most : stretches; more of them are taken as one, from the first to the last
+    max_stretches : stretches; more of them are taken as one, from the first to the last
     """
     stretches = note.stretches
-    if len(stretches) > most:
+    if len(stretches) > max_stretches:
         stretches = ((stretches[0][0], stretches[-1][1]),)
     note, reason = replace(note, severity=Severity.WARNING), Reason(note.code, note.message)
     return Finding(
@@ -188,17 +190,17 @@ class Findings:
 
     @property
     def notes(self) -> tuple[QualityNote, ...]:
-        """The notes, each once."""
+        """Return the notes, each once."""
         return tuple(dict.fromkeys(finding.note for finding in self.entries))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """The doubts, each once."""
+        """Return the doubts, each once."""
         return tuple(dict.fromkeys(doubt for finding in self.entries for doubt in finding.doubts))
 
     @property
     def blocked(self) -> Reason | None:
-        """Why later stages are not available: the first such finding; None where they are."""
+        """Return the first finding by which later stages are not available, or None."""
         return next(
             (
                 Reason(finding.code, finding.note.message)

@@ -138,7 +138,7 @@ class MarkerTracks(ArrayRecord):
 
     @property
     def missing(self) -> dict[str, int]:
-        """Number of frames in which each marker was not seen."""
+        """Return the number of frames in which each marker was not seen."""
         blank = np.isnan(self.positions).any(axis=2).sum(axis=0)
         return {name: int(count) for name, count in zip(self.names, blank, strict=True)}
 

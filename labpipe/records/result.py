@@ -42,7 +42,7 @@ class Contribution:
 
 
 def apart_from(value: float, estimate: float | None, interval: Interval | None) -> float | None:
-    """Tell whether an estimate is so far from its value that a reader must see both.
+    """Return whether an estimate is so far from its value that both are shown.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def apart_from(value: float, estimate: float | None, interval: Interval | None) 
 
 
 def seal_of(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:
-    """SHA-256 over the numbers of a result, by which a changed file is found.
+    """Return the SHA-256 over the numbers of a result, by which a changed file is found.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Result:
         processed alike
     n : number of samples it rests on
     made_of : name of the result that it is made of, such as a stiffness; empty for none
-    remark : what is to be said of the number of this test alone: force that slips added
+    remark : addition to the method for this test alone, such as force that slips added
     estimate : the value less what noise adds to it on average, in the middle of the doubt; None
         where it is the value
     budget : what the interval is made of; empty where that is not known apart
@@ -123,48 +123,48 @@ class Result:
 
     @property
     def how(self) -> str:
-        """The method, with what is to be said of this test alone."""
+        """Return the method with the remark of this test."""
         return "; ".join(filter(None, (self.method, self.remark)))
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Share of the variance that each row of the budget has; 0 where there is none."""
+        """Return the share of the variance of each row of the budget; 0 without a variance."""
         squares = [contribution.change**2 for contribution in self.budget]
         total = sum(squares)
         return tuple(square / total if total > 0.0 else 0.0 for square in squares)
 
     @property
     def largest_share(self) -> tuple[str, float] | None:
-        """Cause with the largest share of the variance, and that share; None without a budget."""
+        """Return the cause with the largest share of the variance and that share, or None."""
         rows = zip(self.budget, self.shares, strict=True)
         largest = max(rows, key=lambda row: row[1], default=None)
         return None if largest is None or largest[1] == 0.0 else (largest[0].cause, largest[1])
 
     @property
-    def apart(self) -> float | None:
-        """The estimate where a reader must see it beside the value, as `apart_from` says."""
+    def distinct_estimate(self) -> float | None:
+        """Return the estimate where a reader must see it beside the value, as `apart_from` says."""
         return None if self.value is None else apart_from(self.value, self.estimate, self.interval)
 
     @property
     def likely(self) -> float | None:
-        """The estimate, or else the value."""
+        """Return the estimate, or else the value."""
         return self.value if self.estimate is None else self.estimate
 
     @property
     def seal(self) -> str:
-        """SHA-256 over its numbers, the same in every file of the test."""
+        """Return the SHA-256 over its numbers, the same in every file of the test."""
         ends = self.interval
         span = (None, None, None) if ends is None else (ends.lower, ends.upper, ends.level)
         return seal_of(self.name, self.unit, self.status, (self.value, *span, self.likely))
 
     @property
     def codes(self) -> tuple[str, ...]:
-        """Codes of the reasons, each once."""
+        """Return the codes of the reasons, each once."""
         return tuple(dict.fromkeys(reason.code for reason in self.reasons))
 
     @property
     def why(self) -> str:
-        """The reasons in words, such as ``not_reached: the branch ends at 4.2 mm``."""
+        """Return the reasons in words, such as ``not_reached: the branch ends at 4.2 mm``."""
         return worded(self.reasons)
 
 
@@ -189,7 +189,7 @@ class Specimen:
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """What groups can be made by, in words; labels go before the words of a bundle."""
+        """Return what groups can be made by, in words; labels go before the words of a bundle."""
         names = {"type": self.type, "spool": self.spool}
         return names | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 

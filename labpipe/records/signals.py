@@ -59,7 +59,7 @@ class Signal:
 
     @property
     def has_time(self) -> bool:
-        """Whether the samples have times, not just numbers."""
+        """Return whether the samples have times, not just numbers."""
         return self.time_unit == "s"
 
     def changed(self, change: Callable[[Floats], Floats]) -> Signal:
@@ -99,7 +99,7 @@ class Signals:
 
     @property
     def quantities(self) -> dict[str, str]:
-        """What the two signals of the curve are, by name."""
+        """Return what the two signals of the curve are, by name."""
         return {self.force: "force", self.displacement: "displacement"}
 
     def with_new(self, name: str, signal: Signal) -> Signals:
@@ -163,14 +163,14 @@ class Clocks:
 
     @property
     def error(self) -> float:
-        """Standard error of the offset between force and motion, s; 0 for one clock."""
+        """Return the standard error of the offset between force and motion, s; 0 for one clock."""
         if self.force is None:
             return 0.0
         return float(np.sqrt(1.0 / np.sum(self.force.event_errors**-2.0)))
 
     @property
     def drift_error(self) -> float:
-        """Standard error of the drift between force and motion; 0 for one clock, or one event.
+        """Return the standard error of the clock drift; 0 for one clock or one event.
 
         One event gives no drift, and the fit says NaN of its interval.
         """
@@ -179,7 +179,7 @@ class Clocks:
 
     @property
     def middle(self) -> float:
-        """Mean time of the events that joined force and motion, s on the clock of the curve.
+        """Return the mean time of the joining events, s on the clock of the curve.
 
         Weighted as they weigh in the fit, so that the errors of offset and drift about it are
         independent; 0 for one clock.
@@ -191,7 +191,7 @@ class Clocks:
 
     @property
     def moved(self) -> dict[str, Clocks]:
-        """The clocks with one input a standard uncertainty higher, by cause; none for one clock.
+        """Return the clocks with one input a standard uncertainty higher, by cause.
 
         The offset moves all times of the force by `error`; the drift turns them by `drift_error`
         about the `middle` of the events.
@@ -206,15 +206,15 @@ class Clocks:
             variants[CLOCK_DRIFT] = replace(self, force=faster)
         return variants
 
-    def to_curve(self, at: Time, clock: str) -> Time:
+    def to_curve(self, time: Time, clock: str) -> Time:
         """Return times of a clock on that of the curve; as they are while they are not joined."""
         fit = self._fit(clock)
-        return at if fit is None else fit.to_marker_time(at)
+        return time if fit is None else fit.to_marker_time(time)
 
-    def from_curve(self, at: Time, clock: str) -> Time:
+    def from_curve(self, time: Time, clock: str) -> Time:
         """Return times of the curve on another clock; as they are while they are not joined."""
         fit = self._fit(clock)
-        return at if fit is None else fit.to_force_time(at)
+        return time if fit is None else fit.to_force_time(time)
 
     def sampled(self, signal: Signal, time: Floats) -> Floats:
         """Interpolate a signal at times of the curve's clock.
@@ -234,7 +234,7 @@ class Clocks:
         return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
 
     def sampled_at(self, time: Floats) -> Floats:
-        """Times of the clock of the force at times of the curve, shape (n,), s."""
+        """Return the times of the clock of the force at times of the curve, shape (n,), s."""
         return time if self.force is None else self.force.to_force_time(time)
 
     def _fit(self, clock: str) -> ClockFit | None:

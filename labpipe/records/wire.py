@@ -134,7 +134,7 @@ class WireTable(ArrayRecord):
     name : of the wire
     spec : what it was made from
     layout : where the strands lie
-    curvature : 1/m, from 0, increasing; the last is the end of the range: nothing is said beyond
+    curvature : 1/m, from 0, increasing; the last is the end of the range
     moment : N m, the sum of the five parts
     stick, slip, bending, plastic, insulation : N m, parts of the moment
     tangent_stiffness, secant_stiffness : N m^2
@@ -186,26 +186,26 @@ class WireTable(ArrayRecord):
 
     @property
     def is_doubtful(self) -> Flags:
-        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        """Return whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature)
 
     @property
     def insulation_share(self) -> Floats:
-        """Share of the moment that the insulation carries, shape (n,); at zero the next one."""
+        """Return the share of the insulation in the moment, shape (n,); at zero the next one."""
         is_zero = self.moment == 0.0
         share = self.insulation / np.where(is_zero, 1.0, self.moment)
         return np.asarray(np.where(is_zero, share[1], share))
 
     @property
     def slips_at_once(self) -> bool:
-        """Whether strands slip as soon as the wire bends, so that it never has its stick stiffness.
+        """Return whether strands slip as soon as the wire bends, without stick stiffness.
 
         The slope of the law at zero curvature is then the first secant of the table.
         """
         return bool(np.any(self.slip_onsets == 0.0))
 
     def slip_onset(self, which: int) -> float | str:
-        """Curvature within the range at which strands begin to slip, or the word for it.
+        """Return the curvature within the range at which strands begin to slip, or the word for it.
 
         Parameters
         ----------

@@ -66,7 +66,7 @@ class Prediction(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CurveErrors:
-    """A model against measured forces: a row of the source's Table 3.3.
+    """A model against measured forces: a row of the dissertation's Table 3.3.
 
     Parameters
     ----------
@@ -120,13 +120,13 @@ class CurveMatch(ArrayRecord):
     errors : over the points that both have, RMSE over the largest force of the other curve there,
         share of its points inside the 95 % band of the other; None without any
     left_out : number of points that were not compared
-    words : which points were left out, or why none was compared; empty if all were
+    explanation : which points were left out, or why none was compared; empty if all were
     """
 
     reference: Vector
     errors: CurveErrors | None
     left_out: int = 0
-    words: str = ""
+    explanation: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,13 +214,13 @@ class Identifiability(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile(ArrayRecord):
-    """How much worse the fit becomes as one parameter is held, traced from one solution.
+    """Profile of the objective along one parameter, traced from one solution.
 
     Parameters
     ----------
     value : shape (n,), of the parameter, increasing
     deviance : shape (n,), rise of the objective over the least of all solutions, all others fitted
-        anew
+        again
     threshold_below, threshold_above : of the deviance, at the lower and the upper end of the 95 %
         interval: the square of a quantile of t, averaged over what the scatter of samples may be
     """
@@ -271,7 +271,7 @@ class CalibratedParameter:
     is_open_below, is_open_above : the tests do not bound it on that side
     at_bound : ``lower``, ``upper``, or empty
     verdict : in one word or two
-    words : the verdict as a sentence
+    explanation : the verdict as a sentence
     profiles : one of each solution whose part of the interval is not empty, the best first; none
         for a fixed parameter
     conflict : None without a prior
@@ -288,14 +288,14 @@ class CalibratedParameter:
     is_open_above: bool
     at_bound: str
     verdict: Identifiability
-    words: str
+    explanation: str
     profiles: tuple[Profile, ...] = ()
     conflict: PriorConflict | None = None
     source: str = ""
 
     @property
     def interval(self) -> Interval | None:
-        """From the lowest to the highest end; None for a fixed parameter."""
+        """Return the interval from the lowest to the highest end; None for a fixed parameter."""
         if not self.intervals:
             return None
         return Interval(self.intervals[0].lower, self.intervals[-1].upper)
@@ -312,14 +312,14 @@ class Separability(ArrayRecord):
         noise, falling: a combination with singular value s is known to 1 / s (in logarithms)
     combinations : shape (n, n), a row for each singular value: weights of the logarithms
     are_identified : by name
-    words : in a sentence or two
+    explanation : in a sentence or two
     """
 
     names: tuple[str, ...]
     singular_values: Annotated[Floats, "names"]
     combinations: Annotated[Floats, "names", "names"]
     are_identified: Mapping[str, bool]
-    words: str
+    explanation: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -366,12 +366,12 @@ class Solution(ArrayRecord):
 
     @property
     def is_allowed(self) -> bool:
-        """Whether it is in the 95 % set: intervals and bands take it in."""
+        """Return whether it is in the 95 % set: intervals and bands take it in."""
         return self.rise < self.limit
 
     @property
     def likelihood(self) -> float:
-        """Over that of the best solution."""
+        """Return the likelihood over that of the best solution."""
         return float(np.exp(-0.5 * self.rise))
 
 
@@ -438,7 +438,7 @@ class Calibration(ArrayRecord):
     notes: tuple[QualityNote, ...] = field(default=())
 
     def parameter(self, name: str) -> CalibratedParameter:
-        """The parameter of a name."""
+        """Return the parameter of a name."""
         return self.parameters[PARAMETERS.index(name)]
 
 

@@ -5,55 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from labpipe.records.causes import (
-    CENTRE,
-    CLOCK_DRIFT,
-    CLOCK_OFFSET,
-    COMPLIANCE,
-    DRIFT_OF_ZERO,
-    FIT,
-    GRIP,
-    IS_COMMON,
-    LENGTH,
-    MARKER_SIDE,
-    NOISE,
-    NOISE_OF_DISPLACEMENT,
-    NOISE_OF_FORCE,
-    PULL,
-    REPAIRED_SLIPS,
-    RESOLUTION,
-    SCALE_OF_DISPLACEMENT,
-    SCALE_OF_FORCE,
-    SECTION,
-    SHAPE,
-    SLACK,
-    SPAN,
-    SPEED,
-    STEP,
-    TANGENT,
-    TURN,
-    ZERO_OF_DISPLACEMENT,
-    ZERO_OF_FORCE,
-)
+from labpipe.records import causes as cause_names
 from labpipe.records.curve import Interval
-from labpipe.records.group import Group, GroupNumber
+from labpipe.records.group import Group
 from labpipe.records.result import Result, TestResult
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    PageTexts,
-    area_key,
-    keyed_page,
+    add_key,
+    empty_page,
     new_page,
-    panel_letter,
-    write_reason,
+    titled,
 )
-from labpipe.report.group_plots import count_words
 from labpipe.report.wording import (
     Scale,
     as_label,
     display_of,
     footnote,
+    group_title,
     is_first_cycle,
     is_main,
     place_of,
@@ -66,7 +35,6 @@ from labpipe.report.wording import (
 from labpipe.statistics.means import SCATTER, group_budget, in_order
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -74,43 +42,40 @@ _ROW_MM = 6.0
 """Height of a bar with its gap."""
 _FRAME_MM = 26.0
 """Height of axis and heading."""
-MOST_BARS = 20
-_MIN_LABELLED_SHARE = 0.10
-"""Smallest share of a bar that has room for its number."""
+MAX_BARS = 20
 SMALLER = "causes under 2 % in every bar"
-_HATCH = "////"
 COLOURS_OF_CAUSES: Mapping[str, str] = {
     SCATTER: "#4d4d4d",
-    NOISE: "#8c8c8c",
-    FIT: "#c9bfae",
-    NOISE_OF_FORCE: "#8c8c8c",
-    NOISE_OF_DISPLACEMENT: "#c4c4c4",
-    SCALE_OF_FORCE: "#d55e00",
-    ZERO_OF_FORCE: "#f4b183",
-    DRIFT_OF_ZERO: "#ffd9c2",
-    SCALE_OF_DISPLACEMENT: "#0072b2",
-    ZERO_OF_DISPLACEMENT: "#8ec3e6",
-    SHAPE: "#cc79a7",
-    COMPLIANCE: "#009e73",
-    TURN: "#93d5c0",
-    SPEED: "#00674b",
-    GRIP: "#f3d38a",
-    PULL: "#e69f00",
-    CENTRE: "#946700",
-    MARKER_SIDE: "#8a4f72",
-    CLOCK_OFFSET: "#6f4aa8",
-    CLOCK_DRIFT: "#bba7dd",
-    LENGTH: "#c49a6c",
-    SPAN: "#c49a6c",
-    SECTION: "#7a3b1d",
-    SLACK: "#56b4e9",
-    REPAIRED_SLIPS: "#b0124f",
-    RESOLUTION: "#5c5c9e",
-    STEP: "#f2a6bd",
-    TANGENT: "#3a4a8c",
+    cause_names.NOISE: "#8c8c8c",
+    cause_names.FIT: "#c9bfae",
+    cause_names.NOISE_OF_FORCE: "#8c8c8c",
+    cause_names.NOISE_OF_DISPLACEMENT: "#c4c4c4",
+    cause_names.SCALE_OF_FORCE: "#d55e00",
+    cause_names.ZERO_OF_FORCE: "#f4b183",
+    cause_names.DRIFT_OF_ZERO: "#ffd9c2",
+    cause_names.SCALE_OF_DISPLACEMENT: "#0072b2",
+    cause_names.ZERO_OF_DISPLACEMENT: "#8ec3e6",
+    cause_names.SHAPE: "#cc79a7",
+    cause_names.COMPLIANCE: "#009e73",
+    cause_names.TURN: "#93d5c0",
+    cause_names.SPEED: "#00674b",
+    cause_names.GRIP: "#f3d38a",
+    cause_names.PULL: "#e69f00",
+    cause_names.CENTRE: "#946700",
+    cause_names.MARKER_SIDE: "#8a4f72",
+    cause_names.CLOCK_OFFSET: "#6f4aa8",
+    cause_names.CLOCK_DRIFT: "#bba7dd",
+    cause_names.LENGTH: "#c49a6c",
+    cause_names.SPAN: "#c49a6c",
+    cause_names.SECTION: "#7a3b1d",
+    cause_names.SLACK: "#56b4e9",
+    cause_names.REPAIRED_SLIPS: "#b0124f",
+    cause_names.RESOLUTION: "#5c5c9e",
+    cause_names.STEP: "#f2a6bd",
+    cause_names.TANGENT: "#3a4a8c",
 }
 """One family of colours for each instrument; a cause has the same colour in every figure."""
-_OTHER = "#ededed"
+OTHER_COLOUR = "#ededed"
 
 
 class Bar(NamedTuple):
@@ -127,25 +92,19 @@ def draw_budget(result: TestResult) -> Figure:
     Numbers of later cycles, of single slips and of the clocks are left out.
     """
     budgeted = [result for result in result.results if result.largest_share is not None]
-    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)][
-        :MOST_BARS
-    ]
+    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)]
+    numbers = numbers[:MAX_BARS]
     if not numbers:
-        page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
-        write_reason(page.subplots(), "No number of this test has a budget of its interval.")
-        return page
-    bars = [_bar(number, result.display) for number in numbers]
+        reason = "No number of this test has a budget of its interval."
+        return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
+    page = new_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
+    plot_bars([_bar(number, result.display) for number in numbers], page.subplots())
     cycle = "Numbers per cycle: first cycle only." if any("." in x.name for x in numbers) else ""
     note = " ".join(filter(None, (cycle, footnote(result))))
-    texts = PageTexts(title(result), note, _keys(bars))
-    height = _FRAME_MM + _ROW_MM * len(bars)
-    page = keyed_page(texts, height_mm=height, width_mm=DOUBLE_COLUMN)
-    _set_side_margins(page)
-    plot_bars(bars, page.subplots())
-    return page
+    return _with_side_margins(titled(page, title(result), note))
 
 
-def _set_side_margins(page: Figure) -> None:
+def _with_side_margins(page: Figure) -> Figure:
     """Set margins on both sides: texts are wider where the font of the page is missing."""
     left_margin, right_margin = 0.06, 0.03  # shares of the width of the page
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -154,6 +113,7 @@ def _set_side_margins(page: Figure) -> None:
     if isinstance(engine, ConstrainedLayoutEngine):
         _, low, _, height = engine.get()["rect"]
         engine.set(rect=(left_margin, low, 1.0 - left_margin - right_margin, height))
+    return page
 
 
 def _bar(result: Result, display: Mapping[str, str]) -> Bar:
@@ -189,17 +149,22 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes : to draw on; causes that all tests of a rig share are hatched
     of : the quantity that is divided into shares
     """
+    min_labelled_share = 0.10  # smallest share of a bar that has room for its number
     bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
-    named = set(named_causes([bar.shares for bar in bars]))
+    parts = bar_parts([bar.shares for bar in bars])
+    for cause in causes_in_key(parts):
+        add_key(axes, cause, is_area=True, **_bar_style(cause))
+    if any(cause_names.IS_COMMON.get(cause, False) for cause in causes_in_key(parts)):
+        add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED)
     beside = axes.get_yaxis_transform()
-    for height, bar in enumerate(bars):
+    for height, (bar, shares) in enumerate(zip(bars, parts, strict=True)):
         start = 0.0
-        for cause, share in bar_parts(bar.shares, named).items():
+        for cause, share in shares.items():
             corner = 100 * start, height - bar_height / 2
             axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_bar_style(cause)))
-            if share >= _MIN_LABELLED_SHARE:
+            if share >= min_labelled_share:
                 _write_share(axes, 100 * (start + share / 2), height, share, cause)
             start += share
         axes.text(1.01, height, bar.text, transform=beside, va="center")
@@ -213,35 +178,49 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes.set_xlabel(f"Share of the {of} (%)")
 
 
-def _write_share(axes: Axes, at: float, height: float, share: float, cause: str) -> None:
+def _write_share(axes: Axes, middle: float, height: float, share: float, cause: str) -> None:
     """Write a share on its colour; on hatching, on a patch of plain colour."""
     dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
 
-    ground = COLOURS_OF_CAUSES.get(cause, _OTHER)
+    ground = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
     red, green, blue = to_rgb(ground)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
-    is_hatched = IS_COMMON.get(cause, False)
+    is_hatched = cause_names.IS_COMMON.get(cause, False)
     label = axes.text(
-        at, height, f"{100 * share:.0f}", ha="center", va="center",
+        middle, height, f"{100 * share:.0f}", ha="center", va="center",
         color="white" if is_dark else "black",
         bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip
     label.set_in_layout(False)  # it lies on its bar
 
 
-def bar_parts(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
-    """Sort shares in the order of the key, with the sum of those not named at the end.
+def bar_parts(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """Sort the shares of bars as in the key, with the sum of small causes at the end.
 
     Parameters
     ----------
-    shares : by cause
-    named : causes that have a colour of their own
+    bars : shares by cause; a cause whose share is small in all of them has no part of its own
     """
-    ordered = {cause: shares[cause] for cause in sort_causes(shares)}
-    parts = {cause: share for cause, share in ordered.items() if cause in named}
-    rest = sum(share for cause, share in ordered.items() if cause not in named)
-    return {**parts, **({SMALLER: rest} if rest > 0.0 else {})}
+    min_named_share = 0.02
+    named = {cause for bar in bars for cause, share in bar.items() if share >= min_named_share}
+    parts = []
+    for shares in bars:
+        drawn = {cause: shares[cause] for cause in sort_causes(shares) if cause in named}
+        rest = sum(share for cause, share in shares.items() if cause not in named)
+        parts.append({**drawn, **({SMALLER: rest} if rest > 0.0 else {})})
+    return parts
+
+
+def causes_in_key(parts: Sequence[Mapping[str, float]]) -> list[str]:
+    """List the causes that bars show, `SMALLER` last.
+
+    Parameters
+    ----------
+    parts : of `bar_parts`
+    """
+    every = {cause for shares in parts for cause in shares}
+    return [*sort_causes(every - {SMALLER}), *([SMALLER] if SMALLER in every else [])]
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
@@ -250,58 +229,36 @@ def sort_causes(causes: Iterable[str]) -> list[str]:
     return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
 
 
-def named_causes(bars: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes whose share in at least one bar is large enough to be drawn.
-
-    Parameters
-    ----------
-    bars : shares by cause
-    """
-    min_named_share = 0.02
-    every = {cause for bar in bars for cause, share in bar.items() if share >= min_named_share}
-    return sort_causes(every)
+_HATCHED: dict[str, Any] = {
+    "facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": "////"
+}  # fmt: skip
 
 
 def _bar_style(cause: str) -> dict[str, Any]:
-    is_common = IS_COMMON.get(cause, False)
-    look = {
-        "facecolor": COLOURS_OF_CAUSES.get(cause, _OTHER),
-        "edgecolor": "white",
-        "linewidth": 0.6,
-    }
-    return {**look, "hatch": _HATCH} if is_common else look
+    hatch = _HATCHED["hatch"] if cause_names.IS_COMMON.get(cause, False) else None
+    return {**_HATCHED, "facecolor": COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR), "hatch": hatch}
 
 
-def causes_in_key(bars: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that bars show, `SMALLER` last if any bar has a rest.
-
-    Parameters
-    ----------
-    bars : shares by cause
-    """
-    named = named_causes(bars)
-    has_rest = any(SMALLER in bar_parts(shares, set(named)) for shares in bars)
-    return [*named, *([SMALLER] if has_rest else [])]
-
-
-def _keys(bars: Sequence[Bar]) -> list[Artist]:
-    causes = causes_in_key([bar.shares for bar in bars])
-    keys = [area_key(cause, **_bar_style(cause)) for cause in causes]
-    if any(IS_COMMON.get(cause, False) for cause in causes):
-        hatched = {"facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": _HATCH}
-        keys.append(area_key("hatched: common to all tests", **hatched))
-    return keys
-
-
-def budgets_to_draw(group: Group) -> list[GroupNumber]:
-    """Return the numbers of a group that have budgets: no later cycles, no slips, no clocks.
+def group_bars(group: Group, *, of_means: bool) -> list[Bar]:
+    """Return the budgets of a group's numbers: no later cycles, no slips, no clocks.
 
     Parameters
     ----------
     group : with or without samples
+    of_means : of the intervals of means, with half their widths; else medians over the tests
     """
-    numbers = [one for one in group.numbers if is_main(one.name) and is_first_cycle(one.name)]
-    return [number for number in numbers if group_budget(number).of_tests][:MOST_BARS]
+    bars = []
+    for number in group.numbers:
+        if not (is_main(number.name) and is_first_cycle(number.name)):
+            continue
+        budget, interval = group_budget(number), None
+        if of_means and number.mean is not None:
+            interval = number.mean.chosen.interval
+        scale = shown_in(number.name, number.unit, display_of(group))
+        if budget.of_tests:
+            shares = budget.of_mean if of_means else budget.of_tests
+            bars.append(Bar(_bar_name(number.name), shares, half_width(interval, scale)))
+    return bars[:MAX_BARS]
 
 
 def draw_group_budgets(group: Group) -> Figure:
@@ -309,34 +266,15 @@ def draw_group_budgets(group: Group) -> Figure:
 
     Parameters
     ----------
-    group : one that has `budgets_to_draw`
+    group : one that has `group_bars`
     """
-    numbers = budgets_to_draw(group)
-    budgets = [group_budget(number) for number in numbers]
-    of_tests = [
-        Bar(_bar_name(number.name), budget.of_tests)
-        for number, budget in zip(numbers, budgets, strict=True)
-    ]
-    of_means = [
-        Bar(_bar_name(number.name), budget.of_mean, _half_of_mean(group, number))
-        for number, budget in zip(numbers, budgets, strict=True)
-    ]
-    heading = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
-    texts = PageTexts(heading, "", _keys([*of_tests, *of_means]))
-    has_means = any(bar.shares for bar in of_means)
-    rows_mm = _ROW_MM * len(numbers)
-    height = _FRAME_MM + (2.0 * rows_mm + 18.0 if has_means else rows_mm + 4.0)
-    page = keyed_page(texts, height_mm=height)
-    _set_side_margins(page)
-    panels = page.subplots(2 if has_means else 1, squeeze=False).ravel()
-    plot_bars(of_tests, panels[0])
-    panel_letter(panels[0], "a", "One test: median shares")
-    if has_means:
-        plot_bars(of_means, panels[1], of="squared half width")
-        panel_letter(panels[1], "b", "Mean of the group")
-    return page
-
-
-def _half_of_mean(group: Group, number: GroupNumber) -> str:
-    scale = shown_in(number.name, number.unit, display_of(group))
-    return "" if number.mean is None else half_width(number.mean.chosen.interval, scale)
+    drawn = {"One test: median shares": (group_bars(group, of_means=False), "variance")}
+    means = group_bars(group, of_means=True)
+    if any(bar.shares for bar in means):
+        drawn["Mean of the group"] = (means, "squared half width")
+    page = new_page(height_mm=len(drawn) * (_FRAME_MM - 4.0 + _ROW_MM * len(means)))
+    panels = page.subplots(len(drawn), squeeze=False).ravel()
+    for axes, (heading, (bars, of)) in zip(panels, drawn.items(), strict=True):
+        plot_bars(bars, axes, of=of)
+        axes.set_title(heading, loc="left")
+    return _with_side_margins(titled(page, group_title(group)))

@@ -1,61 +1,60 @@
-"""Figures of a calibration: its card on one page, agreement, shapes of a bent wire."""
+"""Figures of a calibration: its card, agreement with tests and external curves, bent shapes."""
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.group import Band
 from labpipe.records.wire_calibration import (
     CalibratedParameter,
     Calibration,
-    CurveAgreement,
-    Identifiability,
+    CurveMatch,
+    ExternalCurveComparison,
     Prediction,
     Profile,
-)
-from labpipe.report.calibration_agreement import (
-    MAX_PANELS,
-    external_figure,
-    external_pages,
-    validation_figure,
 )
 from labpipe.report.calibration_summary import (
     BAND,
     DEFLECTION,
     DISPLAYS,
     FORCE,
-    HEADS,
     MODEL,
     SMALL_FORCE,
     BentShape,
     CalibrationReport,
+    ValidationGroup,
     length_looks,
     length_words,
     parameter_row,
+    percent,
     sentences,
     typeset,
 )
 from labpipe.report.figure_page import (
+    DASHED,
     DOUBLE_COLUMN,
+    GREY,
     WIDTH,
     Look,
-    PageTexts,
-    area_key,
-    keyed_page,
+    empty_page,
     label_log_axis,
-    line_key,
-    panel_letter,
+    new_page,
+    panel_grid,
+    require_room,
     split_pages,
+    titled,
     write_reason,
 )
-from labpipe.report.plot_thinning import extremes
-from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.issues import sentences as reason_sentences
+from labpipe.report.plot_thinning import extremes, split_doubtful
+from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import count_of
 from labpipe.statistics.mean_curves import block_means
 
@@ -63,16 +62,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-_MARKERS: dict[str, Any] = {
-    "color": "black", "linestyle": "", "marker": "o", "markersize": 3.2, "zorder": 4
-}  # fmt: skip
-_FIT: dict[str, Any] = {
-    "color": "black", "linewidth": 0.9, "linestyle": (0, (4, 1.6)), "zorder": 3
-}  # fmt: skip
-_MODEL: dict[str, Any] = {"color": MODEL, "linewidth": 1.3, "zorder": 2}
-_NOTE = "Markers are on the surface of the wire; the curves are its axis."
 
 
 def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
@@ -87,36 +76,31 @@ def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
     min_aspect, max_aspect = 0.35, 1.1
     title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
-        page = keyed_page(PageTexts(title), height_mm=40.0)
-        write_reason(page.subplots(), "There is no shape to draw.")
-        return page
+        return empty_page(title, "There is no shape to draw.")
     low, high = _bounds(shapes)
     across, up = (high - low).tolist()
     share = min(max(up / across, min_aspect), max_aspect)
-    page = keyed_page(
-        PageTexts(title, _NOTE, _keys(shapes)), height_mm=frame_mm + (WIDTH - frame_mm) * share
-    )
-    plot_shapes(shapes, page.subplots())
-    return page
+    page = new_page(height_mm=frame_mm + (WIDTH - frame_mm) * share)
+    _plot_shapes(shapes, page.subplots())
+    return titled(page, title, "Markers are on the surface of the wire; the curves are its axis.")
 
 
-def plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
-    """Draw shapes: markers as dots, fitted curves dashed, the model solid.
-
-    Parameters
-    ----------
-    shapes : each is named by its deflection beside its end
-    axes : to draw on, with equal scales
-    """
+def _plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
+    """Draw shapes on equal scales, each named by its deflection beside its end."""
+    looks: dict[str, Any] = {
+        "markers": {"linestyle": "", "marker": "o", "markersize": 3.2, "zorder": 4},
+        "fitted curve": {"linewidth": 0.9, "linestyle": DASHED, "zorder": 3},
+        "model": {"color": MODEL, "linewidth": 1.3, "zorder": 2},
+    }
     for shape in shapes:
-        for points, look in ((shape.model, _MODEL), (shape.fit, _FIT), (shape.markers, _MARKERS)):
+        for points, (label, look) in zip(_lines(shape), looks.items(), strict=True):
             x, y = DEFLECTION.factor * points.T
-            axes.plot(x, y, **look)
+            if len(points):
+                axes.plot(x, y, label=label, **{"color": "black", **look})
         _label_end(shape, axes)
     low, high = _bounds(shapes)
     axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_xlabel(DEFLECTION.label("Along the undeformed wire, x"))
     axes.set_ylabel(DEFLECTION.label("Towards the pull, y"))
 
@@ -126,9 +110,9 @@ def _label_end(shape: BentShape, axes: Axes) -> None:
     ends = [line[-1] for line in map(_finite_rows, _lines(shape)) if len(line)]
     if not ends:
         return
-    at = DEFLECTION.factor * np.max(ends, axis=0)
+    end_place = DEFLECTION.factor * np.max(ends, axis=0)
     axes.annotate(
-        length_words(shape.deflection), (float(at[0]), float(at[1])), (5, 0),
+        length_words(shape.deflection), (float(end_place[0]), float(end_place[1])), (5, 0),
         textcoords="offset points", va="center",
     )  # fmt: skip
 
@@ -144,21 +128,12 @@ def _bounds(shapes: Sequence[BentShape]) -> tuple[Floats, Floats]:
 
 
 def _lines(shape: BentShape) -> tuple[Floats, Floats, Floats]:
-    return shape.model, shape.fit, shape.markers
+    return shape.markers, shape.fit, shape.model
 
 
 def _finite_rows(points: Floats) -> Floats:
     rows: Floats = points[np.isfinite(points).all(axis=1)]
     return rows
-
-
-def _keys(shapes: Sequence[BentShape]) -> list[Artist]:
-    keys: list[Artist] = [line_key("markers", **_MARKERS)]
-    if any(len(shape.fit) for shape in shapes):
-        keys.append(line_key("fitted curve", **_FIT))
-    if any(len(shape.model) for shape in shapes):
-        keys.append(line_key("model", **_MODEL))
-    return keys
 
 
 def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
@@ -185,91 +160,61 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
         yield FigureToSave(f"shapes-{number}", partial(shapes_figure, name, shapes))
 
 
-def save_calibration_figures(
-    report: CalibrationReport,
-    folder: Path,
-    *,
-    say: Callable[[str], None] = lambda _: None,
-    png: bool = False,
-) -> list[Path]:
-    """Draw the figures of a calibration, each as SVG.
-
-    Parameters
-    ----------
-    report : all that they show
-    folder : made if it is not there
-    say : called with the name of each figure as it is drawn
-    png : each as PNG, too
-
-    Returns
-    -------
-    The files, in the order of `calibration_drawings`.
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
-
-    Notes
-    -----
-    The same report gives the same bytes with the same version of matplotlib.
-    """
-    return save_pages(
-        calibration_drawings(report),
-        folder,
-        what="figures of a calibration",
-        again="calibrate",
-        say=say,
-        png=png,
-    )
-
-
-SAMPLE: dict[str, Any] = {"linewidth": 0.6, "zorder": 2}
-MODEL_LINE: dict[str, Any] = {"color": MODEL, "linewidth": 1.5, "zorder": 4}
-MODEL_BAND: dict[str, Any] = {"color": BAND, "alpha": 0.55, "linewidth": 0, "zorder": 1}
-_FAINT: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.4}
-_MEANS: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
-_ZERO: dict[str, Any] = {"color": "black", "linewidth": 0.6, "zorder": 1}
 N_MEANS = 25
 """Least number of blocks over which residuals are averaged."""
 
 
-def sample_looks(calibration: Calibration) -> dict[float, Look]:
-    """Return the style of the samples of each length."""
-    return length_looks([curve.length for curve in calibration.curves])
-
-
-def plot_loadings(
-    calibration: Calibration, axes: Axes, *, predictions: Mapping[float, Prediction] | None = None
+def _plot_loadings(
+    calibration: Calibration, axes: Axes, predictions: Mapping[float, Prediction]
 ) -> None:
-    """Draw the first loadings of all samples, and the model once for each length.
-
-    Parameters
-    ----------
-    calibration : its curves are drawn
-    axes : to draw on
-    predictions : of the model with its band, by length, m; without one there is no band
-    """
-    looks = sample_looks(calibration)
+    """Draw the first loadings of all samples, and the model, with its band, for each length."""
+    looks = _sample_looks(calibration)
     for curve in calibration.curves:
-        look = looks[curve.length]
-        _plot(axes, curve.deflection, FORCE.factor * curve.force, look)
+        label = _samples(calibration, curve.length)
+        force = FORCE.factor * curve.force
+        _plot(axes, curve.deflection, force, looks[curve.length], label=label)
     for length in looks:
-        deepest = _deepest(calibration, length)
+        deepest = max(
+            (curve for curve in calibration.curves if curve.length == length),
+            key=lambda curve: float(np.max(curve.deflection)),
+        )
         order = np.argsort(deepest.deflection)
         x = DEFLECTION.factor * deepest.deflection[order]
         y = FORCE.factor * deepest.model[order]
-        axes.plot(x, y, **MODEL_LINE)
+        axes.plot(x, y, color=MODEL, linewidth=1.5, zorder=4, label="model")
         axes.annotate(
             length_words(length), (x[-1], y[-1]), (3, 0), textcoords="offset points",
             va="center", annotation_clip=False,
         )  # fmt: skip
-        if predictions and length in predictions:
-            _draw_band(axes, predictions[length], deepest)
-    axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    axes.set_xlabel(DEFLECTION.label("Tip deflection"))
-    axes.set_ylabel(FORCE.label("Force"))
+        if length in predictions:
+            prediction = predictions[length]
+            use = prediction.deflection <= np.max(deepest.deflection)
+            axes.fill_between(
+                DEFLECTION.factor * prediction.deflection[use],
+                FORCE.factor * prediction.lower_mean[use],
+                FORCE.factor * prediction.upper_mean[use],
+                color=BAND, alpha=0.55, linewidth=0, zorder=1,
+                label="95 % band of the model, mean sample",
+            )  # fmt: skip
+    _set_force_axes(axes)
+
+
+def _set_force_axes(axes: Axes, *, lowest: float = math.inf, headroom: float = 1.0) -> None:
+    """Set axes of force against deflection from zero, or the lowest shown force."""
+    low, high = axes.get_ylim()
+    bottom = min(0.0, low if math.isinf(lowest) else lowest)
+    axes.set(xlim=(0.0, axes.get_xlim()[1]), ylim=(bottom, headroom * high))
+    axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
+
+
+def _sample_looks(calibration: Calibration) -> dict[float, Look]:
+    """Return the style of the samples of each length."""
+    return length_looks([curve.length for curve in calibration.curves])
+
+
+def _samples(calibration: Calibration, length: float) -> str:
+    count = sum(curve.length == length for curve in calibration.curves)
+    return f"measured, {length_words(length)} ({count})"
 
 
 def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool = False) -> None:
@@ -284,54 +229,30 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
 
     Notes
     -----
-    Every point is drawn faint; a line shows the means of at least `N_MEANS` blocks of neighbouring
+    Every point is drawn faint; a line shows the means of at least `N_BLOCKS` blocks of neighbouring
     points, if there are as many points.
     """
-    looks = sample_looks(calibration)
-    axes.axhline(0.0, **_ZERO)
+    looks = _sample_looks(calibration)
+    axes.axhline(0.0, color="black", linewidth=0.6, zorder=1)
     for curve in calibration.curves:
         factor = curve.sample_factor if has_own_factor else 1.0
         left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
-        _plot(axes, curve.deflection, left, looks[curve.length], **_FAINT)
+        _plot(axes, curve.deflection, left, looks[curve.length], alpha=0.2, linewidth=0.4)
         across, up = (block_means(values, N_MEANS) for values in (curve.deflection, left))
-        look = looks[curve.length]
-        axes.plot(DEFLECTION.factor * across, up, color=look.colour, linestyle=look.dash, **_MEANS)
+        look = looks[curve.length]._asdict()
+        axes.plot(DEFLECTION.factor * across, up, linewidth=0.9, zorder=3, **look)
     axes.set_xlim(left=0.0)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(SMALL_FORCE.label("Measured \u2212 model"))
 
 
-def _draw_band(axes: Axes, prediction: Prediction, curve: CurveAgreement) -> None:
-    """Draw the band of the mean sample up to the largest deflection of the tests."""
-    use = prediction.deflection <= np.max(curve.deflection)
-    axes.fill_between(
-        DEFLECTION.factor * prediction.deflection[use],
-        FORCE.factor * prediction.lower_mean[use],
-        FORCE.factor * prediction.upper_mean[use],
-        **MODEL_BAND,
-    )
-
-
-def _deepest(calibration: Calibration, length: float) -> CurveAgreement:
-    curves = [curve for curve in calibration.curves if curve.length == length]
-    return max(curves, key=lambda curve: float(np.max(curve.deflection)))
-
-
 def _plot(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
     rows = extremes(values, bins=120)
-    across = DEFLECTION.factor * deflection[rows]
-    style = {"color": look.colour, "linestyle": look.dash, **SAMPLE, **more}
-    axes.plot(across, values[rows], **style)
+    style = {**look._asdict(), "linewidth": 0.6, "zorder": 2, **more}
+    axes.plot(DEFLECTION.factor * deflection[rows], values[rows], **style)
 
 
-THRESHOLD: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
-INTERVAL: dict[str, Any] = {"color": "#dddddd", "linewidth": 0, "zorder": 0}
-PRIOR: dict[str, Any] = {"color": "#009E73", "linewidth": 1.0, "linestyle": (0, (1.4, 1.2))}
-_CURVE: dict[str, Any] = {"color": MODEL, "linewidth": 1.2}
-_DOTS: dict[str, Any] = {"color": MODEL, "linestyle": "", "marker": "o", "markersize": 2.2}
 _VALUE: dict[str, Any] = {"color": "black", "marker": "^", "markersize": 4.5, "clip_on": False}
-_MARGIN = 0.12
-"""Margin beside the shown values, as a share of their logarithmic range."""
 
 
 def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
@@ -346,7 +267,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
         there is one
     """
     if not parameter.profiles:
-        write_reason(axes, typeset(parameter.words), line_length=30)
+        write_reason(axes, typeset(parameter.explanation), line_length=30)
         return
     axis = DISPLAYS[parameter.name]
     low, high = panel_range(parameter)
@@ -383,17 +304,22 @@ def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float
     for number, part in enumerate(parameter.intervals):
         low = ends[0] if number == 0 and parameter.is_open_below else part.lower
         high = ends[1] if number == last and parameter.is_open_above else part.upper
-        axes.axvspan(factor * low, factor * high, **INTERVAL)
+        look: dict[str, Any] = {"color": "#dddddd", "linewidth": 0, "zorder": 0}
+        axes.axvspan(factor * low, factor * high, label="95 % interval", **look)
 
 
 def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[float, float]) -> None:
     """Draw one profile, its thresholds, and a triangle if it is not the best solution."""
     values, deviance = interpolate_profile(profile)
     least, height = _minimum(profile)
-    axes.plot(factor * values, deviance, **_CURVE)
-    axes.plot(factor * profile.value, profile.deviance, **_DOTS)
-    axes.plot([factor * ends[0], factor * least], [profile.threshold_below] * 2, **THRESHOLD)
-    axes.plot([factor * least, factor * ends[1]], [profile.threshold_above] * 2, **THRESHOLD)
+    axes.plot(factor * values, deviance, color=MODEL, linewidth=1.2)
+    axes.plot(factor * profile.value, profile.deviance, "o", color=MODEL, markersize=2.2)
+    look: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": DASHED}
+    for end, threshold in zip(
+        ends, (profile.threshold_below, profile.threshold_above), strict=True
+    ):
+        x = np.sort([factor * end, factor * least])
+        axes.plot(x, [threshold] * 2, label="95 % threshold", **look)
     if height > 0.0:
         axes.plot(factor * least, height, **_VALUE, markerfacecolor="white")
 
@@ -405,8 +331,7 @@ def panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
     ----------
     parameter : its interval, or the traced range of its profile, is shown
     """
-    if not parameter.profiles:
-        return parameter.value, parameter.value
+    margin_share = 0.12  # beside the shown values, of their logarithmic range
     highest = _panel_top(parameter)
     traced = [
         value
@@ -423,7 +348,7 @@ def panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
     if parameter.conflict is not None:
         wanted.append(parameter.conflict.centre)
     low, high = float(np.log(min(wanted))), float(np.log(max(wanted)))
-    margin = _MARGIN * max(high - low, 0.02)
+    margin = margin_share * max(high - low, 0.02)
     return float(np.exp(low - margin)), float(np.exp(high + margin))
 
 
@@ -455,7 +380,9 @@ def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, f
     values: Floats = np.geomspace(*ends, 200)
     error = np.log(parameter.conflict.factor) / normal_quantile
     away = np.log(values / parameter.conflict.centre) / error
-    axes.plot(DISPLAYS[parameter.name].scale.factor * values, away**2, **PRIOR)
+    across = DISPLAYS[parameter.name].scale.factor * values
+    look: dict[str, Any] = {"linewidth": 1.0, "linestyle": (0, (1.4, 1.2))}
+    axes.plot(across, away**2, color="#009E73", label="prior alone", **look)
 
 
 def _set_ticks(axes: Axes) -> None:
@@ -471,23 +398,6 @@ def _set_ticks(axes: Axes) -> None:
     elif high > few_decades_above * low:
         axes.xaxis.set_major_locator(LogLocator(numticks=4))
         axes.xaxis.set_minor_locator(NullLocator())
-
-
-_PANEL_HEIGHTS = (58.0, 34.0, 32.0)
-"""mm, rows of panels without their headings, numbers and labels."""
-_FRAME_MM = 16.5
-"""Heading, numbers and label of a panel."""
-_LINE_MM = 3.7
-"""Height of a line of text."""
-_DOUBTFUL = {
-    Identifiability.NOT,
-    Identifiability.TWO,
-    Identifiability.AT_BOUND,
-    Identifiability.BY_PRIOR,
-    Identifiability.AGAINST_PRIOR,
-}
-_NO_BAND = "The band of the model is not drawn."
-_RESIDUALS = "Residuals: points faint, means of neighbouring points as lines."
 
 
 def calibration_card(
@@ -506,97 +416,338 @@ def calibration_card(
     of each sample taken out, (d) to (f) profiles of the parameters, and numbers and verdicts in
     words.
     """
-    letters_per_line = 145
-    rows = [HEADS, *(parameter_row(parameter) for parameter in calibration.parameters)]
-    lines = [
-        line
-        for sentence in sentences(calibration)
-        for line in textwrap.wrap(sentence, letters_per_line, subsequent_indent="   ")
-    ]
-    heights = _heights(len(rows) + len(lines) + 1.3)
-    note = _RESIDUALS if predictions else f"{_RESIDUALS} {_NO_BAND}"
-    page = keyed_page(
-        PageTexts(_title(calibration), note, _card_keys(calibration, predictions)),
-        height_mm=sum(heights) + _FRAME_MM * len(_PANEL_HEIGHTS),
-        width_mm=DOUBLE_COLUMN,
-    )
-    panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff;wwwwww", height_ratios=heights)
-    plot_loadings(calibration, panels["a"], predictions=predictions)
+    panel_heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; its heading and labels
+    height = sum(panel_heights) + frame_mm * len(panel_heights)
+    page = new_page(height_mm=height, width_mm=DOUBLE_COLUMN)
+    panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff", height_ratios=panel_heights)
+    _plot_loadings(calibration, panels["a"], predictions or {})
     plot_residuals(calibration, panels["b"])
     plot_residuals(calibration, panels["c"], has_own_factor=True)
-    _draw_profiles(calibration, [panels[letter] for letter in "def"])
-    _write_table(panels["w"], rows, lines)
-    for letter, heading in zip("abc", _HEADINGS, strict=True):
-        panel_letter(panels[letter], letter, heading)
-    return page
-
-
-_HEADINGS = ("first loadings", "residuals", "residuals with each sample's own factor")
-_OF_PARAMETERS = ("friction", "insulation", "copper")
-
-
-def _title(calibration: Calibration) -> str:
+    for letter, parameter in zip("def", calibration.parameters, strict=True):
+        plot_profile(parameter, panels[letter])
+    panels["d"].set_ylabel("Deviance")
+    for letter, heading in zip("abcdef", _HEADINGS, strict=True):
+        panels[letter].set_title(heading, loc="left")
+    numbers = [
+        f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
+        for name, value, interval, unit, verdict in map(parameter_row, calibration.parameters)
+    ]
+    about = "Residuals: points faint, means of neighbouring points as lines."
+    about += "" if predictions else " The band of the model is not drawn."
+    note = "\n".join([*numbers, *sentences(calibration), about])
     count = count_of(calibration.n_samples, "sample")
-    return f"{calibration.wire}  ·  calibration of the wire model  ·  {count}"
+    return titled(page, f"{calibration.wire}  ·  calibration of the wire model  ·  {count}", note)
 
 
-def _heights(lines: float) -> tuple[float, ...]:
-    """Return the heights of the panels and of a number of lines of text, mm."""
-    max_height_mm = 255.0  # of an upright A4 page
-    min_panel_share = 0.7  # of the panels' full heights, above much text
-    text_height = _LINE_MM * lines
-    room = max_height_mm - _FRAME_MM * len(_PANEL_HEIGHTS) - text_height
-    share = min(max(room / sum(_PANEL_HEIGHTS), min_panel_share), 1.0)
-    return *(share * height for height in _PANEL_HEIGHTS), text_height
+_HEADINGS = (
+    "first loadings", "residuals", "residuals with each sample's own factor", "friction",
+    "insulation", "copper",
+)  # fmt: skip
 
 
-def _draw_profiles(calibration: Calibration, panels: Sequence[Axes]) -> None:
-    for number, (parameter, axes) in enumerate(zip(calibration.parameters, panels, strict=True)):
-        plot_profile(parameter, axes)
-        panel_letter(axes, "def"[number], _OF_PARAMETERS[number])
-    panels[0].set_ylabel("Deviance")
+MAX_PANELS = 6
+"""Panels per page of agreement."""
+_COLUMNS = 2
+_MODEL_LOOK: dict[str, Any] = {"color": MODEL, "linewidth": 1.4, "linestyle": (0, (5, 1.4))}
+_PREDICTED_LOOK: dict[str, Any] = {"color": BAND, "linewidth": 0, "zorder": 1.5}
+_HEADROOM = 1.08
+"""Top of an axis, of the largest value."""
 
 
-def _write_table(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> None:
-    """Write a table and lines below one another, from the top of a panel."""
-    column_edges = (0.0, 0.24, 0.34, 0.53, 0.60)
-    axes.set_axis_off()
-    for number, row in enumerate(rows):
-        for at, text in zip(column_edges, row, strict=True):
-            is_bold = number == 0 or text in _DOUBTFUL
-            _put_text(axes, text, at, number, weight="bold" if is_bold else "normal")
-    for number, line in enumerate(lines, start=len(rows)):
-        _put_text(axes, line, 0.0, number + 0.5)
+def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
+    """Draw measured and modelled force against deflection, a panel per group.
+
+    Parameters
+    ----------
+    groups : 1 to 6, each of one wire and one length
+
+    Raises
+    ------
+    ValueError
+        If there is no group, or there are more than fit on a page.
+    """
+    require_room(len(groups), MAX_PANELS, "groups")
+    row_mm = 66.0
+    height = row_mm * math.ceil(len(groups) / _COLUMNS)
+    page = new_page(height_mm=height, width_mm=DOUBLE_COLUMN)
+    panels = panel_grid(page, len(groups), columns=_COLUMNS)
+    for group, axes in zip(groups, panels, strict=True):
+        _plot_group(group, axes)
+        use = "calibrated" if group.is_calibrated else "predicted"
+        axes.set_title(f"{group.wire}, {length_words(group.length)}: {use}", loc="left")
+    return titled(page, "Measured and predicted first loadings", _note(groups))
 
 
-def _put_text(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
-    left = 0.012
-    points_per_mm = 72.0 / 25.4
-    axes.annotate(
-        text, (left + at, 1.0), (0.0, -line * _LINE_MM * points_per_mm), textcoords="offset points",
-        xycoords=("figure fraction", "axes fraction"), va="top", annotation_clip=False,
-        **look,
-    ).set_in_layout(False)  # fmt: skip
+def _plot_group(group: ValidationGroup, axes: Axes) -> None:
+    """Draw samples, their mean with its band, and the model with its band; agreement in words."""
+    for sample in group.samples.values():
+        rows = extremes(sample.force, bins=100)
+        across = DEFLECTION.factor * sample.displacement[rows]
+        look: dict[str, Any] = {"color": GREY, "linewidth": 0.45, "alpha": 0.75, "zorder": 2}
+        axes.plot(across, FORCE.factor * sample.force[rows], label="sample", **look)
+    _draw_measured(group.band, axes)
+    if group.prediction is not None:
+        _draw_prediction(group.prediction, group.is_sure, axes)
+    axes.text(
+        0.03, 0.98, agreement_words(group), transform=axes.transAxes, va="top", zorder=6,
+        linespacing=1.25,
+    )  # fmt: skip
+    _set_force_axes(axes, lowest=_lowest(group), headroom=_HEADROOM)
 
 
-def _card_keys(
-    calibration: Calibration, predictions: Mapping[float, Prediction] | None
-) -> list[Artist]:
-    keys: list[Artist] = [
-        line_key(_samples(calibration, length), color=look.colour, linestyle=look.dash, **SAMPLE)
-        for length, look in sample_looks(calibration).items()
-    ]  # fmt: skip
-    keys.append(line_key("model", **MODEL_LINE))
-    if predictions:
-        keys.append(area_key("95 % band of the model, mean sample", **MODEL_BAND))
-    if any(parameter.profiles for parameter in calibration.parameters):
-        keys.append(line_key("95 % threshold", **THRESHOLD))
-        keys.append(area_key("95 % interval", **INTERVAL))
-    if any(parameter.conflict is not None for parameter in calibration.parameters):
-        keys.append(line_key("prior alone", **PRIOR))
-    return keys
+def agreement_words(group: ValidationGroup) -> str:
+    """Describe in a few lines how well the model agrees with a group.
+
+    Parameters
+    ----------
+    group : if the model has no errors, the text gives the reason for no prediction
+    """
+    lines = [count_of(len(group.samples), "sample")]
+    if not np.isfinite(group.band.lower).any():
+        lines[0] += ", no band of the mean"
+    errors = group.errors
+    if errors is None:
+        why = f"No prediction. {reason_sentences([group.reason])}".strip()
+        return "\n".join([*lines, *textwrap.wrap(why, 48)])
+    rmse = SMALL_FORCE.factor * errors.rmse
+    lines.append(
+        f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(errors.rmse_share)} of the largest force"
+    )
+    if math.isfinite(errors.inside):
+        lines.append(f"{percent(errors.inside)} of the points inside the band")
+    return "\n".join(lines)
 
 
-def _samples(calibration: Calibration, length: float) -> str:
-    count = sum(curve.length == length for curve in calibration.curves)
-    return f"measured, {length_words(length)} ({count})"
+def _draw_measured(band: Band, axes: Axes) -> None:
+    x = DEFLECTION.factor * band.displacement
+    mean: dict[str, Any] = {"color": "black", "linewidth": 1.3, "zorder": 4}
+    axes.plot(x, FORCE.factor * band.mean, label="mean of samples", **mean)
+    if np.isfinite(band.lower).any():
+        ends = FORCE.factor * band.lower, FORCE.factor * band.upper
+        look: dict[str, Any] = {"color": "#bbbbbb", "alpha": 0.7, "linewidth": 0, "zorder": 1}
+        axes.fill_between(x, *ends, label="95 % band of the mean", **look)
+
+
+def _draw_prediction(prediction: Prediction, is_sure: Flags, axes: Axes) -> None:
+    band_alpha = 0.5
+    x = DEFLECTION.factor * prediction.deflection
+    edges = FORCE.factor * prediction.lower, FORCE.factor * prediction.upper
+    for use, fade in split_doubtful(is_sure):
+        force = FORCE.factor * prediction.force[use]
+        axes.plot(x[use], force, label="model", zorder=5, alpha=fade, **_MODEL_LOOK)
+        look = {**_PREDICTED_LOOK, "alpha": fade * band_alpha}
+        ends = edges[0][use], edges[1][use]
+        axes.fill_between(x[use], *ends, label="95 % band of the model", **look)
+        for end in ends:
+            axes.plot(x[use], end, color=MODEL, linewidth=0.5, zorder=3, alpha=fade)
+
+
+def _lowest(group: ValidationGroup) -> float:
+    """Return the lowest force of the mean and the samples, in the display unit."""
+    forces: list[Floats] = [group.band.mean, *(sample.force for sample in group.samples.values())]
+    finite = [force[np.isfinite(force)] for force in forces]
+    return FORCE.factor * min(
+        (float(values.min()) for values in finite if len(values)), default=0.0
+    )
+
+
+_LIGHTER = (
+    "The model is drawn lighter where it is doubtful: there the strain at the rim of the insulation"
+    " exceeds its assumed linear range."
+)
+
+
+def _note(groups: Sequence[ValidationGroup]) -> str:
+    """Describe the bands."""
+    lines = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
+    if any(len(group.samples) < 2 for group in groups):
+        lines.append("One sample has no band.")
+    counts = sorted({group.mean_of for group in groups if group.prediction is not None})
+    for number in counts:
+        what = "one more sample" if number == 1 else f"the mean of {number} samples"
+        of = ""
+        if len(counts) > 1:
+            of = f" ({', '.join(_names(groups, number))})"
+        lines.append(f"Blue band: model, for {what}{of}.")
+    if not all(group.is_sure.all() for group in groups):
+        lines.append(_LIGHTER)
+    notes = {
+        note.message: None
+        for group in groups
+        if group.prediction is not None
+        for note in group.prediction.notes
+    }
+    return " ".join([*lines, *(f"{text[:1].upper()}{text[1:]}." for text in notes)])
+
+
+def _names(groups: Sequence[ValidationGroup], mean_of: int) -> list[str]:
+    return [
+        f"{group.wire} {length_words(group.length)}"
+        for group in groups
+        if group.mean_of == mean_of and group.prediction is not None
+    ]
+
+
+_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
+_MARKS = ("o", "s", "^", "D", "v")
+_FREE_KEY_ROWS = 4
+"""Rows of a key that fit above most curves without more room."""
+
+
+class ExternalPanel(NamedTuple):
+    """Contents of one pair of axes.
+
+    Parameters
+    ----------
+    wire, length : name, m
+    is_normal : the load stays normal to the undeformed axis, also in the model
+    group : tests of that wire and length; None where there are none
+    comparisons : external curves
+    """
+
+    wire: str
+    length: float
+    is_normal: bool
+    group: ValidationGroup | None
+    comparisons: tuple[ExternalCurveComparison, ...]
+
+    @property
+    def prediction(self) -> Prediction | None:
+        """Prediction up to the end of the longest curve."""
+        predictions = [
+            comparison.prediction
+            for comparison in self.comparisons
+            if comparison.prediction is not None
+        ]
+        return max(predictions, key=lambda one: float(one.deflection[-1]), default=None)
+
+
+def external_pages(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
+    """Group external curves by wire, length and load, in pages of `MAX_PANELS` panels.
+
+    Parameters
+    ----------
+    report : of a calibration
+    """
+    comparisons: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
+    for comparison in report.comparisons:
+        curve = comparison.curve
+        key = (curve.wire, round(curve.length, 6), curve.is_normal)
+        comparisons.setdefault(key, []).append(comparison)
+    groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
+    panels = [
+        ExternalPanel(*key, groups.get(key[:2]), tuple(curves))
+        for key, curves in comparisons.items()
+    ]
+    return split_pages(panels, MAX_PANELS)
+
+
+def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
+    """Draw external curves, tests and model, a panel per wire, length and kind of load.
+
+    Parameters
+    ----------
+    panels : 1 to 6
+
+    Raises
+    ------
+    ValueError
+        If there is no panel, or there are more than fit on a page.
+    """
+    row_mm = 70.0
+    require_room(len(panels), MAX_PANELS, "panels")
+    rows = math.ceil(len(panels) / _COLUMNS)
+    row = row_mm + 4.0 * max(0, max(map(_key_rows, panels)) - _FREE_KEY_ROWS)
+    page = new_page(height_mm=row * rows, width_mm=DOUBLE_COLUMN)
+    drawn = panel_grid(page, len(panels), columns=_COLUMNS)
+    for panel, axes in zip(panels, drawn, strict=True):
+        _plot_external(panel, axes)
+        load = ", load normal to the axis" if panel.is_normal else ""
+        axes.set_title(f"{panel.wire}, {length_words(panel.length)}{load}", loc="left")
+    return titled(page, "External curves, tests and model", _external_note(panels))
+
+
+def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
+    """Draw the mean of the tests and the model with their bands, and external curves on top.
+
+    The text in the panel gives the RMSE of each external curve to the tests and to the model.
+    """
+    from matplotlib.legend import Legend
+
+    if panel.group is not None:
+        _draw_measured(panel.group.band, axes)
+    model = panel.prediction
+    if model is not None:
+        across = DEFLECTION.factor * model.deflection
+        edges = (FORCE.factor * model.lower_mean, FORCE.factor * model.upper_mean)
+        axes.plot(across, FORCE.factor * model.force, label="model", zorder=5, **_MODEL_LOOK)
+        look = {**_PREDICTED_LOOK, "alpha": 0.5}
+        axes.fill_between(across, *edges, label="95 % band of the model", **look)
+    lines = [_draw_comparison(one, number, axes) for number, one in enumerate(panel.comparisons)]
+    extra_rows = max(0, _key_rows(panel) - _FREE_KEY_ROWS)
+    _set_force_axes(axes, headroom=_HEADROOM + 0.06 * extra_rows)
+    words = list(map(match_words, panel.comparisons))
+    # not the legend of the panel: the other labels belong into the key of the page
+    key = Legend(axes, lines, words, loc="upper left", handlelength=2.2, borderaxespad=0.4)
+    axes.add_artist(key)
+
+
+def _key_rows(panel: ExternalPanel) -> int:
+    """Count the lines of text in the key of a panel."""
+    return sum(1 + match_words(comparison).count("\n") for comparison in panel.comparisons)
+
+
+def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
+    curve = comparison.curve
+    (line,) = axes.plot(
+        DEFLECTION.factor * curve.deflection,
+        FORCE.factor * curve.force,
+        color=_COLOURS[number % len(_COLOURS)],
+        linewidth=0.9,
+        marker=_MARKS[number % len(_MARKS)],
+        markersize=3.0,
+        markevery=max(1, len(curve.force) // 14),
+        zorder=6,
+    )
+    return line
+
+
+def match_words(match: ExternalCurveComparison) -> str:
+    """Name an external curve and write its RMSE to the tests and to the model.
+
+    Parameters
+    ----------
+    comparison : with tests and model
+    """
+    lines = textwrap.wrap(match.curve.name, 44)
+    lines.append("no tests to compare" if match.tests is None else _rmse("tests", match.tests))
+    return "\n".join([*lines, _rmse("model", match.model)])
+
+
+def _rmse(other: str, match: CurveMatch) -> str:
+    if match.errors is None:
+        return f"{other}: not compared"
+    rmse = SMALL_FORCE.factor * match.errors.rmse
+    return (
+        f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(match.errors.rmse_share)} of peak"
+    )
+
+
+def _external_note(panels: Sequence[ExternalPanel]) -> str:
+    """Describe the bands and list points that were not compared."""
+    lines = []
+    if any(panel.group is not None for panel in panels):
+        lines.append("Grey band: mean of the tests, Student's t with n - 1 degrees of freedom.")
+    if any(panel.prediction is not None for panel in panels):
+        lines.append("Blue band: model, for the mean sample.")
+    lines.append("Peak: largest reference force at the compared points.")
+    notes = [
+        note for panel in panels for comparison in panel.comparisons for note in comparison.notes
+    ]
+    if any(note.code == "external_curve_load" for note in notes):
+        lines.append("Where the load is normal to the axis, the load of the tests is not.")
+    for panel in panels:
+        for comparison in panel.comparisons:
+            other_notes = [note for note in comparison.notes if note.code != "external_curve_load"]
+            lines += [f"'{comparison.curve.name}': {note.message}." for note in other_notes]
+    return " ".join(lines)

@@ -170,7 +170,7 @@ class ValidationGroup:
 
     @property
     def is_sure(self) -> Flags:
-        """Whether each point of the prediction is below the doubtful deflection."""
+        """Return whether each point of the prediction is below the doubtful deflection."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)
 
@@ -216,7 +216,7 @@ class CalibrationReport:
 
     @property
     def predictions(self) -> dict[float, Prediction]:
-        """Predictions for the tests that were used for the calibration, by length."""
+        """Return the predictions for the tests that were used for the calibration, by length."""
         return {
             group.length: group.prediction
             for group in self.groups
@@ -224,13 +224,12 @@ class CalibrationReport:
         }
 
 
-HEADS = ("parameter", "value", "95 % interval", "unit", "verdict")
 _REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
 """Codes of notes that repeat the sentences of the parameters."""
 
 
 def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
-    """Write a parameter as the line of a table, under `HEADS`.
+    """Write a parameter: its name, value, 95 % interval, unit and verdict.
 
     Parameters
     ----------
@@ -244,12 +243,12 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
     )
     written = write_number(parameter.value, interval, factor)
     value = write_number(parameter.value, None, factor, digits=2) if is_open else written
-    between = " or ".join(_interval_parts(parameter, factor))
+    interval_text = " or ".join(_interval_parts(parameter, factor))
     unit = display.scale.unit or "1"
     return (
         typeset(display.name).rstrip("."),
         value.value,
-        between or "\u2013",
+        interval_text or "\u2013",
         unit,
         parameter.verdict.value,
     )
@@ -297,7 +296,7 @@ def sentences(calibration: Calibration) -> list[str]:
 
 def _parameter_sentences(calibration: Calibration) -> Iterator[str]:
     for parameter in calibration.parameters:
-        yield typeset(parameter.words)
+        yield typeset(parameter.explanation)
         if parameter.conflict is not None:
             yield typeset(parameter.conflict.message)
 
@@ -331,7 +330,7 @@ def _separability_sentences(calibration: Calibration) -> Iterator[str]:
     """Describe the separability of friction and of the parameters where some are not identified."""
     for separability in (calibration.friction_separability, calibration.separability):
         if separability is not None and not all(separability.are_identified.values()):
-            yield typeset(separability.words)
+            yield typeset(separability.explanation)
 
 
 def _note_sentences(calibration: Calibration) -> Iterator[str]:

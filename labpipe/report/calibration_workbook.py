@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -23,15 +22,77 @@ from labpipe.report.calibration_summary import (
     DISPLAYS,
     FORCE,
     CalibrationReport,
-    ParameterDisplay,
     ValidationGroup,
     length_words,
     parameter_row,
     typeset,
 )
-from labpipe.report.workbook_file import About, Chart, Line, Row, Sheet, Value, save_book
+from labpipe.report.workbook_file import (
+    About,
+    Chart,
+    Line,
+    Record,
+    Sheet,
+    Value,
+    array_records,
+    save_book,
+    sheet_of,
+)
 
-EXTERNAL_CURVES, EXTERNAL_POINTS = "external curves", "external curves, points"
+_FRICTION = ("strand_friction", "insulation_friction", "radial_force")
+_LENGTH = DEFLECTION.label("length")
+
+
+def tables_of(report: CalibrationReport) -> list[Sheet]:
+    """Return all sheets of a calibration.
+
+    Parameters
+    ----------
+    report : of a calibration
+
+    Returns
+    -------
+    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the
+    dissertation), those of external curves, ``curves``, ``forces`` and ``notes``.
+    """
+    calibration = report.calibration
+    return [
+        sheet_of(
+            "summary", map(_parameter_record, calibration.parameters), frozen=2,
+            wrapped=("in words", "prior in words"),
+            question="What are the parameters of the model, and do the tests determine them?",
+        ),
+        sheet_of(
+            "solutions", _solution_records(calibration), frozen=1,
+            question="What else fits the tests?",
+        ),
+        sheet_of(
+            "fit", _fit_records(calibration), frozen=1,
+            question="Which data and which noise is the calibration based on?",
+        ),
+        sheet_of(
+            "identified", _identified_records(calibration), frozen=2,
+            question="Which combinations of parameters are identified? With the singular value s"
+            " the standard error of the logarithm is 1 / s; below 1 the tests do not determine the"
+            " combination.",
+        ),
+        sheet_of(
+            "agreement", map(_agreement_record, report.groups), frozen=2,
+            question="How well does the model agree with samples of the calibration and with"
+            " others? The band is for one more sample; SSE grows with the number of points.",
+        ),
+        *comparison_tables(report.comparisons),
+        sheet_of(
+            "curves", _curve_records(calibration), frozen=1,
+            question="How well does each test agree with the model, without the sample's own"
+            " factor?",
+        ),
+        _forces_sheet(report.groups),
+        sheet_of(
+            "notes", _note_records(report), frozen=1, wrapped=("what",),
+            question="Which notes apply to the calibration?",
+        ),
+    ]  # fmt: skip
 
 
 def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
@@ -47,156 +108,112 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
     """
     if not comparisons:
         return []
-    heads = (
-        "name", "wire", DEFLECTION.label("length"), "load", "compared with", "points compared",
-        "points left out", FORCE.label("RMSE"), "RMSE over the largest force (%)",
-        "points inside the band (%)", "reason", "file", "from",
-    )  # fmt: skip
-    rows = [row for comparison in comparisons for row in _external_agreement(comparison)]
-    points = [row for comparison in comparisons for row in _external_points(comparison)]
-    across, up = DEFLECTION.label("deflection"), FORCE.label("force")
-    columns = ("name", across, up, FORCE.label("mean of the tests"), FORCE.label("model"))
     return [
-        Sheet(
-            EXTERNAL_CURVES, heads, rows, 1,
-            question="How well do external curves agree with tests and model?",
+        sheet_of(
+            "external curves", [row for one in comparisons for row in _external_records(one)],
+            frozen=1, question="How well do external curves agree with tests and model?",
         ),
-        Sheet(
-            EXTERNAL_POINTS, columns, points, 1,
+        sheet_of(
+            "external curves, points", [row for one in comparisons for row in _point_records(one)],
+            frozen=1,
             question="Where do they differ? Force at the deflections of the external curves.",
         ),
     ]  # fmt: skip
 
 
-def _external_agreement(comparison: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
+def _external_records(comparison: ExternalCurveComparison) -> Iterator[Record]:
     curve = comparison.curve
-    load = "normal" if curve.is_normal else "as tested"
-    head = (curve.name, curve.wire, DEFLECTION.factor * curve.length, load)
-    tail = (curve.file, curve.source)
-    if comparison.tests is None:
-        yield (*head, "tests", 0, *[None] * 4, "no tests of this wire and length", *tail)
-    else:
-        yield (*head, "tests", *_errors(comparison.tests), *tail)
-    yield (*head, "model", *_errors(comparison.model), *tail)
+    for other, match in (("tests", comparison.tests), ("model", comparison.model)):
+        yield {
+            "name": curve.name,
+            "wire": curve.wire,
+            _LENGTH: DEFLECTION.factor * curve.length,
+            "load": "normal" if curve.is_normal else "as tested",
+            "compared with": other,
+            **_match_record(match),
+            "file": curve.file,
+            "from": curve.source,
+        }
 
 
-def _errors(match: CurveMatch) -> tuple[Value, ...]:
-    errors = match.errors
-    if errors is None:
-        return (0, match.left_out, None, None, None, match.words)
-    inside = 100.0 * errors.inside if math.isfinite(errors.inside) else None
-    rmse = FORCE.factor * errors.rmse
-    return (errors.n, match.left_out, rmse, 100.0 * errors.rmse_share, inside, match.words)
+def _match_record(match: CurveMatch | None) -> Record:
+    errors = None if match is None else match.errors
+    return {
+        "points compared": 0 if errors is None else errors.n,
+        "points left out": None if match is None else match.left_out,
+        FORCE.label("RMSE"): None if errors is None else FORCE.factor * errors.rmse,
+        "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
+        "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
+        "reason": "no tests of this wire and length" if match is None else match.explanation,
+    }
 
 
-def _external_points(comparison: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
-    curve, nothing = comparison.curve, [math.nan] * len(comparison.curve.force)
-    tests = nothing if comparison.tests is None else comparison.tests.reference.tolist()
-    columns = (curve.deflection.tolist(), curve.force.tolist(), tests, comparison.model.reference)
-    for across, *forces in zip(*columns, strict=True):
-        values = (FORCE.factor * float(v) if math.isfinite(v) else None for v in forces)
-        yield (curve.name, DEFLECTION.factor * across, *values)
+def _point_records(comparison: ExternalCurveComparison) -> list[Record]:
+    curve, tests = comparison.curve, comparison.tests
+    nothing = np.full(len(curve.force), np.nan)
+    columns = {
+        DEFLECTION.label("deflection"): DEFLECTION.factor * curve.deflection,
+        FORCE.label("force"): FORCE.factor * curve.force,
+        FORCE.label("mean of the tests"): FORCE.factor * (tests.reference if tests else nothing),
+        FORCE.label("model"): FORCE.factor * comparison.model.reference,
+    }
+    return array_records({"name": curve.name}, columns)
 
 
-def yes(value: bool) -> str:
-    """Write a truth value for a cell."""
+def _yes(value: bool) -> str:
     return "yes" if value else "no"
 
 
-SUMMARY, SOLUTIONS, FIT = "summary", "solutions", "fit"
-IDENTIFIED, CURVES = "identified", "curves"
-AGREEMENT, NOTES = "agreement", "notes"
-_FRICTION = ("strand_friction", "insulation_friction", "radial_force")
+def _parameter_record(parameter: CalibratedParameter) -> Record:
+    display, interval, conflict = DISPLAYS[parameter.name], parameter.interval, parameter.conflict
+    up, has_ends = display.scale.factor, interval is not None
+    return {
+        "parameter": typeset(display.name).rstrip("."),
+        "name": parameter.name,
+        "unit": display.scale.unit or "1",
+        "value": up * parameter.value,
+        "lower": None if interval is None else up * interval.lower,
+        "upper": None if interval is None else up * interval.upper,
+        "parts of the interval": parameter_row(parameter)[2] if has_ends else "",
+        "open below": _yes(parameter.is_open_below) if has_ends else "",
+        "open above": _yes(parameter.is_open_above) if has_ends else "",
+        "standard error of its logarithm": parameter.log_error if has_ends else None,
+        "degrees of freedom": parameter.freedom if has_ends else None,
+        "verdict": parameter.verdict.value,
+        "at bound": parameter.at_bound,
+        "prior, centre": None if conflict is None else up * conflict.centre,
+        "prior, factor": None if conflict is None else conflict.factor,
+        "without the prior": None if conflict is None else up * conflict.alone,
+        "conflict (standard errors)": None if conflict is None else conflict.size,
+        "contradicts": "" if conflict is None else _yes(conflict.contradicts),
+        "source of prior or fixed value": (conflict or parameter).source,
+        "in words": typeset(parameter.explanation),
+        "prior in words": "" if conflict is None else typeset(conflict.message),
+    }
 
 
-def tables_of(report: CalibrationReport) -> list[Sheet]:
-    """Return all sheets of a calibration.
-
-    Parameters
-    ----------
-    report : of a calibration
-
-    Returns
-    -------
-    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source),
-    those of external curves, ``curves``, ``forces`` and ``notes``.
-    """
-    calibration = report.calibration
-    return [
-        _summary_sheet(calibration),
-        _solutions_sheet(calibration),
-        _fit_sheet(calibration),
-        _identified_sheet(calibration),
-        _agreement_sheet(report.groups),
-        *comparison_tables(report.comparisons),
-        _curves_sheet(calibration),
-        _forces_sheet(report.groups),
-        _notes_sheet(report),
-    ]
+def _solution_records(calibration: Calibration) -> Iterator[Record]:
+    """Yield the local minima of the objective that are not very unlikely, the best first."""
+    for number, solution in enumerate(calibration.solutions, start=1):
+        values = {
+            f"{DISPLAYS[name].name} ({DISPLAYS[name].scale.unit or '1'})": (
+                DISPLAYS[name].scale.factor * value
+            )
+            for name, value in zip(PARAMETERS, solution.values.tolist(), strict=True)
+        }
+        yield {
+            "solution": number,
+            **values,
+            "RMSE (N)": solution.rmse,
+            "rise of the objective": solution.rise,
+            "likelihood relative to the best": solution.likelihood,
+            "in the 95 % set": _yes(solution.is_allowed),
+        }
 
 
-def _summary_sheet(calibration: Calibration) -> Sheet:
-    heads = (
-        "parameter", "name", "unit", "value", "lower", "upper", "parts of the interval",
-        "open below", "open above",
-        "standard error of its logarithm", "degrees of freedom", "verdict", "at bound",
-        "prior, centre", "prior, factor", "without the prior", "conflict (standard errors)",
-        "contradicts", "source of prior or fixed value", "in words", "prior in words",
-    )  # fmt: skip
-    rows = [_parameter_row(parameter) for parameter in calibration.parameters]
-    question = "What are the parameters of the model, and do the tests determine them?"
-    last = ("in words", "prior in words")
-    return Sheet(SUMMARY, heads, rows, 2, question=question, wrapped=last)
-
-
-def _parameter_row(parameter: CalibratedParameter) -> tuple[Value, ...]:
-    display, interval, conflict = (DISPLAYS[parameter.name], parameter.interval, parameter.conflict)
-    up = display.scale.factor
-    ends: tuple[Value, ...] = (None, None, "", "", "", None, None)
-    if interval is not None:
-        ends = (
-            up * interval.lower, up * interval.upper, parameter_row(parameter)[2],
-            yes(parameter.is_open_below), yes(parameter.is_open_above), parameter.log_error,
-            parameter.freedom,
-        )  # fmt: skip
-    prior: tuple[Value, ...] = (None, None, None, None, "", parameter.source)
-    if conflict is not None:
-        prior = (
-            up * conflict.centre, conflict.factor, up * conflict.alone, conflict.size,
-            yes(conflict.contradicts), conflict.source,
-        )  # fmt: skip
-    texts = (typeset(parameter.words), "" if conflict is None else typeset(conflict.message))
-    named = (typeset(display.name).rstrip("."), parameter.name, display.scale.unit or "1")
-    verdict = (parameter.verdict.value, parameter.at_bound)
-    return (*named, up * parameter.value, *ends, *verdict, *prior, *texts)
-
-
-def _solutions_sheet(calibration: Calibration) -> Sheet:
-    """List the local minima of the objective that are not very unlikely, the best first."""
-    displays = [DISPLAYS[name] for name in PARAMETERS]
-    heads = (
-        "solution", *(f"{display.name} ({display.scale.unit or '1'})" for display in displays),
-        "RMSE (N)", "rise of the objective", "likelihood relative to the best",
-        "in the 95 % set",
-    )  # fmt: skip
-    rows = [
-        (
-            number,
-            *map(_scaled, displays, solution.values.tolist()),
-            solution.rmse, solution.rise, solution.likelihood, yes(solution.is_allowed),
-        )
-        for number, solution in enumerate(calibration.solutions, start=1)
-    ]  # fmt: skip
-    return Sheet(SOLUTIONS, heads, rows, 1, question="What else fits the tests?")
-
-
-def _scaled(display: ParameterDisplay, value: float) -> float | None:
-    return display.scale.factor * value if math.isfinite(value) else None
-
-
-def _fit_sheet(calibration: Calibration) -> Sheet:
+def _fit_records(calibration: Calibration) -> list[Record]:
     levels = calibration.levels
-    rows: list[tuple[Value, ...]] = [
+    rows: tuple[tuple[str, Value, str], ...] = (
         ("wire", calibration.wire, ""),
         ("curves", len(calibration.curves), "1"),
         ("samples", calibration.n_samples, "1"),
@@ -212,97 +229,72 @@ def _fit_sheet(calibration: Calibration) -> Sheet:
         ("uncertainty of the load cell's gain, of its logarithm", levels.gain, "1"),
         ("factor on intervals for nonlinearity of the model", calibration.widening, "1"),
         ("method", calibration.method, ""),
-    ]
-    question = "Which data and which noise is the calibration based on?"
-    return Sheet(FIT, ("number", "value", "unit"), rows, 1, question=question)
+    )
+    return [{"number": number, "value": value, "unit": unit} for number, value, unit in rows]
 
 
-def _identified_sheet(calibration: Calibration) -> Sheet:
-    """List correlations, and singular values with the weights of their combinations."""
-    rows: list[tuple[Value, ...]] = [
-        (
-            "correlation of the logarithms with",
-            name,
-            *_by_name(dict(zip(PARAMETERS, row, strict=True))),
-        )
-        for name, row in zip(PARAMETERS, calibration.correlations.tolist(), strict=True)
-    ]
-    rows += _singular_rows("singular value of the parameters", calibration.separability)
+def _identified_records(calibration: Calibration) -> Iterator[Record]:
+    """Yield correlations, and singular values with the weights of their combinations."""
+    for name, row in zip(PARAMETERS, calibration.correlations.tolist(), strict=True):
+        correlations = dict(zip(PARAMETERS, row, strict=True))
+        yield _weight_record("correlation of the logarithms with", name, correlations)
+    yield from _singular_records("singular value of the parameters", calibration.separability)
     if calibration.friction_separability is not None:
-        rows += _singular_rows("singular value of friction", calibration.friction_separability)
-    heads = (
-        "quantity",
-        "of",
-        *(f"weight or correlation, {name}" for name in (*PARAMETERS, *_FRICTION)),
-    )
-    question = (
-        "Which combinations of parameters are identified? With the singular value s the standard"
-        " error of the logarithm is 1 / s; below 1 the tests do not determine the combination."
-    )
-    return Sheet(IDENTIFIED, heads, rows, 2, question=question)
+        of = "singular value of friction"
+        yield from _singular_records(of, calibration.friction_separability)
 
 
-def _singular_rows(what: str, separability: Separability) -> Iterator[tuple[Value, ...]]:
+def _singular_records(what: str, separability: Separability) -> Iterator[Record]:
     for value, weights in zip(
-        separability.singular_values.tolist(), separability.combinations, strict=True
+        separability.singular_values.tolist(), separability.combinations.tolist(), strict=True
     ):
-        named = dict(zip(separability.names, weights.tolist(), strict=True))
-        yield (what, value, *_by_name(named))
+        yield _weight_record(what, value, dict(zip(separability.names, weights, strict=True)))
     for name, is_known in separability.are_identified.items():
-        yield ("identified separately", name, *_by_name({name: yes(is_known)}))
+        yield _weight_record("identified separately", name, {name: _yes(is_known)})
 
 
-def _by_name(values: Mapping[str, Value]) -> tuple[Value, ...]:
-    return tuple(values.get(name) for name in (*PARAMETERS, *_FRICTION))
+def _weight_record(quantity: str, of: Value, values: Mapping[str, Value]) -> Record:
+    names = (*PARAMETERS, *_FRICTION)
+    weights = {f"weight or correlation, {name}": values.get(name) for name in names}
+    return {"quantity": quantity, "of": of, **weights}
 
 
-def _agreement_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
-    heads = (
-        "wire", DEFLECTION.label("length"), "samples", "model is", "points", "SSE (N²)",
-        FORCE.label("RMSE"), "RMSE over the largest force (%)", "points inside the band (%)",
-        "band predicts the mean of (samples)", "reason",
-    )  # fmt: skip
-    question = (
-        "How well does the model agree with samples of the calibration and with others? The band is"
-        " for one more sample; SSE grows with the number of points."
-    )
-    return Sheet(
-        AGREEMENT, heads, [_agreement_row(group) for group in groups], 2, question=question
-    )
+def _agreement_record(group: ValidationGroup) -> Record:
+    errors, why = group.errors, group.reason
+    if errors is not None:
+        why = None if np.isfinite(group.band.lower).any() else group.band.reason
+    return {
+        "wire": group.wire,
+        _LENGTH: DEFLECTION.factor * group.length,
+        "samples": len(group.samples),
+        "model is": "calibrated by these samples" if group.is_calibrated else "predicted",
+        "points": None if errors is None else errors.n,
+        "SSE (N²)": None if errors is None else errors.sse,
+        FORCE.label("RMSE"): None if errors is None else FORCE.factor * errors.rmse,
+        "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
+        "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
+        "band predicts the mean of (samples)": None if errors is None else group.mean_of,
+        "reason": str(why or ""),
+    }
 
 
-def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
-    use = "calibrated by these samples" if group.is_calibrated else "predicted"
-    head = (group.wire, DEFLECTION.factor * group.length, len(group.samples), use)
-    errors = group.errors
-    if errors is None:
-        return (*head, *[None] * 6, str(group.reason or ""))
-    shares = (100.0 * errors.rmse_share, 100.0 * errors.inside)
-    rmse = FORCE.factor * errors.rmse
-    has_band = bool(np.isfinite(group.band.lower).any())
-    why = "" if has_band else str(group.band.reason or "")
-    return (*head, errors.n, errors.sse, rmse, *shares, group.mean_of, why)
+def _curve_records(calibration: Calibration) -> Iterator[Record]:
+    for curve in calibration.curves:
+        yield {
+            "test": curve.test,
+            "sample": curve.sample,
+            _LENGTH: DEFLECTION.factor * curve.length,
+            "points": len(curve.force),
+            "factor of the sample": curve.sample_factor,
+            "SSE (N²)": curve.sse,
+            FORCE.label("RMSE"): FORCE.factor * curve.rmse,
+            "RMSE over the largest force (%)": 100.0 * curve.rmse_share,
+            "correlation of neighbours": curve.lag_one_correlation,
+            "runs test, p": curve.runs_p,
+        }
 
 
-def _curves_sheet(calibration: Calibration) -> Sheet:
-    heads = (
-        "test", "sample", DEFLECTION.label("length"), "points", "factor of the sample", "SSE (N²)",
-        FORCE.label("RMSE"), "RMSE over the largest force (%)", "correlation of neighbours",
-        "runs test, p",
-    )  # fmt: skip
-    rows = [
-        (
-            curve.test, curve.sample, DEFLECTION.factor * curve.length, len(curve.force),
-            curve.sample_factor, curve.sse, FORCE.factor * curve.rmse, 100.0 * curve.rmse_share,
-            curve.lag_one_correlation, curve.runs_p,
-        )
-        for curve in calibration.curves
-    ]  # fmt: skip
-    question = "How well does each test agree with the model, without the sample's own factor?"
-    return Sheet(CURVES, heads, rows, 1, question=question)
-
-
-def _notes_sheet(report: CalibrationReport) -> Sheet:
+def _note_records(report: CalibrationReport) -> list[Record]:
     """List the notes of the calibration and its predictions, each wording once, worst first."""
     notes: dict[tuple[str, str], QualityNote] = {}
     for note in report.calibration.notes:
@@ -313,73 +305,64 @@ def _notes_sheet(report: CalibrationReport) -> Sheet:
     for comparison in report.comparisons:
         for note in comparison.notes:
             notes[f"external curve '{comparison.curve.name}'", note.message] = note
+    order = list(reversed(Severity))
     rows = [
-        (of, note.severity.value, note.where, note.message, note.code)
-        for severity in reversed(Severity)
-        for (of, _), note in notes.items()
-        if note.severity is severity
+        (of, note.severity, note.where, note.message, note.code)
+        for (of, _), note in sorted(notes.items(), key=lambda item: order.index(item[1].severity))
     ]
-    separabilities = (report.calibration.friction_separability, report.calibration.separability)
-    rows += [
-        (
-            "calibration",
-            Severity.INFO.value,
-            ", ".join(separability.names),
-            typeset(separability.words),
-            "told_apart",
-        )
-        for separability in separabilities
-        if separability is not None
+    for told in (report.calibration.friction_separability, report.calibration.separability):
+        if told is not None:
+            names = ", ".join(told.names)
+            rows.append(
+                ("calibration", Severity.INFO, names, typeset(told.explanation), "told_apart")
+            )
+    return [
+        {"of": of, "kind": kind.value, "where": where, "what": what, "code": code}
+        for of, kind, where, what, code in rows
     ]
-    question = "Which notes apply to the calibration?"
-    heads = ("of", "kind", "where", "what", "code")
-    return Sheet(NOTES, heads, rows, 1, question=question, wrapped=("what",))
 
 
 def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
-    """List mean, model and samples of all groups, each at its own deflections."""
-    heads = (
-        "wire", DEFLECTION.label("length"), "what", DEFLECTION.label("deflection"),
-        *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
-        *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
-    )  # fmt: skip
-    rows: list[Row] = []
+    """Return the sheet of mean, model and samples of all groups, each at its own deflections."""
+    rows: list[Record] = []
     charts = []
     for group in groups:
         lines = []
-        for what, block in _blocks(group).items():
-            head = (group.wire, DEFLECTION.factor * group.length, what)
+        for block in _force_blocks(group):
             if block:
-                lines.append(Line(what, (len(rows), len(rows) + len(block) - 1), 3, 4))
-            rows += [(*head, *row) for row in block]
+                last = len(rows) + len(block) - 1
+                lines.append(Line(str(block[0]["what"]), (len(rows), last), 3, 4))
+            rows += block
         title = f"{group.wire}, {length_words(group.length)}"
         charts.append(Chart(title, DEFLECTION.label("Deflection"), FORCE.label("Force"), lines))
-    question = "What are the forces of samples and model? 'lower' and 'upper' are 95 % bands."
-    drawn = [chart for chart in charts if chart.lines]
-    return Sheet("forces", heads, rows, 3, question=question, charts=drawn)
-
-
-def _blocks(group: ValidationGroup) -> dict[str, list[Row]]:
-    """Return the rows of the mean, of the model, if any, and of each sample."""
-    band, prediction = group.band, group.prediction
-    mean = _columns(band.displacement, band.mean, band.lower, band.upper)
-    forces = ("force", "lower", "upper", "lower_mean", "upper_mean")
-    model = [] if prediction is None else _columns(
-        prediction.deflection, *(getattr(prediction, name) for name in forces)
+    return sheet_of(
+        "forces", rows, frozen=3, charts=[chart for chart in charts if chart.lines],
+        question="What are the forces of samples and model? 'lower' and 'upper' are 95 % bands.",
     )  # fmt: skip
-    samples = {
-        test: _columns(sample.displacement, sample.force) for test, sample in group.samples.items()
+
+
+def _force_blocks(group: ValidationGroup) -> Iterator[list[Record]]:
+    """Yield the rows of the mean, of the model, if any, and of each sample."""
+    heads = [
+        *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
+        *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
+    ]
+    band, model = group.band, group.prediction
+    blocks: dict[str, tuple[Floats, ...]] = {
+        "mean of the samples": (band.displacement, band.mean, band.lower, band.upper)
     }
-    return {"mean of the samples": mean, "model": model, **samples}
-
-
-def _columns(across: Floats, *forces: Floats) -> list[Row]:
-    """Return rows of deflection and forces in the units of the headings, padded with None."""
-    max_forces = 5
-    x = (DEFLECTION.factor * across).tolist()
-    up = [(FORCE.factor * force).tolist() for force in forces]
-    missing = [None] * (max_forces - len(up))
-    return [(*row, *missing) for row in zip(x, *up, strict=True)]
+    if model is not None:
+        edges = (model.lower, model.upper, model.lower_mean, model.upper_mean)
+        blocks["model"] = (model.deflection, model.force, *edges)
+    for test, sample in group.samples.items():
+        blocks[test] = (sample.displacement, sample.force)
+    for what, (across, *forces) in blocks.items():
+        head: Record = {
+            "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": what
+        }  # fmt: skip
+        columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * across}
+        columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
+        yield array_records(head, columns)
 
 
 _ABOUT = (
@@ -411,4 +394,4 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
         If the file cannot be written.
     """
     title = f"Calibration of {report.calibration.wire}"
-    save_book(About(title, _ABOUT), tables_of(report), path, again="calibrate")
+    save_book(About(title, _ABOUT), tables_of(report), path)

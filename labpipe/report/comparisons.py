@@ -10,9 +10,9 @@ from math import nan
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
-from labpipe.report.group_tables import Cell, Table
 from labpipe.report.issues import sentences
-from labpipe.report.wording import Written, display_of, heading, shown_in, unit_words, write_number
+from labpipe.report.page_tables import Cell, Table
+from labpipe.report.wording import display_of, heading, shown_in, unit_words, write_number
 from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
 
 MAX_COMPARED_GROUPS = 6
@@ -41,7 +41,7 @@ class Pair:
 
     @property
     def field(self) -> str:
-        """The one field in which they differ; empty for several or none."""
+        """Return the one field in which they differ; empty for several or none."""
         return self.differences[0].question
 
 
@@ -60,7 +60,7 @@ class Family:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Value of the field of each group."""
+        """Return the value of the field of each group."""
         return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 
@@ -96,9 +96,11 @@ def families(campaign: Campaign) -> list[Family]:
     for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
         linked = {(pair.first.name, pair.second.name): pair for pair in pairs}
         groups = {one.name: one for pair in linked.values() for one in (pair.first, pair.second)}
-        whole = [groups[key] for key in _sort_names(groups, name)]
+        sorted_groups = [groups[key] for key in _sort_names(groups, name)]
         families += [
-            Family(name, part) for clique in _cliques(whole, set(linked)) for part in _parts(clique)
+            Family(name, part)
+            for clique in _cliques(sorted_groups, set(linked))
+            for part in _parts(clique)
         ]
     return families
 
@@ -111,8 +113,8 @@ def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[
     """Collect large sets of linked groups greedily, so that each linked pair is in one of them."""
     both = linked | {(two, one) for one, two in linked}
     covered: set[tuple[str, str]] = set()
-    for at, first in enumerate(groups):
-        for second in groups[at + 1 :]:
+    for number, first in enumerate(groups):
+        for second in groups[number + 1 :]:
             if (first.name, second.name) not in both - covered:
                 continue
             members = [first, second]
@@ -176,54 +178,27 @@ def context_words(groups: Sequence[Group], field: str) -> str:
 
     Sizes of the section are left out: the type or the conduit implies them.
     """
-    first = groups[0].fields
     alike = {
         name: word
-        for name, word in first.items()
+        for name, word in groups[0].fields.items()
         if name != field and all(group.fields.get(name) == word for group in groups)
     }
-    other_fields = [
+    others = [
         f"{name.replace('_', ' ')} {word}"
         for name, word in alike.items()
         if name not in _OF_BUNDLES and name not in OF_SECTION
     ]
     if "composition" not in _field_names(groups[0]):
-        return ", ".join(filter(None, [alike.get("type", ""), *other_fields]))
-    spread = {
-        group.fields.get("arrangement", "")
-        for group in groups
-        if "&" in group.fields.get("wire", "")
-    }
-    parts = [
-        *_wire_words(alike),
-        *sorted(spread),
-        _tape_words(alike),
-        _conduit_words(alike),
-        *other_fields,
-    ]
+        return ", ".join(filter(None, [alike.get("type", ""), *others]))
+    stated = {name: word for name, word in alike.items() if word != NONE}
+    number = f"{stated['number']} wires" if "number" in stated else ""
+    wires = stated.get("composition") or stated.get("wire") or number
+    is_mixed = [group for group in groups if "&" in group.fields.get("wire", "")]
+    arrangements = sorted({group.fields.get("arrangement", "") for group in is_mixed})
+    tape = f"{stated.get('taping', '')} {stated.get('tape', '')}".strip()
+    tape = "no tape" if alike.get("taping") == NONE else tape
+    parts = (wires, *arrangements, tape, stated.get("conduit", ""), *others)
     return ", ".join(filter(None, parts))
-
-
-def _wire_words(alike: Mapping[str, str]) -> list[str]:
-    """Name the wires or their number."""
-    wires = [alike["composition"]] if "composition" in alike else []
-    if not wires and "wire" in alike:
-        wires = [alike["wire"]]
-    if not wires and "number" in alike:
-        wires = [f"{alike['number']} wires"]
-    return wires
-
-
-def _tape_words(alike: Mapping[str, str]) -> str:
-    if alike.get("taping") == NONE:
-        return "no tape"
-    parts = (alike.get(name, "") for name in ("taping", "tape"))
-    return " ".join(word for word in parts if word not in {"", NONE})
-
-
-def _conduit_words(alike: Mapping[str, str]) -> str:
-    word = alike.get("conduit", "")
-    return "" if word == NONE else word
 
 
 _HEADS = ("Number", "Difference (95 %, corrected)", "Irrelevant below", "Verdict")
@@ -257,35 +232,30 @@ def answer_cells(pair: Pair) -> tuple[Cell, ...]:
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
     alike = context_words((pair.first, pair.second), pair.field)
-    written = _written(difference, display_of(pair.first))
-    ends = (
-        f"({written.interval})" if written.interval else sentences([difference.difference.reason])
-    )
+    shift = _difference_words(difference, display_of(pair.first))
     return (
         Cell(f"{field_words(pair.field)}: {after} against {before}", alike),
         Cell(str(difference.verdict).upper(), difference.why),
-        Cell(f"{heading(difference.name, '1')} {written.value} {ends}".strip()),
-        Cell(
-            " v ".join(str(_count(group, difference.name)) for group in (pair.second, pair.first))
-        ),
+        Cell(f"{heading(difference.name, '1')} {shift}"),
+        Cell(" v ".join(_count(group, difference.name) for group in (pair.second, pair.first))),
     )
 
 
-def _count(group: Group, name: str) -> int:
+def _count(group: Group, name: str) -> str:
     """Return the number of values of a mean."""
     mean = next((number.mean for number in group.numbers if number.name == name), None)
-    return 0 if mean is None else mean.chosen.n
+    return "0" if mean is None else str(mean.chosen.n)
 
 
-def _written(difference: Difference, display: Mapping[str, str]) -> Written:
-    """Write a difference and its corrected interval in percent or in its unit."""
+def _difference_words(difference: Difference, display: Mapping[str, str]) -> str:
+    """Write a difference and its corrected interval, or why it has none, in percent or its unit."""
     max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
     is_beyond = False
     if difference.share is None:
         display_unit = shown_in(difference.name, difference.unit, display)
         shift = difference.difference
         number = write_number(
-            shift.mean, difference.interval, display_unit.factor, apart=shift.apart
+            shift.mean, difference.interval, display_unit.factor, estimate=shift.distinct_estimate
         )
         unit = f" {unit_words(display_unit.unit)}".rstrip()
     else:
@@ -295,8 +265,10 @@ def _written(difference: Difference, display: Mapping[str, str]) -> Written:
             is_beyond = True
         number, unit = write_number(difference.share, ends, 100.0), " %"
     lower, upper = (f"{_signed(end)}{unit}" if end else "" for end in (number.lower, number.upper))
-    upper = f"more than {upper}" if is_beyond else upper
-    return Written(f"{_signed(number.value)}{unit}", lower, upper)
+    behind = sentences([difference.difference.reason])
+    if lower:
+        behind = f"({lower} to {'more than ' if is_beyond else ''}{upper})"
+    return f"{_signed(number.value)}{unit} {behind}".strip()
 
 
 def _signed(number: str) -> str:
@@ -306,16 +278,11 @@ def _signed(number: str) -> str:
 
 def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]:
     display_unit = shown_in(difference.name, difference.unit, display)
-    written = _written(difference, display)
-    ends = (
-        f"({written.interval})" if written.interval else sentences([difference.difference.reason])
-    )
     margin = nan if difference.margin is None else difference.margin
-    matters = write_number(margin, None, display_unit.factor, digits=3).value
     return (
         Cell(heading(difference.name, display_unit.unit)),
-        Cell(f"{written.value} {ends}".strip()),
-        Cell(matters),
+        Cell(_difference_words(difference, display)),
+        Cell(write_number(margin, None, display_unit.factor, digits=3).value),
         Cell(str(difference.verdict)),
     )
 

@@ -1,25 +1,22 @@
-"""Page of a figure: size, style, texts, key, looks of lines, sentence of an empty panel."""
+"""Page of a figure: size, style, texts, key of all that is drawn, sentence of an empty panel."""
 
 from __future__ import annotations
 
-import gc
 import math
 import textwrap
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from labpipe.records.result import TestResult
-from labpipe.report.wording import footnote, printable, shortened, title
+from labpipe.report.wording import printable, shortened
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
@@ -33,34 +30,22 @@ DOUBLE_COLUMN = 180.0
 WIDTH = 120.0
 """mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
 GREY = "#666666"
+RED = "#b2182b"
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
-_LINE_MM = 4.2
-"""Height of a line of text."""
 _EDGE = 0.012
 """Left edge of texts, of the width of the page."""
-_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
-
-
-class PageTexts(NamedTuple):
-    """Title, footnote and key of a page.
-
-    Parameters
-    ----------
-    title : one line
-    note : footnote, broken into lines by the page
-    keys : lines and signs to explain
-    """
-
-    title: str
-    note: str = ""
-    keys: Sequence[Artist] = ()
+DASHED, DOTTED = (0, (4, 1.6)), (0, (1, 1.5))
+_DASHES: tuple[Any, ...] = (
+    "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
+    (0, (3, 1, 1, 1, 1, 1)),
+)  # fmt: skip
 
 
 class Look(NamedTuple):
     """Colour and dash of the lines of a spool, a wire, a length or a group."""
 
-    colour: str
-    dash: Any
+    color: str
+    linestyle: Any
 
 
 @contextmanager
@@ -76,7 +61,6 @@ def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
     Matplotlib's warning about a glyph missing from all fonts is suppressed: the figure shows a box,
     and summary, page and workbook have the full name.
     """
-    _load_matplotlib()
     import matplotlib as mpl
 
     settings: Any = dict(changes or {})
@@ -85,49 +69,12 @@ def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
         yield
 
 
-@cache
-def _load_matplotlib() -> None:
-    """Import matplotlib and exclude its modules from garbage collection."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    import matplotlib.backends.backend_svg
-    import matplotlib.figure  # noqa: F401
-
-    gc.freeze()
-    if was_enabled:
-        gc.enable()
-
-
-def new_page(
-    result: TestResult, *, width_mm: float, height_mm: float, has_key: bool = False
-) -> Figure:
-    """Make an empty figure with title and footnote.
+def new_page(*, height_mm: float, width_mm: float = WIDTH) -> Figure:
+    """Make an empty figure.
 
     Parameters
     ----------
-    result : gives test, specimen and protocol for the title, doubtful results for the footnote
-    width_mm, height_mm : mm on paper
-    has_key : keep a line free below the title, for `put_key`
-
-    Returns
-    -------
-    A figure without axes, laid out when it is drawn.
-    """
-    note = footnote(result)
-    rows = 1 if has_key else 0
-    return titled_page(title(result), note, width_mm=width_mm, height_mm=height_mm, key_rows=rows)
-
-
-def titled_page(
-    heading: str, note: str, *, width_mm: float, height_mm: float, key_rows: int = 0
-) -> Figure:
-    """Make an empty figure with any title and footnote.
-
-    Parameters
-    ----------
-    heading, note : title of one line; footnote of any number of lines, may be empty
-    width_mm, height_mm : mm on paper
-    key_rows : lines kept free below the title, for `put_key`
+    height_mm, width_mm : mm on paper, of its panels; `titled` adds room for texts
 
     Returns
     -------
@@ -135,45 +82,72 @@ def titled_page(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
-    line = _LINE_MM / height_mm
-    figure.text(_EDGE, 1 - 0.3 * line, heading, va="top", color=GREY)
-    if note:
-        figure.text(_EDGE, 0.3 * line, note, va="bottom", color=GREY)
-    low = line * (0.4 + 0.9 * (note.count("\n") + 1)) if note else 0.0
-    high = 1 - (1.3 + 1.1 * key_rows) * line
-    pad = 1.2 / _MM_PER_INCH
-    figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
-    return figure
+    return Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
 
 
-def keyed_page(
-    texts: PageTexts, *, height_mm: float, width_mm: float = WIDTH, columns: int = 0
-) -> Figure:
-    """Make an empty page with its key below the title.
+def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Figure:
+    """Write title, footnote and the key of all labelled artists; the page grows by key and note.
 
     Parameters
     ----------
-    texts : title, note and key
-    height_mm : mm, without the lines of the key and of the footnote
-    width_mm : mm on paper
+    page : with everything drawn; panels with a key of their own are left out of the key, and
+        several panels with a heading get letters
+    title : one line
+    note : footnote, whose paragraphs are broken into lines here; may be empty
     columns : of the key; as many as fit if 0
+
+    Returns
+    -------
+    The same page.
     """
-    characters_per_mm = 0.7  # of the width of the page, in a footnote
-    labels = [str(key.get_label()) for key in texts.keys]
-    columns = columns or _key_columns(list(map(_width_mm, labels)), width_mm - 2.0)
-    rows = math.ceil(len(texts.keys) / columns)
-    lines = textwrap.wrap(texts.note, int(characters_per_mm * width_mm))
-    page = titled_page(
-        texts.title,
-        "\n".join(lines),
-        width_mm=width_mm,
-        height_mm=height_mm + 4.6 * rows + 3.8 * len(lines),
-        key_rows=rows,
-    )
-    if texts.keys:
-        put_key(page, texts.keys, columns=columns)
+    line_mm, key_line_mm = 4.2, 4.6
+    characters_per_mm = 0.8  # of the width of the page, in a footnote
+    width, height = (size * _MM_PER_INCH for size in page.get_size_inches().tolist())
+    _letter_panels(page.axes)
+    keys = _labelled_artists(page.axes)
+    columns = columns or _key_columns(list(map(_width_mm, keys)), width - 2.0)
+    rows = math.ceil(len(keys) / columns)
+    letters = int(characters_per_mm * width)
+    notes = [row for line in note.split("\n") for row in textwrap.wrap(line, letters)]
+    height += key_line_mm * rows + line_mm * len(notes)
+    page.set_size_inches(width / _MM_PER_INCH, height / _MM_PER_INCH)
+    line = line_mm / height
+    page.text(_EDGE, 1 - 0.3 * line, title, va="top", color=GREY)
+    if notes:
+        page.text(_EDGE, 0.3 * line, "\n".join(notes), va="bottom", color=GREY)
+    if keys:
+        page.legend(
+            list(keys.values()), list(keys), loc="upper left", ncols=columns, borderpad=0,
+            borderaxespad=0, bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
+        )  # fmt: skip
+    low = line * (0.4 + len(notes)) if notes else 0.0
+    high = 1 - (1.3 + 1.1 * rows) * line
+    pad = 1.2 / _MM_PER_INCH
+    page.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
     return page
+
+
+def empty_page(title: str, reason: str, note: str = "", *, width_mm: float = WIDTH) -> Figure:
+    """Make a page that says why it shows nothing."""
+    page = new_page(height_mm=40.0, width_mm=width_mm)
+    write_reason(page.subplots(), reason)
+    return titled(page, title, note)
+
+
+def _labelled_artists(panels: Iterable[Axes]) -> dict[str, Any]:
+    """Return the first artist of each label, in the order of drawing."""
+    keys: dict[str, Any] = {}
+    for axes in panels:
+        if axes.get_legend() is None:
+            for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                keys.setdefault(label, artist)
+    return keys
+
+
+def _letter_panels(panels: Iterable[Axes]) -> None:
+    named = [axes for axes in panels if axes.get_title(loc="left")]
+    for letter, axes in zip("abcdefghijkl", named if len(named) > 1 else (), strict=False):
+        axes.set_title(f"({letter}) {axes.get_title(loc='left')}", loc="left")
 
 
 def _width_mm(text: str) -> float:
@@ -193,8 +167,8 @@ def _key_columns(lengths: Sequence[float], room: float) -> int:
     widths = [handle_mm + length for length in lengths]
     if sum(widths) <= room:
         return max(len(widths), 1)
-    most = max(int(room / max(widths)), 1)
-    return math.ceil(len(widths) / math.ceil(len(widths) / most))
+    max_columns = max(int(room / max(widths)), 1)
+    return math.ceil(len(widths) / math.ceil(len(widths) / max_columns))
 
 
 def finish_layout(page: Figure) -> None:
@@ -229,9 +203,8 @@ def with_own_fonts(page: Figure) -> Figure:
     from matplotlib.font_manager import fontManager
     from matplotlib.text import Text
 
-    wanted = [*mpl.rcParams["font.serif"], *mpl.rcParams["font.sans-serif"]]
     installed = {font.name for font in fontManager.ttflist}
-    fonts = [font for font in wanted if font in installed]
+    fonts = [font for font in mpl.rcParams["font.sans-serif"] if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)
     page.set_dpi(120)
@@ -263,8 +236,8 @@ def _fit_texts(page: Figure) -> None:
             text.set_text(fitted)
 
 
-def _shorten_lines(text: str, most: int) -> str:
-    return "\n".join(shortened(line, most) for line in printable(text).split("\n"))
+def _shorten_lines(text: str, max_length: int) -> str:
+    return "\n".join(shortened(line, max_length) for line in printable(text).split("\n"))
 
 
 def _axis_objects(page: Figure) -> Iterator[Axis]:
@@ -286,69 +259,17 @@ def _texts(page: Figure) -> Iterator[Text]:
                 yield from child.get_texts()
 
 
-def put_key(page: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:
-    """Draw the key of lines and signs below the title, outside the panels.
-
-    Parameters
-    ----------
-    page : made with room for the lines
-    handles : lines and signs
-    columns : entries per line; all of them if None
-    """
-    line = _LINE_MM / (page.get_figheight() * _MM_PER_INCH)
-    page.legend(
-        handles=list(handles),
-        loc="upper left",
-        bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
-        ncols=columns or max(len(handles), 1),
-        borderpad=0,
-        borderaxespad=0,
-    )
-
-
-def line_key(label: str, **look: Any) -> Artist:
-    """Return an entry of a key: a line or a sign with its label."""
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], label=label, **look)
-
-
-def area_key(label: str, **look: Any) -> Artist:
-    """Return an entry of a key: an area with its label."""
-    from matplotlib.patches import Patch
-
-    return Patch(label=label, **look)
-
-
-def side_key(axes: Axes, handles: Sequence[Artist]) -> None:
-    """Draw the key of a panel above its upper right corner."""
-    axes.legend(
-        handles=list(handles),
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=max(len(handles), 1),
-        borderpad=0,
-        borderaxespad=0.3,
-    )
-
-
-def panel_letter(axes: Axes, letter: str, heading: str) -> None:
-    """Write ``(a) heading`` above the upper left corner of a panel."""
-    axes.set_title(f"({letter}) {heading}", loc="left")
-
-
 def write_reason(axes: Axes, sentence: str, line_length: int = 60) -> None:
     """Write into an empty panel why it is empty."""
     axes.set_axis_off()
-    axes.text(
-        0.5,
-        0.5,
-        textwrap.fill(sentence, line_length),
-        transform=axes.transAxes,
-        ha="center",
-        va="center",
-        color=GREY,
-    )
+    text = textwrap.fill(sentence, line_length)
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
+
+
+def add_key(axes: Axes, label: str, *, is_area: bool = False, **look: Any) -> None:
+    """Add an entry to the key that no single artist stands for."""
+    draw: Any = axes.fill if is_area else axes.plot
+    draw([], [], label=label, **look)
 
 
 def label_log_axis(axis: Axis) -> None:
@@ -376,13 +297,19 @@ def style_colours() -> list[str]:
     return colours
 
 
-def step_colours(count: int) -> list[str]:
-    """Return colours of the style's colour map for steps in order."""
+def map_colours(count: int, end: float = 0.85) -> list[str]:
+    """Return colours of the style's colour map for steps in order.
+
+    Parameters
+    ----------
+    count : of colours
+    end : last one, as a share of the colour map
+    """
     import matplotlib as mpl
     from matplotlib.colors import to_hex
 
     colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
-    return [to_hex(colour_map(0.85 * place)) for place in np.linspace(0, 1, count)]
+    return [to_hex(colour_map(end * place)) for place in np.linspace(0, 1, count)]
 
 
 def line_looks(count: int) -> list[Look]:
@@ -395,33 +322,8 @@ def line_looks(count: int) -> list[Look]:
     ]
 
 
-_WINDOW: dict[str, Any] = {
-    "linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt", "zorder": 2
-}  # fmt: skip
-_SEGMENT: dict[str, Any] = {
-    "color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.6)), "zorder": 4
-}  # fmt: skip
-
-
-def line_looks_of_fits(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return styles of fitted lines: broad and pale over set windows, dotted for segments.
-
-    Parameters
-    ----------
-    names : of the results of the lines, with repetitions
-    """
-    colours = style_colours()[1:]  # the first is that of curves
-    names_once = dict.fromkeys(names)
-    windows = [name for name in names_once if not name.startswith("segment")]
-    looks: dict[str, dict[str, Any]] = dict.fromkeys(names_once, _SEGMENT)
-    return looks | {
-        name: {**_WINDOW, "color": colours[number % len(colours)]}
-        for number, name in enumerate(windows)
-    }
-
-
 def dash_of(number: int) -> Any:
-    """Return the dash of a line by its number, from 0; four dashes repeat."""
+    """Return the dash of a line by its number, from 0; the dashes repeat."""
     return _DASHES[number % len(_DASHES)]
 
 
@@ -443,12 +345,12 @@ def panel_grid(page: Figure, count: int, *, columns: int, sharey: bool = False) 
     return list(panels[:count])
 
 
-def split_pages(items: Sequence[T], most: int) -> list[Sequence[T]]:
+def split_pages(items: Sequence[T], max_items: int) -> list[Sequence[T]]:
     """Split items into pages."""
-    return [items[start : start + most] for start in range(0, len(items), most)]
+    return [items[start : start + max_items] for start in range(0, len(items), max_items)]
 
 
-def require_room(count: int, most: int, what: str) -> None:
+def require_room(count: int, max_count: int, what: str) -> None:
     """Raise an error if a page is empty or overfull.
 
     Raises
@@ -456,24 +358,6 @@ def require_room(count: int, most: int, what: str) -> None:
     ValueError
         With the number and the allowed range.
     """
-    if not 1 <= count <= most:
-        message = f"{what}: expected 1 to {most} on a page, found {count}"
+    if not 1 <= count <= max_count:
+        message = f"{what}: expected 1 to {max_count} on a page, found {count}"
         raise ValueError(message)
-
-
-def limit_to_values(values: Sequence[float], axes: Axes, least: float = 0.0) -> None:
-    """Limit an axis so that wide intervals do not compress the values.
-
-    Parameters
-    ----------
-    values : in the unit of the axis; NaN for none
-    axes : with everything drawn
-    least : width that stays in view, in the unit of the axis
-    """
-    max_interval_share = 1.5  # beside the values, of their range
-    finite = [value for value in values if not math.isnan(value)]
-    low, high = min(finite), max(finite)
-    room = max(max_interval_share * (high - low), 0.55 * (least - (high - low)))
-    if room > 0.0:
-        now = axes.get_xlim()
-        axes.set_xlim(max(now[0], low - room), min(now[1], high + room))

@@ -1,129 +1,141 @@
-"""Figures of a group: slips, and the list of all figures."""
+"""Plots of comparisons, and figures of groups and comparisons as files, drawn by matplotlib."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.curve import SlipDecision
-from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.budget_figures import budgets_to_draw, draw_group_budgets
-from labpipe.report.figure_page import GREY, line_key, panel_grid
-from labpipe.report.group_dots import draw_dots, numbers_to_draw
-from labpipe.report.group_plots import (
+from labpipe.records.group import Band, Campaign, Group
+from labpipe.report.budget_figures import draw_group_budgets, group_bars
+from labpipe.report.comparisons import Family, context_words, equal_words, families, field_words
+from labpipe.report.figure_page import (
+    DASHED,
+    DOTTED,
+    DOUBLE_COLUMN,
+    GREY,
     RED,
-    count_words,
-    draw_curves,
-    draw_group_laws,
-    draw_group_shapes,
-    draw_lines,
-    draw_scaled,
-    finite_end,
-    first_loading,
-    force_limits,
-    group_page,
-    group_scale,
-    has_laws,
-    has_lines,
-    has_shapes,
-    label_axes,
-    spool_looks,
-    thin,
+    WIDTH,
+    add_key,
+    dash_of,
+    empty_page,
+    new_page,
+    panel_grid,
+    style_colours,
+    titled,
 )
+from labpipe.report.group_panels import (
+    COLOURS,
+    DotRow,
+    band_lines,
+    clipped_axis,
+    dot_with_bar,
+    file_panels,
+    mean_lines,
+)
+from labpipe.report.page_facts import stems
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, clip_range
 from labpipe.report.saving import FigureToSave
-from labpipe.report.wording import as_label, shortened
+from labpipe.report.wording import (
+    Scale,
+    as_label,
+    count_of,
+    count_words,
+    display_of,
+    group_scale,
+    group_title,
+    shortened,
+    shown_in,
+)
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_DOT: dict[str, Any] = {"linestyle": "", "zorder": 5}
+_LOOKS: Mapping[str, dict[str, Any]] = {
+    "curve": {"linewidth": 0.7, "zorder": 2},
+    "unloading": {"linewidth": 0.5, "alpha": 0.3, "zorder": 1.5},
+    "shape": {"linewidth": 0.4, "marker": "o", "markersize": 2.0},
+    "mean": {"linewidth": 1.5, "zorder": 4},
+    "band": {"alpha": 0.16, "linewidth": 0, "zorder": 1},
+    "whole": {"linewidth": 0.6, "linestyle": DASHED, "zorder": 3},
+    "interval": {"linewidth": 1.2, "zorder": 4},
+    "measured": {"color": GREY, "linewidth": 0.8, "linestyle": DASHED},
+    "rejected": {"color": "#9a9a9a", "linewidth": 0.5},
+    "window": {"linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt", "zorder": 3},
+    "segment": {"linewidth": 0.8, "linestyle": DOTTED, "zorder": 4},
+    "slip": {"color": RED, "marker": "v", **_DOT},
+    "failure": {"color": RED, "marker": "x", **_DOT},
+    "sample": {"marker": "o", "markersize": 3.0, **_DOT},
+    "doubtful": {"marker": "o", "markerfacecolor": "white", **_DOT},
+    "dot": {"marker": "D", **_DOT},
+    "ring": {"color": RED, "marker": "o", "markerfacecolor": "none", "markersize": 8, **_DOT},
+}
+"""Style of each class of lines; those without a colour are black or in the colour of a spool."""
 
-MAX_SLIP_PANELS = 8
-_HEIGHT = 62.0
-_MAX_TITLE_LENGTH = 40
-_MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
-_CUT: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": ":"}
 
-
-def samples_with_slips(group: Group) -> list[Sample]:
-    """Return the samples of a group that slipped and have a curve."""
-    return [
-        sample for sample in group.samples if sample.slips and first_loading(sample) is not None
-    ]
-
-
-def draw_slips(group: Group) -> Figure:
-    """Draw a panel per sample that slipped, at most `MAX_SLIP_PANELS`.
+def draw_plots(title: str, plots: Sequence[Plot], *, columns: int = 2) -> Figure:
+    """Draw plots of the page on paper.
 
     Parameters
     ----------
-    group : one with slips; samples beyond the last panel are named in the footnote
+    title : of the figure
+    plots : a panel each; their captions are the footnote
+    columns : of panels, at most
     """
-    panel_columns = 2
-    samples = samples_with_slips(group)
-    drawn, rest = samples[:MAX_SLIP_PANELS], samples[MAX_SLIP_PANELS:]
-    rows = math.ceil(len(drawn) / panel_columns)
-    note = (
-        f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
-    )
-    page = group_page(group, _slip_keys(drawn), height_mm=_HEIGHT * rows, note=note)
-    panels = panel_grid(page, len(drawn), columns=panel_columns, sharey=True)
-    for sample, axes in zip(drawn, panels, strict=True):
-        plot_slips(group, sample, axes)
-        axes.set_title(shortened(sample.test, _MAX_TITLE_LENGTH), loc="left")
-        axes.label_outer(remove_inner_ticks=True)
-    return page
+    frame_mm, mm_per_point, single_mm = 14.0, 0.3, 68.0
+    plot = plots[0]
+    rows = math.ceil(len(plots) / columns)
+    height = mm_per_point * plot.size[1] if len(plots) > 1 else single_mm
+    width = WIDTH if len(plots) <= 2 else DOUBLE_COLUMN
+    if plot.kind == "shapes":
+        height = (width - frame_mm) * plot.size[1] / plot.size[0]
+    page = new_page(height_mm=rows * (frame_mm + height), width_mm=width)
+    for drawn, axes in zip(plots, panel_grid(page, len(plots), columns=columns), strict=True):
+        plot_lines(drawn, axes)
+    return titled(page, title, " ".join(dict.fromkeys(drawn.caption for drawn in plots)))
 
 
-def plot_slips(group: Group, sample: Sample, axes: Axes) -> None:
-    """Draw the first loading of one sample, measured and processed, with its slips.
+def plot_lines(plot: Plot, axes: Axes) -> None:
+    """Draw the lines of a plot, its axes and its key.
 
     Parameters
     ----------
-    group : gives looks and display units
-    sample : one with a curve
+    plot : of the page
     axes : to draw on
     """
-    curve = first_loading(sample)
-    if curve is None:
-        return
-    across = group_scale(group, "displacement").factor
-    up = group_scale(group, "force").factor
-    if _is_repaired(sample):
-        x, y = thin(curve, curve.as_measured)
-        axes.plot(x * across, y * up, **_MEASURED)
-    x, y = thin(curve, curve.force)
-    axes.plot(x * across, y * up, color=spool_looks(group)[sample.specimen.spool].colour)
-    for slip in sample.slips:
-        height = _height(curve, slip.position)
-        axes.axvline(slip.position * across, **_CUT)
-        axes.plot(slip.position * across, height * up, "v", color=RED, zorder=5)
-    label_axes(group, axes)
+    for line in plot.lines:
+        draw: Any = axes.fill if line.is_closed else axes.plot
+        draw(line.x, line.y, **_look(line.look))
+    for key in plot.keys:
+        is_area = key.look.startswith("band")
+        add_key(axes, shortened(key.label, 100), is_area=is_area, **_look(key.look))
+    axes.set(xlim=(plot.x.low, plot.x.high), ylim=(plot.y.low, plot.y.high))
+    axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
+    axes.locator_params(axis="x", nbins=6)
+    if plot.heading:
+        axes.set_title(shortened(plot.heading, 40), loc="left")
+    if plot.kind == "shapes":
+        axes.set_aspect("equal", adjustable="box", anchor="W")
+    if plot.y.names:
+        axes.set_yticks(range(0, -len(plot.y.names), -1), plot.y.names)
+        axes.tick_params(axis="y", length=0)
 
 
-def _height(curve: SampleCurve, position: float) -> float:
-    """Return the force of the curve at a slip, N; NaN outside the curve."""
-    finite = np.isfinite(curve.force) & np.isfinite(curve.displacement)
-    x, y = curve.displacement[finite], curve.force[finite]
-    return float(np.interp(position, x, y, left=np.nan, right=np.nan)) if len(x) else math.nan
-
-
-def _is_repaired(sample: Sample) -> bool:
-    return any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips)
-
-
-def _slip_keys(samples: list[Sample]) -> list[Artist]:
-    keys: list[Artist] = [line_key("as processed")]
-    if any(_is_repaired(sample) for sample in samples):
-        keys.append(line_key("as measured", **_MEASURED))
-    keys.append(line_key("slip", color=RED, marker="v", linestyle=""))
-    return keys
+def _look(classes: str) -> dict[str, Any]:
+    """Return the style of a line by its classes on the page."""
+    kind, _, colour = classes.partition(" ")
+    look = {"color": "black", **_LOOKS[kind]}
+    if colour:
+        number, colours = int(colour[1:]), style_colours()
+        look["color"] = colours[number % len(colours)]
+        if kind in {"curve", "mean"}:
+            look["linestyle"] = dash_of(number)
+    return look
 
 
 def group_drawings(group: Group) -> Iterator[FigureToSave]:
@@ -135,149 +147,156 @@ def group_drawings(group: Group) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    Curves, normalised curves, shapes, measured laws, slips, fitted lines, numbers and budgets, by
-    names without that of the group.
+    The figures of `file_panels`, and budgets, by names without that of the group.
     """
-    about = f"{group.name}, {count_words(group)}"
-    yield FigureToSave(
-        "curves", partial(draw_curves, group), _curve_caption(group, group.band), _curve_alt(group)
-    )
-    if group.band_scaled is not None:
-        caption = (
-            "Force over the peak force of the same sample. The remaining scatter is not a scatter"
-            " of strength. " + _curve_caption(group, group.band_scaled, is_scaled=True)
-        )
-        alt = f"Force over peak force against displacement of {about}."
-        yield FigureToSave("scaled", partial(draw_scaled, group), caption, alt)
-    if has_shapes(group):
-        alt = f"Shapes of {about} at equal steps of deflection."
-        yield FigureToSave("shapes", partial(draw_group_shapes, group), _SHAPES, alt)
-    if has_laws(group):
-        alt = f"Measured bending moment against curvature of {about}."
-        yield FigureToSave("moment", partial(draw_group_laws, group), _LAWS, alt)
-    if samples_with_slips(group):
-        caption = (
-            "Samples that slipped in their grips, first loading. Grey, dashed: measured force. In"
-            " colour: force used for the numbers. Each triangle is a slip of the list above."
-        )
-        slipped = ", ".join(sample.test for sample in samples_with_slips(group))
+    title = group_title(group)
+    figures = file_panels(group)
+    if "curves" not in figures:
+        what = "No sample in this group." if not group.samples else "No sample has a curve."
+        yield FigureToSave("curves", partial(empty_page, title, what), what, what)
+    for name, plots in figures.items():
         yield FigureToSave(
-            "slips", partial(draw_slips, group), caption, f"Slips of {slipped} on their curves."
+            name, partial(draw_plots, title, plots), plots[0].caption, plots[0].title
         )
-    if has_lines(group):
-        yield FigureToSave("lines", partial(draw_lines, group), _LINES, _line_alt(group))
-    numbers = numbers_to_draw(group)
-    if numbers:
-        names = "; ".join(as_label(number.name) for number in numbers)
-        yield FigureToSave(
-            "numbers", partial(draw_dots, group), _DOTS, f"Each sample's {names}: {about}."
+    if group_bars(group, of_means=False):
+        alt = f"Shares of the causes of the intervals of {group.name}, {count_words(group)}."
+        caption = (
+            "Contributions to the intervals; numbers per cycle: first cycle only. More samples"
+            " reduce the scatter, but not the hatched causes."
         )
-    if budgets_to_draw(group):
-        alt = f"Shares of the causes of the intervals of {about}."
-        yield FigureToSave("budgets", partial(draw_group_budgets, group), _BUDGETS, alt)
+        yield FigureToSave("budgets", partial(draw_group_budgets, group), caption, alt)
 
 
-_SHAPES = (
-    "Shapes of the samples, measured by cameras at equal steps of the first loading, at equal axis"
-    " scale; each colour is a deflection. Dots are markers, beside the axis of the sample, or"
-    " sections of markers; for a clamped sample the first and the last dot are on the axis. Lines"
-    " only connect the dots."
-)
-_LAWS = (
-    "Bending moment against curvature on first loading, measured by load cell and cameras, one line"
-    " per sample."
-)
-_LINES = (
-    "Fitted straight lines over their windows, on the first loading of each sample (grey). The"
-    " slopes in the key are those of the table of means. Broad and pale: windows set by the"
-    " protocol. Dotted: two segments with a fitted break point. The curves continue beyond the"
-    " right edge."
-)
-_BUDGETS = (
-    "Contributions to the intervals; numbers per cycle: first cycle only. (a) One test: medians"
-    " over the samples of the shares of its variance, scaled to 100 %. (b) Mean of the group, with"
-    " half the width of its interval: more samples reduce the scatter, but not the hatched causes."
-)
-_DOTS = (
-    "A dot and its 95 % interval for each sample, for the mean of each spool and for the reported"
-    " mean (last row). In large groups the samples of a spool share a row, without intervals."
-    " Intervals wider than the panel are clipped; the tables give their ends."
-)
+def figures_of_families(campaign: Campaign) -> Iterator[FigureToSave]:
+    """List the figures of the groups that differ in one field alone.
 
-
-def _curve_caption(group: Group, band: Band, *, is_scaled: bool = False) -> str:
-    text = (
-        "Thin: first loading of each sample, up to failure if it failed. Faint: unloading and later"
-        " cycles, if any."
-    )
-    mean = f" Thick: mean of {band.n} {band.over}, drawn only where all of them have data."
-    if len(band.marks):
-        cut = _clipping_text(group, band, is_scaled=is_scaled)
-        return f"{text}{mean} Vertical: 95 % intervals of the mean at three displacements.{cut}"
-    if not band.has_area:
-        return f"{text} There is no band; the figure gives the reason."
-    return (
-        f"{text}{mean} Grey area: pointwise 95 % band of the mean."
-        + _simultaneous_band_text(group, band, is_scaled=is_scaled)
-        + _clipping_text(group, band, is_scaled=is_scaled)
-    )
-
-
-def _simultaneous_band_text(group: Group, band: Band, *, is_scaled: bool) -> str:
-    """Describe the band of the whole curve, with its ends if the panel clips it."""
-    if not np.isfinite(band.lower_all).any():
-        return ""
-    text = " Dashed: 95 % band of the whole mean curve."
-    low, high = force_limits(group, band, is_scaled=is_scaled)
-    if low <= np.nanmin(band.lower_all) and np.nanmax(band.upper_all) <= high:
-        return text
-    at = int(np.nanargmax(band.upper_all - band.lower_all))
-    across, up = group_scale(group, "displacement"), group_scale(group, "force")
-    force, unit = (1.0, "") if is_scaled else (up.factor, f" {up.unit}")
-    return (
-        f"{text} It exceeds the panel because there are only {band.n} curves: at its widest, at"
-        f" {across.factor * band.displacement[at]:.3g} {across.unit}, it extends from"
-        f" {force * band.lower_all[at]:.3g} to {force * band.upper_all[at]:.3g}{unit}."
-    )
-
-
-def _clipping_text(group: Group, band: Band, *, is_scaled: bool) -> str:
-    low, high = force_limits(group, band, is_scaled=is_scaled)
-    is_cut = np.nanmin(band.lower) < low or np.nanmax(band.upper) > high
-    subject = "The grey area is" if band.has_area else "Intervals are"
-    return f" {subject} wider than the panel and clipped." if is_cut else ""
-
-
-def _curve_alt(group: Group) -> str:
-    across, up = group_scale(group, "displacement"), group_scale(group, "force")
-    text = f"Force against displacement: {group.name}, {count_words(group)}."
-    if not len(group.band.displacement):
-        return text
-    far = across.factor * finite_end(group.band.displacement)
-    top = up.factor * finite_end(group.band.mean)
-    return f"{text} The mean reaches {top:.3g} {up.unit} and ends at {far:.3g} {across.unit}."
-
-
-def _line_alt(group: Group) -> str:
-    names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
-    names_text = "; ".join(as_label(name) for name in names)
-    return f"Fitted lines on the curves of {group.name}: {names_text}."
-
-
-def stems(names: Iterable[str]) -> list[str]:
-    """Turn names of groups into stems of file names: ASCII, lower case, unique.
-
-    Examples
-    --------
-    >>> stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
-    ['a2-wire-cantilever', 'a2-wire-cantilever-2', 'group']
+    Parameters
+    ----------
+    campaign : with its differences
     """
-    stems: list[str] = []
-    for name in names:
-        plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
-        stem, number = plain, 1
-        while stem in stems:
-            number += 1
-            stem = f"{plain}-{number}"
-        stems.append(stem)
-    return stems
+    drawn = families(campaign)
+    names = stems(f"difference {x.field}: {context_words(x.groups, x.field)}" for x in drawn)
+    for family, name in zip(drawn, names, strict=True):
+        plots = family_plots(family, has_scaled=True)
+        if not plots:
+            continue
+        field = field_words(family.field)
+        title = f"{field}  \u00b7  {context_words(family.groups, family.field)}"
+        caption = (
+            f"{field}: {', '.join(family.labels)}; {equal_words(family.groups, family.field)}."
+            f" Protocol: {family.groups[0].protocol}."
+        )
+        yield FigureToSave(
+            name, partial(draw_plots, title, plots, columns=3), caption, plots[0].title
+        )
+
+
+def family_plots(
+    family: Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
+) -> list[Plot]:
+    """Return the plots of a family: mean curves, and the main number of each group.
+
+    Parameters
+    ----------
+    family : of groups
+    stems : names of groups in links, by name; None for files
+    has_scaled : include force over peak force
+    """
+    names = stems or {group.name: group.name for group in family.groups}
+    plots = [
+        _curve_plot(family, names),
+        _curve_plot(family, names, is_scaled=True) if has_scaled else None,
+        _mean_plot(family, names),
+    ]
+    return [plot for plot in plots if plot is not None]
+
+
+def _curve_plot(
+    family: Family, stems: Mapping[str, str], *, is_scaled: bool = False
+) -> Plot | None:
+    """Return the plot of the mean first loading of each group with its band."""
+    first = family.groups[0]
+    across, up = group_scale(first, "displacement"), group_scale(first, "force")
+    if is_scaled:
+        up = Scale(1.0, "")
+    lines, keys, bands = [], [], []
+    for at, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
+        band = group.band_scaled if is_scaled else group.band
+        if band is None:
+            continue
+        look, stem = f"c{at % COLOURS}", stems[group.name]
+        bands.append(band)
+        lines += [
+            *band_lines(band, across.factor, up.factor, look, stem),
+            *mean_lines(band, across.factor, up.factor, look, stem),
+        ]
+        keys.append(Key(f"mean {look}", f"{label} (n = {group.band.n})", "group", stem))
+    if not lines:
+        return None
+    kinds = {line.look.partition(" ")[0] for line in lines}
+    keys += [Key(kind, label) for kind, label in _SIGNS.items() if kind in kinds]
+    x = axis_over("Displacement", across.unit, [line.x for line in lines])
+    y = _force_axis("Force / peak force" if is_scaled else "Force", bands, up)
+    title = f"Mean force against displacement of {count_of(len(family.groups), 'group')}."
+    heading = "Force / peak force" if is_scaled else "First loading"
+    return Plot("means", "", title, "", x, y, lines, keys, (392, 200), heading)
+
+
+_SIGNS = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise"}
+
+
+def _force_axis(name: str, bands: Sequence[Band], scale: Scale) -> Axis:
+    """Return an axis with full means, and intervals only as far as the means stay apart."""
+    means = np.concatenate([band.mean for band in bands])
+    edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
+    low, high = clip_range(scale.factor * means, scale.factor * edges, 0.4)
+    room = 0.03 * ((high - low) or 1.0)
+    return Axis(name, scale.unit, low - room, high + room)
+
+
+def main_number(family: Family) -> str:
+    """Return the number by which groups are compared: bending stiffness or the first common one.
+
+    Parameters
+    ----------
+    family : of groups
+
+    Returns
+    -------
+    Empty without a common number.
+    """
+    has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
+    shared = [
+        number.name
+        for number in family.groups[0].numbers
+        if all(number.name in names for names in has)
+    ]
+    return "bending_stiffness" if "bending_stiffness" in shared else next(iter(shared), "")
+
+
+def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
+    """Return the plot of the main number: a row per group with mean, interval and samples."""
+    name = main_number(family)
+    if not name:
+        return None
+    numbers = [
+        next(number for number in group.numbers if number.name == name) for group in family.groups
+    ]
+    scale = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
+    lines: list[Line] = []
+    for row, (number, group) in enumerate(zip(numbers, family.groups, strict=True)):
+        values = [value.value for value in number.values.values() if value.value is not None]
+        x = np.array([part for value in values for part in (scale.factor * value, np.nan)])
+        look, stem = f"c{row % COLOURS}", stems[group.name]
+        lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
+        if number.mean is not None:
+            mean = number.mean.chosen
+            place = DotRow(-row, scale.factor, look, stem)
+            lines += dot_with_bar("dot", mean.mean, mean.interval, place)
+    shown = [line.x for line in lines if not line.look.startswith("interval")]
+    x_axis = clipped_axis(as_label(name), scale, lines, shown)
+    y_axis = Axis("", "", 0.5 - len(numbers), 0.5, family.labels)
+    title = f"{as_label(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
+    keys = [Key("sample", "sample"), Key("dot", "mean")]
+    heading = as_label(name)
+    return Plot("numbers", "", title, "", x_axis, y_axis, lines, keys, (180, 200), heading)

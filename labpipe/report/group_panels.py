@@ -1,31 +1,40 @@
-"""Plots of a group on the page: curves, shapes, moment-curvature, force over peak force."""
+"""What is drawn of a group, on the page and in files: curves, shapes, laws, slips, numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.curve import FittedLine, SlipDecision
-from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.group_plots import (
-    display_scale,
-    first_loading,
-    force_limits,
-    group_scale,
-    value_of,
-)
+from labpipe.records.curve import FittedLine, Interval, SlipDecision
+from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
+from labpipe.records.result import Status
 from labpipe.report.issues import sentence
-from labpipe.report.page_facts import PageTests, key_of
-from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, equal_scale_height
+from labpipe.report.page_facts import PageTest, PageTests, key_of
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, clip_range
 from labpipe.report.plot_thinning import simplify_line
-from labpipe.report.wording import Scale, count_of, display_of, shown_in, unit_words
+from labpipe.report.wording import (
+    Scale,
+    as_label,
+    count_of,
+    display_of,
+    group_scale,
+    is_first_cycle,
+    mean_with_interval,
+    shown_in,
+    unit_words,
+)
 
+_BAND_POINTS = 28
+"""Points with which a band or a mean is drawn."""
 COLOURS = 8
 """Colours of the page for spools and groups; they repeat after this number."""
+MAX_SLIP_PANELS, MAX_DOT_NUMBERS, MAX_DOT_ROWS = 8, 6, 24
+"""Panels of slips and of numbers; samples with a row each, else those of a spool share a row."""
 
 
 class _Points(NamedTuple):
@@ -38,9 +47,10 @@ class _Points(NamedTuple):
 
 
 _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
-"""For few samples, and for many, with overlapping lines: a test is below 3 kB."""
+"""On the page: for few samples, and for many, with overlapping lines: a test is below 3 kB."""
+_IN_FILES = _Points(120, 80, 120, 6)
 _MAX_OFFSET_SHARE = 0.001
-_BAND_POINTS = 28
+_BAND_OUTLINE_POINTS = 28
 _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
@@ -51,37 +61,52 @@ class _GroupView:
 
     Parameters
     ----------
-    group, stem : and its name in links
-    tests : all of the page
-    across, up : display units of displacement and force
+    group : with or without samples
+    stem : its name in links
+    tests : all of the page; None for files, with more points
     """
 
     group: Group
-    stem: str
-    tests: PageTests
-    across: Scale
-    up: Scale
+    stem: str = ""
+    tests: PageTests | None = None
 
-    def number(self, sample: Sample) -> int:
+    @property
+    def across(self) -> Scale:
+        """Display unit of displacement."""
+        return group_scale(self.group, "displacement")
+
+    @property
+    def up(self) -> Scale:
+        """Display unit of force."""
+        return group_scale(self.group, "force")
+
+    @property
+    def rejected(self) -> list[PageTest]:
+        """Rejected tests of the group on the page."""
+        return [] if self.tests is None else self.tests.rejected(self.stem)
+
+    def number(self, sample: Sample) -> int | None:
         """Return the number of a test on the page."""
-        return self.tests.number[key_of(sample)]
+        return None if self.tests is None else self.tests.number[key_of(sample)]
 
     @property
     def points(self) -> _Points:
         """Numbers of points of its lines."""
+        if self.tests is None:
+            return _IN_FILES
         return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
     def colour(self, sample: Sample) -> str:
         """Return the class of a sample's colour: of its spool, or its own for one spool."""
         spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
-        at = spools.index(sample.specimen.spool)
+        number = spools.index(sample.specimen.spool)
         if len(spools) == 1 and len(self.group.samples) <= _MAX_DETAILED_SAMPLES:
-            at = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
-        return f"c{at % COLOURS}"
+            number = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
+        return f"c{number % COLOURS}"
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
-    """Return the plots of a group for which it has data.
+    """Return the plots of a group on the page for which it has data.
 
     Parameters
     ----------
@@ -93,106 +118,170 @@ def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
     -------
     Force against displacement first, if any sample has a curve; then smaller plots.
     """
-    drawn = _GroupView(
-        group, stem, tests, group_scale(group, "displacement"), group_scale(group, "force")
-    )
+    view = _GroupView(group, stem, tests)
     makers = (_curve_plot, _shape_plot, _moment_plot, _scaled_plot)
-    return [plot for make in makers if (plot := make(drawn)) is not None]
+    return [plot for make in makers if (plot := make(view)) is not None]
 
 
-def _curve_plot(drawn: _GroupView) -> Plot | None:
-    group, band = drawn.group, drawn.group.band
+def file_panels(group: Group) -> dict[str, list[Plot]]:
+    """Return the plots of a group for files, by the name of the figure.
+
+    Parameters
+    ----------
+    group : with or without samples
+
+    Returns
+    -------
+    Curves, normalised curves, shapes, measured laws, slips, fitted lines and numbers, as far as
+    the group has data for them.
+    """
+    view = _GroupView(group)
+    only = {"window", "segment", "slip", "measured"}  # in figures of their own
+    curves = _curve_plot(view)
+    if curves is not None:
+        lines = [line for line in curves.lines if line.look.partition(" ")[0] not in only]
+        keys = [key for key in curves.keys if key.look not in only]
+        curves = replace(curves, lines=lines, keys=keys)
+    single = {
+        "curves": curves,
+        "scaled": _scaled_plot(view),
+        "shapes": _shape_plot(view),
+        "moment": _moment_plot(view),
+        "lines": _fit_plot(view),
+    }
+    several = {"slips": list(_slip_plots(view)), "numbers": list(_number_plots(group))}
+    figures = {name: [plot] for name, plot in single.items() if plot is not None}
+    return figures | {name: plots for name, plots in several.items() if plots}
+
+
+def first_loading(sample: Sample) -> SampleCurve | None:
+    """Return the loading curve of the first cycle; None for a sample without curves."""
+    return next((curve for curve in sample.loading if len(curve.displacement)), None)
+
+
+def _value(sample: Sample, name: str) -> float | None:
+    return next((result.value for result in sample.results if result.name == name), None)
+
+
+def _curve_plot(view: _GroupView) -> Plot | None:
+    group, band = view.group, view.group.band
     if all(first_loading(sample) is None for sample in group.samples):
         return None
-    low, high = force_limits(group, band)
     lines = [
-        *band_lines(band, drawn.across.factor, drawn.up.factor),
-        *_rejected_lines(drawn),
-        *(line for sample in group.samples for line in _sample_lines(drawn, sample)),
-        *_window_lines(drawn),
-        *mean_lines(band, drawn.across.factor, drawn.up.factor),
-        *(line for sample in group.samples for line in _event_lines(drawn, sample)),
+        *band_lines(band, view.across.factor, view.up.factor),
+        *_rejected_lines(view),
+        *(line for sample in group.samples for line in _sample_lines(view, sample)),
+        *_window_lines(view),
+        *mean_lines(band, view.across.factor, view.up.factor),
+        *(line for sample in group.samples for line in _event_lines(view, sample)),
     ]
-    x = axis_over("Displacement", unit_words(drawn.across.unit), [line.x for line in lines])
-    y = Axis("Force", unit_words(drawn.up.unit), low * drawn.up.factor, high * drawn.up.factor)
+    x = axis_over("Displacement", view.across.unit, [line.x for line in lines])
+    y = _force_axis(view, band)
     title = f"Force against displacement of {count_of(len(group.samples), 'sample')}: {group.name}."
-    return Plot(
-        "curves", drawn.stem, title, _caption(group), x, y, lines, _keys(drawn, lines), (660, 240)
-    )
+    caption = sentence(band.reason.message) if band.reason else ""
+    keys = _keys(view, lines, f"mean of {band.n} {band.members}")
+    return Plot("curves", view.stem, title, caption, x, y, lines, keys, (660, 240))
 
 
-def _sample_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
+def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axis:
+    """Return the axis of force: all curves, and of bands as much as leaves the curves readable.
+
+    The pointwise band is shown up to half the height of the curves beyond them, the simultaneous
+    band in full if a quarter of the height is enough, else clipped.
+    """
+    factor = 1.0 if is_scaled else view.up.factor
+    forces = [
+        edge * (1.0 / (_value(sample, "peak_force.1") or nan) if is_scaled else 1.0)
+        for sample in view.group.samples
+        for curve in (sample.loading[:1] if is_scaled else (*sample.loading, *sample.unloading))
+        if np.isfinite(curve.force).any()
+        for edge in (float(np.nanmin(curve.force)), float(np.nanmax(curve.force)))
+    ]
+    low, high = clip_range(forces, [*band.lower, *band.upper], 0.5)
+    whole = clip_range([low, high], [*band.lower_all, *band.upper_all], np.inf)
+    if whole[1] - whole[0] <= 1.25 * (high - low):
+        low, high = whole
+    margin = 0.04 * (high - low) or 1.0
+    name, unit = ("Force / peak force", "") if is_scaled else ("Force", view.up.unit)
+    return Axis(name, unit, factor * (low - margin), factor * (high + margin))
+
+
+def _sample_lines(view: _GroupView, sample: Sample, *, has_others: bool = True) -> Iterator[Line]:
     """Yield first loading, other branches, and the measured force if slips were repaired."""
-    test, colour = drawn.number(sample), drawn.colour(sample)
+    test, colour = view.number(sample), view.colour(sample)
     first = first_loading(sample)
     others = [
         curve
         for curve in (*sample.loading, *sample.unloading)
         if curve is not first and len(curve.displacement)
     ]
-    for other in others:
-        points = max(drawn.points.others // len(others), 8)
-        yield _line(drawn, f"unloading {colour}", test, (other, other.force), points=points)
+    for other in others if has_others else ():
+        points = max(view.points.others // len(others), 8)
+        yield _line(view, f"unloading {colour}", test, (other, other.force), points=points)
     if first is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
-        yield _line(drawn, "measured", test, (first, first.as_measured), points=drawn.points.others)
-    yield _line(drawn, f"curve {colour}", test, (first, first.force), points=drawn.points.first)
+        yield _line(view, "measured", test, (first, first.as_measured), points=view.points.others)
+    yield _line(view, f"curve {colour}", test, (first, first.force), points=view.points.first)
 
 
 def _line(
-    drawn: _GroupView, look: str, test: int, curve: tuple[SampleCurve, Floats], *, points: int
+    view: _GroupView, look: str, test: int | None, curve: tuple[SampleCurve, Floats], *, points: int
 ) -> Line:
     """Return the line of a branch and its force, thinned to a number of points."""
     branch, force = curve
     rows = simplify_line(branch.displacement, force, points=points, tolerance=_MAX_OFFSET_SHARE)
-    x, y = branch.displacement[rows] * drawn.across.factor, force[rows] * drawn.up.factor
+    x, y = branch.displacement[rows] * view.across.factor, force[rows] * view.up.factor
     return Line(look, x, y, test)
 
 
-def _rejected_lines(drawn: _GroupView) -> Iterator[Line]:
-    for test in drawn.tests.rejected(drawn.stem):
+def _rejected_lines(view: _GroupView) -> Iterator[Line]:
+    for test in view.rejected:
         first = first_loading(test.sample)
         if first is not None:
-            yield _line(
-                drawn, "rejected", test.number, (first, first.force), points=drawn.points.others
-            )
+            points = view.points.others
+            yield _line(view, "rejected", test.number, (first, first.force), points=points)
 
 
-def _window_lines(drawn: _GroupView) -> Iterator[Line]:
+def _window_lines(view: _GroupView) -> Iterator[Line]:
     """Yield the fitted lines over their windows."""
-    for sample in drawn.group.samples:
-        test = drawn.number(sample)
+    for sample in view.group.samples:
         parts: dict[str, list[FittedLine]] = {}
         for line in sample.lines:
             look = "segment" if line.result.startswith("segment") else "window"
             parts.setdefault(look, []).append(line)
         for look, lines in parts.items():
-            start, stop, slope, level = np.array(
-                [(line.start, line.stop, line.slope, line.level) for line in lines]
-            ).T
-            x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
-            yield Line(look, x * drawn.across.factor, y * drawn.up.factor, test)
+            yield _fitted_line(view, look, lines, view.number(sample))
 
 
-def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
+def _fitted_line(
+    view: _GroupView, look: str, lines: Sequence[FittedLine], test: int | None = None
+) -> Line:
+    start, stop, slope, level = np.array(
+        [(line.start, line.stop, line.slope, line.level) for line in lines]
+    ).T
+    x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
+    return Line(look, x * view.across.factor, y * view.up.factor, test)
+
+
+def _event_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
     """Yield slips and failure of a test as dots on its curve."""
-    first, test = first_loading(sample), drawn.number(sample)
+    first = first_loading(sample)
     if first is None:
         return
     finite = np.isfinite(first.displacement) & np.isfinite(first.force)
     places = np.array([slip.position for slip in sample.slips])
     if len(places) and finite.any():
         height = np.interp(places, first.displacement[finite], first.force[finite])
-        yield _dot_line("slip", places, height, drawn, test)
-    at, force = value_of(sample, "failure_displacement"), value_of(sample, "failure_force")
+        yield _dot_line("slip", places, height, view, sample)
+    at, force = _value(sample, "failure_displacement"), _value(sample, "failure_force")
     if at is not None and force is not None:
-        yield _dot_line("failure", np.array([at]), np.array([force]), drawn, test)
+        yield _dot_line("failure", np.array([at]), np.array([force]), view, sample)
 
 
-def _dot_line(look: str, places: Floats, heights: Floats, drawn: _GroupView, test: int) -> Line:
-    x, y = _with_gaps(places) * drawn.across.factor, _with_gaps(heights) * drawn.up.factor
-    return Line(look, x, y, test)
+def _dot_line(look: str, places: Floats, heights: Floats, view: _GroupView, sample: Sample) -> Line:
+    x, y = _with_gaps(places) * view.across.factor, _with_gaps(heights) * view.up.factor
+    return Line(look, x, y, view.number(sample))
 
 
 def _with_gaps(*columns: Floats) -> Floats:
@@ -214,7 +303,7 @@ def band_lines(
     """
     if band.n < 2 or not band.has_area:
         return
-    rows = _band_rows(band)
+    rows = _band_rows(band, band.upper)
     x = band.displacement[rows] * across
     lower, upper = band.lower[rows] * up, band.upper[rows] * up
     finite = np.isfinite(lower) & np.isfinite(upper)
@@ -228,10 +317,10 @@ def band_lines(
             yield Line("whole", x, edge_all[rows] * up)
 
 
-def _band_rows(band: Band) -> Ints:
-    """Return the points with which all edges of a band are drawn."""
+def _band_rows(band: Band, values: Floats) -> Ints:
+    """Return the points with which a band or a mean is drawn."""
     return simplify_line(
-        band.displacement, band.upper, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+        band.displacement, values, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
 
 
@@ -246,36 +335,35 @@ def mean_lines(
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
-    rows = simplify_line(
-        band.displacement, band.mean, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
-    )
+    rows = _band_rows(band, band.mean)
     x, y = band.displacement[rows] * across, band.mean[rows] * up
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        at = band.displacement[marks] * across
+        mark_places = band.displacement[marks] * across
         ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
-        x = _with_gaps(at, at)
+        x = _with_gaps(mark_places, mark_places)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
-def _keys(drawn: _GroupView, lines: Sequence[Line]) -> list[Key]:
-    """Return the key of a plot: its tests if they are few, else its spools."""
-    group, looks = drawn.group, {line.look.partition(" ")[0] for line in lines}
-    if len(group.samples) <= _MAX_DETAILED_SAMPLES:
+def _keys(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[Key]:
+    """Return the key of a plot: its tests if they are few, else its spools; then other signs."""
+    group, looks = view.group, {line.look.partition(" ")[0] for line in lines}
+    spools = {sample.specimen.spool for sample in group.samples}
+    is_few = len(group.samples) <= _MAX_DETAILED_SAMPLES
+    if is_few and (view.tests is not None or len(spools) == 1):  # the page switches each of them
         keys = [
-            Key(f"curve {drawn.colour(sample)}", sample.test, "t", str(drawn.number(sample)))
+            Key(f"curve {view.colour(sample)}", sample.test, "t", str(view.number(sample)))
             for sample in group.samples
         ]
     else:
         keys = [
             Key(f"curve {colour}", f"spool {spool}", "class", colour)
             for spool, colour in {
-                sample.specimen.spool: drawn.colour(sample) for sample in group.samples
+                sample.specimen.spool: view.colour(sample) for sample in group.samples
             }.items()
         ]
-    over = f"mean of {group.band.n} {group.band.over}"
-    labels = {"mean": over, **_KEY_LABELS}
+    labels = {"mean": mean, **_KEY_LABELS}
     return keys + [
         Key(look, label, "class", look) for look, label in labels.items() if look in looks
     ]
@@ -295,114 +383,267 @@ _KEY_LABELS = {
 }
 
 
-def _caption(group: Group) -> str:
-    """Return why there is no band; empty with a band."""
-    return sentence(group.band.reason.message) if group.band.reason else ""
-
-
-def _shape_plot(drawn: _GroupView) -> Plot | None:
+def _shape_plot(view: _GroupView) -> Plot | None:
     """Return the plot of markers at equal steps of the first loading, at equal scale."""
     min_height, max_height = 88, 190
-    samples = [sample for sample in drawn.group.samples if sample.shapes is not None]
-    lines = []
-    for sample in samples:
+    lines, steps = [], np.zeros(0)
+    for sample in view.group.samples:
         shapes = sample.shapes
-        if shapes is None or not len(shapes.deflection):
+        if shapes is None or not np.isfinite(shapes.positions).any():
             continue
-        places = shapes.positions[-drawn.points.shapes :]
-        x, y = (_with_gaps(*places[:, :, way].T) * drawn.across.factor for way in (0, 1))
-        look = f"shape {drawn.colour(sample)}"
-        lines.append(Line(look, x, y, drawn.number(sample)))
+        places = shapes.positions[-view.points.shapes :]
+        x, y = (_with_gaps(*places[:, :, way].T) * view.across.factor for way in (0, 1))
+        lines.append(Line(f"shape {view.colour(sample)}", x, y, view.number(sample)))
+        steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return None
-    unit = unit_words(drawn.across.unit)
+    unit, width = view.across.unit, _SMALL_PLOT[0]
     x_axis = axis_over("Along the specimen", unit, [line.x for line in lines])
     y_axis = axis_over("Deflection", unit, [line.y for line in lines], room=0.06)
-    width = _SMALL_PLOT[0]
-    height = min(max(equal_scale_height(width, x_axis, y_axis), min_height), max_height)
-    x_axis, y_axis = _equal_scale(x_axis, y_axis, width, height)
-    steps = ", ".join(
-        f"{way * drawn.across.factor:.2g}" for way in _steps(samples)[-drawn.points.shapes :]
-    )
-    caption = f"Markers at {steps} {unit} of the first loading, at equal axis scale."
-    title = f"Shapes of {count_of(len(lines), 'sample')} of {drawn.group.name}."
-    size = (width, height)
-    return Plot("shapes", drawn.stem, title, caption, x_axis, y_axis, lines, (), size)
+    ratio = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
+    height = min(max(round(width * ratio), min_height), max_height)
+    scale = max((x_axis.high - x_axis.low) / width, (y_axis.high - y_axis.low) / height)
+    x_axis, y_axis = _spread(x_axis, scale * width), _spread(y_axis, scale * height)
+    shown = np.round(steps[-view.points.shapes :], 4) + 0.0
+    deflections = ", ".join(f"{way * view.across.factor:.2g}" for way in shown)
+    caption = f"Markers at {deflections} {unit} of the first loading, at equal axis scale."
+    title = f"Shapes of {count_of(len(lines), 'sample')} of {view.group.name}."
+    keys = _keys(view, lines)
+    return Plot("shapes", view.stem, title, caption, x_axis, y_axis, lines, keys, (width, height))
 
 
-def _steps(samples: Sequence[Sample]) -> Floats:
-    most = max(
-        (sample.shapes for sample in samples if sample.shapes),
-        key=lambda shapes: len(shapes.deflection),
-    )
-    return np.round(most.deflection, 4) + 0.0
-
-
-def _equal_scale(x: Axis, y: Axis, width: int, height: int) -> tuple[Axis, Axis]:
-    """Widen one of two axes so that both have the same scale."""
-    scale = max((x.high - x.low) / width, (y.high - y.low) / height)
-    return _widened(x, scale * width), _widened(y, scale * height)
-
-
-def _widened(axis: Axis, span: float) -> Axis:
+def _spread(axis: Axis, span: float) -> Axis:
     middle = 0.5 * (axis.low + axis.high)
-    return Axis(axis.name, axis.unit, middle - 0.5 * span, middle + 0.5 * span)
+    return replace(axis, low=middle - 0.5 * span, high=middle + 0.5 * span)
 
 
-def _moment_plot(drawn: _GroupView) -> Plot | None:
+def _moment_plot(view: _GroupView) -> Plot | None:
     """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
-    display = display_of(drawn.group)
-    across, up = shown_in("", "1/m", display), display_scale("N*m", display.get("moment", "N*m"))
+    across, up = group_scale(view.group, "curvature"), group_scale(view.group, "moment")
     samples_with_laws = [
-        (sample, sample.law) for sample in drawn.group.samples if sample.law is not None
+        (sample, sample.law) for sample in view.group.samples if sample.law is not None
     ]
     if not samples_with_laws:
         return None
     areas, lines = [], []
     for sample, law in samples_with_laws:
-        colour, test = drawn.colour(sample), drawn.number(sample)
+        colour, test = view.colour(sample), view.number(sample)
         x = law.curvature * across.factor
         if len(samples_with_laws) <= _MAX_DETAILED_SAMPLES:
             outline = np.concatenate([x, x[::-1]])
             edge = np.concatenate([law.moment_upper, law.moment_lower[::-1]]) * up.factor
             areas.append(Line(f"band {colour}", outline, edge, test, is_closed=True))
         lines.append(Line(f"curve {colour}", x, law.moment * up.factor, test))
-    x_axis = axis_over("Curvature", unit_words(across.unit), [line.x for line in lines])
-    y_axis = axis_over("Bending moment", unit_words(up.unit), [line.y for line in (*areas, *lines)])
+    x_axis = axis_over("Curvature", across.unit, [line.x for line in lines])
+    y_axis = axis_over("Bending moment", up.unit, [line.y for line in (*areas, *lines)])
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
-    title = f"Bending moment against curvature of {drawn.group.name}."
+    title = f"Bending moment against curvature of {view.group.name}."
+    keys = _keys(view, lines)
     every = [*areas, *lines]
-    return Plot("moment", drawn.stem, title, caption, x_axis, y_axis, every, (), _SMALL_PLOT)
+    return Plot("moment", view.stem, title, caption, x_axis, y_axis, every, keys, _SMALL_PLOT)
 
 
-def _scaled_plot(drawn: _GroupView) -> Plot | None:
+def _scaled_plot(view: _GroupView) -> Plot | None:
     """Return the plot of force over the peak force of each sample."""
-    band = drawn.group.band_scaled
+    band = view.group.band_scaled
     if band is None:
         return None
     lines = [
-        *list(band_lines(band, drawn.across.factor, 1.0))[:1],
-        *(line for sample in drawn.group.samples for line in _scaled_lines(drawn, sample)),
-        *mean_lines(band, drawn.across.factor, 1.0),
+        *list(band_lines(band, view.across.factor, 1.0))[:1],
+        *(line for sample in view.group.samples for line in _scaled_lines(view, sample)),
+        *mean_lines(band, view.across.factor, 1.0),
     ]
     if not lines:
         return None
-    unit = unit_words(drawn.across.unit)
-    x = axis_over("Displacement", unit, [line.x for line in lines])
-    low, high = force_limits(drawn.group, band, is_scaled=True)
-    y = Axis("Force / peak force", "", low, high)
-    title = f"Force over peak force against displacement of {drawn.group.name}."
+    x = axis_over("Displacement", view.across.unit, [line.x for line in lines])
+    y = _force_axis(view, band, is_scaled=True)
+    title = f"Force over peak force against displacement of {view.group.name}."
     caption = "Force over the peak force of the same sample: the scatter shown is not of strength."
-    return Plot("scaled", drawn.stem, title, caption, x, y, lines, (), _SMALL_PLOT)
+    keys = _keys(view, lines, f"mean of {band.n} {band.members}")
+    return Plot("scaled", view.stem, title, caption, x, y, lines, keys, _SMALL_PLOT)
 
 
-def _scaled_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
-    first, peak = first_loading(sample), value_of(sample, "peak_force.1")
+def _scaled_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
+    first, peak = first_loading(sample), _value(sample, "peak_force.1")
     if first is None or not peak:
         return
-    rows = simplify_line(
-        first.displacement, first.force, points=drawn.points.scaled, tolerance=_MAX_OFFSET_SHARE
-    )
-    x, y = first.displacement[rows] * drawn.across.factor, first.force[rows] / peak
-    yield Line(f"curve {drawn.colour(sample)}", x, y, drawn.number(sample))
+    points = view.points.scaled
+    line = _line(view, f"curve {view.colour(sample)}", view.number(sample),
+                 (first, first.force), points=points)  # fmt: skip
+    yield replace(line, y=line.y / (peak * view.up.factor))
+
+
+def _fit_plot(view: _GroupView) -> Plot | None:
+    """Return the plot of the fitted lines on grey curves, with the mean slopes in the key."""
+    reach = 1.5  # of the end of the last window
+    by_result: dict[str, list[FittedLine]] = {}
+    for sample in view.group.samples:
+        for line in sample.lines:
+            by_result.setdefault(line.result, []).append(line)
+    if not by_result:
+        return None
+    fits, keys = [], []
+    for at, (name, lines) in enumerate(by_result.items(), start=1):
+        look = "segment" if name.startswith("segment") else f"window c{at % COLOURS}"
+        fits.append(_fitted_line(view, look, lines))
+        keys.append(Key(look, _slope_label(view.group, name)))
+    end = reach * max(float(np.nanmax(line.x)) for line in fits)
+    curves = []
+    for sample in view.group.samples:
+        if (first := first_loading(sample)) is not None:
+            shown = np.where(first.displacement * view.across.factor <= end, first.force, np.nan)
+            curves.append(_line(view, "rejected", None, (first, shown), points=view.points.first))
+    every = [*curves, *fits]
+    x = axis_over("Displacement", view.across.unit, [line.x[np.isfinite(line.y)] for line in every])
+    y = axis_over("Force", view.up.unit, [line.y for line in every])
+    title = f"Fitted lines on the first loadings of {view.group.name}."
+    caption = "Straight lines over their windows; the slopes are those of the table of means."
+    return Plot("lines", view.stem, title, caption, x, y, every, keys)
+
+
+def _slope_label(group: Group, name: str) -> str:
+    """Write the name of a line and its mean slope with the interval."""
+    number = next((number for number in group.numbers if number.name == name), None)
+    if number is None or number.mean is None:
+        return as_label(name)
+    unit = shown_in(name, number.unit, display_of(group))
+    mean = number.mean.chosen
+    over = "samples" if number.mean.is_pooled else "spool means"
+    of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
+    slope = f"{mean_with_interval(mean, unit.factor)} {unit_words(unit.unit)}"
+    return f"{as_label(name)}: {slope}{of}"
+
+
+def _slip_plots(view: _GroupView) -> Iterator[Plot]:
+    """Yield a plot of each sample that slipped: measured and processed force, and its slips."""
+    samples = [
+        sample
+        for sample in view.group.samples
+        if sample.slips and first_loading(sample) is not None
+    ]
+    rest = ", ".join(sample.test for sample in samples[MAX_SLIP_PANELS:])
+    for sample in samples[:MAX_SLIP_PANELS]:
+        lines = [*_sample_lines(view, sample, has_others=False), *_event_lines(view, sample)]
+        x = axis_over("Displacement", view.across.unit, [line.x for line in lines])
+        y = axis_over("Force", view.up.unit, [line.y for line in lines])
+        looks = {line.look: line.look.partition(" ")[0] for line in lines}
+        labels = {"curve": "as processed", **_KEY_LABELS}
+        keys = [Key(look, labels[kind]) for look, kind in looks.items()]
+        title = f"Slips on the first loadings of {view.group.name}."
+        caption = f"Not drawn, but in the list of slips: {rest}." if rest else ""
+        yield Plot("slips", view.stem, title, caption, x, y, lines, keys, (262, 165), sample.test)
+
+
+def _number_plots(group: Group) -> Iterator[Plot]:
+    """Yield a plot of each number with two or more samples, without later cycles.
+
+    Its rows are samples, means of spools and the mean.
+    """
+    first_cycle = [number for number in group.numbers if is_first_cycle(number.name)]
+    numbers = [
+        number
+        for number in first_cycle
+        if number.mean is not None and number.mean.over_samples.n > 1
+    ][:MAX_DOT_NUMBERS]
+    drawn = {number.name for number in numbers}
+    rest = "; ".join(as_label(x.name) for x in first_cycle if x.name not in drawn)
+    for number in numbers:
+        scale = shown_in(number.name, number.unit, display_of(group))
+        names: dict[str, int] = {}
+        lines = list(_dot_rows(group, number, scale.factor, names))
+        values = [line.x for line in lines if not line.look.startswith("interval")]
+        x = clipped_axis(as_label(number.name), scale, lines, values)
+        y = Axis("", "", 0.5 - len(names), 0.5, tuple(names))
+        looks = {line.look.partition(" ")[0] for line in lines}
+        keys = [Key(look, label) for look, label in _DOT_LABELS.items() if look in looks]
+        title = f"Each sample's numbers, with 95 % intervals: {group.name}."
+        caption = f"In the tables only: {rest}." if rest else ""
+        size = (262, 20 + 11 * len(names))
+        yield Plot("numbers", "", title, caption, x, y, lines, keys, size)
+
+
+_DOT_LABELS = {
+    "sample": "sample, 95 %",
+    "doubtful": "doubtful",
+    "dot": "mean, 95 %",
+    "ring": "marked as outlier",
+}
+
+
+def clipped_axis(name: str, scale: Scale, lines: Sequence[Line], values: Sequence[Floats]) -> Axis:
+    """Return an axis with all values, and of wide intervals as much as leaves them apart."""
+    margin = 0.03
+    ends = np.concatenate([line.x for line in lines])
+    low, high = clip_range(np.concatenate(values), ends, 1.0)
+    room = margin * ((high - low) or abs(high) or 1.0)
+    return Axis(name, unit_words(scale.unit), low - room, high + room)
+
+
+class DotRow(NamedTuple):
+    """Place of a dot in a plot of numbers.
+
+    Parameters
+    ----------
+    height : of the row
+    factor : from SI to the unit of the axis
+    colour : class; empty for black
+    group : stem, if several groups are in one plot
+    """
+
+    height: float
+    factor: float
+    colour: str = ""
+    group: str = ""
+
+
+def dot_with_bar(look: str, value: float, interval: Interval | None, row: DotRow) -> Iterator[Line]:
+    """Yield a number as a dot and its interval as a bar.
+
+    Parameters
+    ----------
+    look : class of the dot
+    value, interval : in SI
+    row : of the plot
+    """
+    if interval is not None and np.isfinite(interval.upper - interval.lower):
+        ends = row.factor * np.array([interval.lower, interval.upper])
+        bar = f"interval {row.colour}".strip()
+        yield Line(bar, ends, np.full(2, row.height), group=row.group)
+    point = np.array([row.factor * value]), np.array([row.height])
+    yield Line(f"{look} {row.colour}".strip(), *point, group=row.group)
+
+
+def _dot_rows(
+    group: Group, number: GroupNumber, factor: float, names: dict[str, int]
+) -> Iterator[Line]:
+    """Yield dots and intervals of samples and means; names of rows are added in their order."""
+    spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
+    is_crowded = len(group.samples) > MAX_DOT_ROWS
+    for at, spool in enumerate(spools):
+        tests = [sample.test for sample in group.samples if sample.specimen.spool == spool]
+        colour = f"c{at % COLOURS}"
+        for place, test in enumerate(tests):
+            name = f"{len(tests)} samples of {spool}" if is_crowded else test
+            shift = (place / len(tests) - 0.5) * 0.7 if is_crowded else 0.0
+            height = -names.setdefault(name, len(names)) - shift
+            row = DotRow(height, factor, colour)
+            yield from _sample_dots(number, test, row, has_bar=not is_crowded)
+        mean = number.mean.spool_means.get(spool) if number.mean is not None else None
+        if len(spools) > 1 and mean is not None:
+            row = DotRow(-names.setdefault(f"mean of {spool}", len(names)), factor, colour)
+            yield from dot_with_bar("dot", mean.mean, mean.interval, row)
+    if number.mean is not None:
+        mean = number.mean.chosen
+        row = DotRow(-names.setdefault("mean", len(names)), factor)
+        yield from dot_with_bar("dot", mean.mean, mean.interval, row)
+
+
+def _sample_dots(number: GroupNumber, test: str, row: DotRow, *, has_bar: bool) -> Iterator[Line]:
+    result = number.values.get(test)
+    if result is None or result.value is None:
+        return
+    look = "doubtful" if result.status is Status.DOUBTFUL else "sample"
+    yield from dot_with_bar(look, result.value, result.interval if has_bar else None, row)
+    if any(outlier.sample == test for outlier in number.outliers):
+        yield Line("ring", np.array([row.factor * result.value]), np.array([row.height]))

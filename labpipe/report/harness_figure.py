@@ -4,27 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.report.figure_page import (
+    DASHED,
     DOUBLE_COLUMN,
     GREY,
-    PageTexts,
-    area_key,
-    keyed_page,
     label_log_axis,
-    line_key,
-    panel_letter,
+    map_colours,
+    new_page,
+    titled,
 )
-from labpipe.report.saving import FigureToSave, save_pages
-from labpipe.report.wire_sections import LENGTH
+from labpipe.report.saving import FigureToSave
+from labpipe.report.wire_figures import LENGTH
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
@@ -36,9 +33,6 @@ _COLOURS = "viridis"
 _BELOW = "#d62728"
 _BAND: dict[str, Any] = {"color": "#9ecae1", "linewidth": 0.0}
 _EARLIER: dict[str, Any] = {"color": "#999999", "linewidth": 0.7}
-_OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.0}
-"""Dots of doubtful values."""
-_WAY: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.5}
 _LIMIT: dict[str, Any] = {"color": _BELOW, "linewidth": 0.8, "linestyle": (0, (5, 2))}
 _SIGNS: dict[str, dict[str, Any]] = {
     "clip": {"marker": "s", "markersize": 4.5},
@@ -48,6 +42,7 @@ _SIGNS: dict[str, dict[str, Any]] = {
     "string": {"marker": "^", "markersize": 4.5},
     "load": {"marker": "v", "markersize": 4.5},
 }
+_POINTWISE = "95 % band, pointwise"
 _VIEWS = (("side", 0, 2), ("end", 1, 2), ("top", 0, 1))
 _AXES = "xyz"
 
@@ -116,27 +111,18 @@ class DrawnHarness:
     allowed: float
 
 
-def save_harness_figure(
-    drawn: DrawnHarness, sweep: DrawnSweep | None, folder: Path, *, png: bool = False
-) -> list[Path]:
-    """Draw a harness as SVG, and its sweep, if any.
+def harness_drawings(drawn: DrawnHarness, sweep: DrawnSweep | None) -> list[FigureToSave]:
+    """List the figures of a harness: its shape, and its sweep, if any.
 
     Parameters
     ----------
     drawn : the harness
     sweep : several lengths of it
-    folder : made if it is not there
-    png : as PNG, too
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
     """
     pages = [FigureToSave(FIGURE, partial(harness_figure, drawn))]
     if sweep is not None:
         pages.append(FigureToSave(SWEEP_FIGURE, partial(sweep_figure, sweep)))
-    return save_pages(pages, folder, what="the figure", again="run the harness", png=png)
+    return pages
 
 
 def harness_figure(drawn: DrawnHarness) -> Figure:
@@ -146,36 +132,17 @@ def harness_figure(drawn: DrawnHarness) -> Figure:
     ----------
     drawn : the harness
     """
-    texts = PageTexts(f"{drawn.name}  ·  shape", drawn.note, _keys(drawn))
-    page = keyed_page(texts, height_mm=118.0, width_mm=DOUBLE_COLUMN)
+    page = new_page(height_mm=118.0, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(2, 2, width_ratios=(1.35, 1.0)).ravel()
     lines: list[LineCollection] = []
-    for letter, panel, (view, across, up) in zip("abc", panels, _VIEWS, strict=False):
+    for panel, (view, across, up) in zip(panels, _VIEWS, strict=False):
         lines.append(plot_view(drawn, across, up, panel))
-        panel_letter(panel, letter, f"From the {view}")
+        panel.set_title(f"From the {view}", loc="left")
     bar = page.colorbar(lines[0], ax=list(panels[1:2]), label=LENGTH.label("Bend radius"))
     label_log_axis(bar.ax.yaxis)
-    plot_radius(drawn, panels[3])
-    panel_letter(panels[3], "d", "Along the line")
-    return page
-
-
-def _keys(drawn: DrawnHarness) -> list[Artist]:
-    last = drawn.shapes[-1]
-    keys: list[Artist] = []
-    if len(drawn.shapes) > 1:
-        steps = ", ".join(str(shape.step) for shape in drawn.shapes[:-1])
-        keys.append(line_key(f"step {steps}", **_EARLIER))
-    if last.band is not None:
-        keys.append(area_key("95 % band, pointwise", **_BAND))
-    for kind, look in _SIGNS.items():
-        names = [mark.name for mark in drawn.marks if mark.kind == kind]
-        if names:
-            label = f"{kind} {', '.join(names)}"
-            keys.append(line_key(label, color="black", linestyle="", **look))
-    if any(mark.kind == "grip" and len(mark.way) > 1 for mark in drawn.marks):
-        keys.append(line_key("path of a grip", **_WAY))
-    return [*keys, line_key("allowed bend radius", **_LIMIT)]
+    _plot_radius(drawn, panels[3])
+    panels[3].set_title("Along the line", loc="left")
+    return titled(page, f"{drawn.name}  ·  shape", drawn.note)
 
 
 def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineCollection:
@@ -197,11 +164,13 @@ def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineColl
     last, pair = drawn.shapes[-1], [across, up]
     for plane in drawn.planes:
         _plot_plane(drawn, plane, pair, axes)
+    steps = f"step {', '.join(str(shape.step) for shape in drawn.shapes[:-1])}"
     for shape in drawn.shapes[:-1]:
-        _draw_line(axes, shape.positions[:, pair], **_EARLIER, zorder=2)
+        _draw_line(axes, shape.positions[:, pair], **_EARLIER, zorder=2, label=steps)
     if last.band is not None:
         low, high = (LENGTH.factor * end[:, pair] for end in last.band)
-        axes.add_collection(PolyCollection(_outlines(low, high), **_BAND, zorder=1), autolim=False)
+        band = PolyCollection(_outlines(low, high), label=_POINTWISE, **_BAND, zorder=1)
+        axes.add_collection(band, autolim=False)
     points = LENGTH.factor * last.positions[:, pair]
     ends = np.stack([points[:-1], points[1:]], axis=1)
     colours = mpl.colormaps[_COLOURS].with_extremes(under=_BELOW)
@@ -215,8 +184,9 @@ def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineColl
     )
     line.set_array(LENGTH.factor * np.minimum(last.radius[:-1], last.radius[1:]))
     axes.add_collection(line, autolim=False)
-    for mark in drawn.marks:
-        _plot_mark(mark, _extent(drawn), pair, axes)
+    for mark in sorted(drawn.marks, key=lambda mark: list(_SIGNS).index(mark.kind)):
+        names = ", ".join(other.name for other in drawn.marks if other.kind == mark.kind)
+        _plot_mark(mark, _extent(drawn), pair, axes, label=f"{mark.kind} {names}")
     _set_view(drawn, pair, axes)
     return line
 
@@ -263,11 +233,13 @@ def _plot_plane(
     _draw_line(axes, ends, color=GREY, linewidth=1.2, zorder=0)
 
 
-def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], axes: Axes) -> None:
+def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], axes: Axes, *, label: str) -> None:
     place = mark.position[pair]
     colour = "black" if mark.holds else "#bbbbbb"
-    _draw_line(axes, mark.way[:, pair], **_WAY, zorder=0)
-    _draw_line(axes, place[None], color=colour, linestyle="", zorder=4, **_SIGNS[mark.kind])
+    look: dict[str, Any] = {"linestyle": "", "zorder": 4, **_SIGNS[mark.kind]}
+    _draw_line(axes, place[None], color=colour, label=label, **look)
+    path = {"label": "path of a grip"} if mark.kind == "grip" and len(mark.way) > 1 else {}
+    _draw_line(axes, mark.way[:, pair], color="#bbbbbb", linewidth=0.5, zorder=0, **path)
     if mark.direction is not None:
         reach = 0.06 * extent * mark.direction[pair]
         ends = np.array([place - reach, place + reach])
@@ -295,18 +267,11 @@ def _set_view(drawn: DrawnHarness, pair: list[int], axes: Axes) -> None:
     axes.update_datalim(LENGTH.factor * np.array([middle - half, middle + half]))
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(LENGTH.label(_AXES[pair[0]]))
-    axes.set_ylabel(LENGTH.label(_AXES[pair[1]]))
+    axes.set(xlabel=LENGTH.label(_AXES[pair[0]]), ylabel=LENGTH.label(_AXES[pair[1]]))
 
 
-def plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
-    """Draw the bend radius along the line, with the allowed radius.
-
-    Parameters
-    ----------
-    drawn : the harness
-    axes : to draw on
-    """
+def _plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
+    """Draw the bend radius along the line, with the allowed radius."""
     along, last = LENGTH.factor * drawn.along, drawn.shapes[-1]
     axes.set_yscale("log")
     for shape in drawn.shapes[:-1]:
@@ -315,14 +280,13 @@ def plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
         low, high = map(_finite_radius, last.radius_band)
         axes.fill_between(along, low, high, **_BAND)
     axes.plot(along, _finite_radius(last.radius), color="black", linewidth=1.0)
-    axes.axhline(LENGTH.factor * drawn.allowed, **_LIMIT)
     allowed = LENGTH.factor * drawn.allowed
+    axes.axhline(allowed, label="allowed bend radius", **_LIMIT)
     sharpest = [np.nanmin(_finite_radius(shape.radius), initial=np.inf) for shape in drawn.shapes]
     highest = max([100.0 * allowed, *(3.0 * radius for radius in sharpest if np.isfinite(radius))])
     axes.set_ylim(0.7 * min(*sharpest, allowed), highest)
     axes.set_xlim(along[0], along[-1])
-    axes.set_xlabel(LENGTH.label("From the start"))
-    axes.set_ylabel(LENGTH.label("Bend radius"))
+    axes.set(xlabel=LENGTH.label("From the start"), ylabel=LENGTH.label("Bend radius"))
     label_log_axis(axes.yaxis)
 
 
@@ -365,92 +329,46 @@ def sweep_figure(sweep: DrawnSweep) -> Figure:
     ----------
     sweep : the lengths
     """
-    keys = [
-        *_length_keys(sweep),
-        line_key("installed", color="black", marker="o", markersize=3.0, linewidth=1.0),
-        line_key("during installation", **_EARLIER, marker="o", markersize=2.0),
-        line_key("allowed bend radius", **_LIMIT),
-    ]
-    if sweep.radius_band is not None:
-        keys.append(area_key("95 % band, pointwise", **_BAND))
-    if sweep.is_doubtful.any():
-        keys.append(line_key("doubtful", color="black", **_OPEN, linestyle="", marker="o"))
-    texts = PageTexts(f"{sweep.name}  ·  length against bend radius", sweep.note, keys)
-    page = keyed_page(texts, height_mm=76.0, width_mm=DOUBLE_COLUMN)
+    page = new_page(height_mm=76.0, width_mm=DOUBLE_COLUMN)
     shapes, radii = page.subplots(1, 2, width_ratios=(1.2, 1.0))
-    plot_lengths(sweep, shapes)
-    plot_sweep(sweep, radii)
-    panel_letter(shapes, "a", f"From the {_choose_view(sweep)[0]}, by length")
-    panel_letter(radii, "b", "Smallest bend radius")
-    return page
-
-
-def _length_keys(sweep: DrawnSweep) -> list[Artist]:
-    """Return a key for each length; a doubtful one is dashed."""
-    return [
-        line_key(f"{LENGTH.factor * length:.6g} {LENGTH.unit}", **_length_style(sweep, number))
-        for number, length in enumerate(sweep.length)
-        if len(sweep.shapes[number])
-    ]
-
-
-def _length_style(sweep: DrawnSweep, number: int) -> dict[str, Any]:
-    import matplotlib as mpl
-
-    colours = mpl.colormaps[_COLOURS](np.linspace(0.05, 0.9, len(sweep.shapes)))
-    dashes = (0, (4, 1.5)) if sweep.is_doubtful[number] else "solid"
-    return {"color": colours[number], "linewidth": 1.1, "linestyle": dashes}
-
-
-def _choose_view(sweep: DrawnSweep) -> tuple[str, int, int]:
-    """Return the view, side or top, that shows most of the lines."""
     every = np.vstack(sweep.shapes)
-    side, _, top = _VIEWS
-    return top if np.ptp(every[:, 1]) > np.ptp(every[:, 2]) else side
+    side, _, top = _VIEWS  # that shows most of the lines
+    view, across, up = top if np.ptp(every[:, 1]) > np.ptp(every[:, 2]) else side
+    _plot_lengths(sweep, [across, up], shapes)
+    _plot_sweep(sweep, radii)
+    shapes.set_title(f"From the {view}, by length", loc="left")
+    radii.set_title("Smallest bend radius", loc="left")
+    return titled(page, f"{sweep.name}  ·  length against bend radius", sweep.note)
 
 
-def plot_lengths(sweep: DrawnSweep, axes: Axes) -> None:
-    """Draw the lines of a sweep from the side that shows most of them.
-
-    Parameters
-    ----------
-    sweep : the lengths
-    axes : to draw on
-    """
-    _, across, up = _choose_view(sweep)
-    for number, positions in enumerate(sweep.shapes):
-        points = LENGTH.factor * positions[:, [across, up]]
-        axes.plot(*points.T, **_length_style(sweep, number))
+def _plot_lengths(sweep: DrawnSweep, pair: list[int], axes: Axes) -> None:
+    """Draw the lines of a sweep from one side; a doubtful one is dashed."""
+    for positions, length, colour, is_doubtful in zip(
+        sweep.shapes, sweep.length, map_colours(len(sweep.shapes)), sweep.is_doubtful, strict=True
+    ):
+        if len(positions):
+            label = f"{LENGTH.factor * length:.6g} {LENGTH.unit}"
+            dash: Any = DASHED if is_doubtful else "-"
+            points = LENGTH.factor * positions[:, pair]
+            axes.plot(*points.T, color=colour, linewidth=1.1, linestyle=dash, label=label)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(LENGTH.label(_AXES[across]))
-    axes.set_ylabel(LENGTH.label(_AXES[up]))
+    axes.set(xlabel=LENGTH.label(_AXES[pair[0]]), ylabel=LENGTH.label(_AXES[pair[1]]))
 
 
-def plot_sweep(sweep: DrawnSweep, axes: Axes) -> None:
-    """Draw the smallest bend radius over the length.
-
-    Parameters
-    ----------
-    sweep : the lengths
-    axes : to draw on
-    """
-    length = LENGTH.factor * sweep.length
+def _plot_sweep(sweep: DrawnSweep, axes: Axes) -> None:
+    """Draw the smallest bend radius over the length."""
+    length, doubtful = LENGTH.factor * sweep.length, sweep.is_doubtful
+    black: dict[str, Any] = {"color": "black", "linewidth": 1.0}
+    lines = (("during installation", sweep.way, _EARLIER), ("installed", sweep.radius, black))
+    for label, radii, look in lines:
+        radius = _finite_radius(radii)
+        axes.plot(length, radius, marker="o", markersize=3.0, label=label, **look)
+        dots: dict[str, Any] = {**look, "markerfacecolor": "white", "markersize": 3.0}
+        if doubtful.any():
+            axes.plot(length[doubtful], radius[doubtful], "o", label="doubtful", **dots)
+    axes.axhline(LENGTH.factor * sweep.allowed, label="allowed bend radius", **_LIMIT)
     if sweep.radius_band is not None:
         low, high = map(_finite_radius, sweep.radius_band)
-        axes.fill_between(length, low, high, **_BAND)
-    axes.plot(length, _finite_radius(sweep.way), marker="o", markersize=2.0, **_EARLIER)
-    axes.plot(
-        length,
-        _finite_radius(sweep.radius),
-        color="black",
-        marker="o",
-        markersize=3.0,
-        linewidth=1.0,
-    )
-    for radius, look in ((sweep.way, _EARLIER), (sweep.radius, {"color": "black"})):
-        open_dots = {**_OPEN, "color": look["color"], "marker": "o", "linestyle": ""}
-        axes.plot(length[sweep.is_doubtful], _finite_radius(radius)[sweep.is_doubtful], **open_dots)
-    axes.axhline(LENGTH.factor * sweep.allowed, **_LIMIT)
+        axes.fill_between(length, low, high, label=_POINTWISE, **_BAND, zorder=0)
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel(LENGTH.label("Length of the line"))
-    axes.set_ylabel(LENGTH.label("Smallest bend radius"))
+    axes.set(xlabel=LENGTH.label("Length of the line"), ylabel=LENGTH.label("Smallest bend radius"))

@@ -86,14 +86,12 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test with a common
     reason are one issue.
     """
-    concerns = [
-        Issue(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()
-    ]
-    concerns += [Issue(Kind.REJECTED, "", file, "", why) for file, why in campaign.rejected.items()]
+    issues = [Issue(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()]
+    issues += [Issue(Kind.REJECTED, "", file, "", why) for file, why in campaign.rejected.items()]
     for group in campaign.groups:
-        concerns += _group_issues(group)
+        issues += _group_issues(group)
     order = list(Kind)
-    return tuple(sorted(concerns, key=lambda finding: order.index(finding.kind)))
+    return tuple(sorted(issues, key=lambda finding: order.index(finding.kind)))
 
 
 def sentence(message: str) -> str:
@@ -132,10 +130,11 @@ def slip_words(slip: Slip, group: Group) -> str:
     """Describe the place and the lost force of a slip with intervals and display units."""
     display = display_of(group)
     across, up = shown_in("", "m", display), shown_in("", "N", display)
-    at = write_number(slip.position, slip.position_interval, across.factor)
+    position = write_number(slip.position, slip.position_interval, across.factor)
     lost = write_number(slip.drop, slip.drop_interval, up.factor)
-    where = f"{at.value} {unit_words(across.unit)}"
-    return f"{lost.value} {unit_words(up.unit)} ({lost.interval}) lost at {where} ({at.interval})"
+    where = f"{position.value} {unit_words(across.unit)}"
+    loss = f"{lost.value} {unit_words(up.unit)} ({lost.interval})"
+    return f"{loss} lost at {where} ({position.interval})"
 
 
 def _group_issues(group: Group) -> Iterator[Issue]:
@@ -159,13 +158,15 @@ def _group_issues(group: Group) -> Iterator[Issue]:
 def _result_issues(group: str, sample: Sample) -> Iterator[Issue]:
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
-        kind = _kind(result)
-        if kind is not None:
-            results_by_reason.setdefault((kind, result.reasons), []).append(result)
-    for (kind, reasons), results in results_by_reason.items():
+        issue_kind = _kind(result)
+        if issue_kind is not None:
+            results_by_reason.setdefault((issue_kind, result.reasons), []).append(result)
+    for (issue_kind, reasons), results in results_by_reason.items():
         what = "; ".join(as_label(result.name) for result in results)
         names = tuple(result.name for result in results)
-        yield Issue(kind, group, sample.test, what, sentences(reasons), codes_of(reasons), names)
+        yield Issue(
+            issue_kind, group, sample.test, what, sentences(reasons), codes_of(reasons), names
+        )
 
 
 def _kind(result: Result) -> Kind | None:
@@ -213,9 +214,9 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
     for (code, _), same_notes in notes_by_code.items():
         is_note = test and same_notes[0].severity is not Severity.ERROR
         what = "; ".join(replace_names(note.where) for note in same_notes)
-        kind = Kind.NOTE if is_note else Kind.WARNING
+        issue_kind = Kind.NOTE if is_note else Kind.WARNING
         yield Issue(
-            Kind.UNLIKE if code == PROTOCOLS_DIFFER else kind,
+            Kind.UNLIKE if code == PROTOCOLS_DIFFER else issue_kind,
             group,
             test,
             what,
@@ -225,6 +226,8 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
         )
 
 
+_HEADINGS = {Kind.UNREADABLE: "Not read", Kind.UNLIKE: "Other processing", Kind.SLIP: "Slips"}
+"""Headings that differ from the name of the kind."""
 _ALL_VALUES_EFFECT = 5.0
 """Effect, in half intervals, of a cause that affects all values of a number."""
 _NO_INTERVAL_EFFECT = 10.0
@@ -253,23 +256,28 @@ class Cause:
     ----------
     kind : what is wrong
     code : of the first issue, may be empty
-    concerns : issues with this cause, at least one
+    issues : issues with this cause, at least one
     effect : None if unknown
     """
 
     kind: Kind
     code: str
-    concerns: tuple[Issue, ...]
+    issues: tuple[Issue, ...]
     effect: Effect | None
+
+    @property
+    def heading(self) -> str:
+        """Kind in one or two words."""
+        return _HEADINGS.get(self.kind, self.kind.name.capitalize().replace("_", " "))
 
     @property
     def subject(self) -> str:
         """Test or group, or their number."""
-        groups = list(dict.fromkeys(concern.group for concern in self.concerns))
+        groups = list(dict.fromkeys(issue.group for issue in self.issues))
         tests = dict.fromkeys(
-            (concern.group, test)
-            for concern in self.concerns
-            for test in (concern.test, *concern.tests)
+            (issue.group, test)
+            for issue in self.issues
+            for test in (issue.test, *issue.tests)
             if test
         )
         if len(tests) == 1:
@@ -282,13 +290,13 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """The first reason, and the number of further ones."""
+        """Return the first reason, and the number of further ones."""
         if self.kind is Kind.UNLIKE:
             places = dict.fromkeys(
-                place for concern in self.concerns for place in concern.what.split("; ")
+                place for issue in self.issues for place in issue.what.split("; ")
             )
             return f"Processed differently from other tests of their group: {', '.join(places)}."
-        reasons = list(dict.fromkeys(concern.reason for concern in self.concerns))
+        reasons = list(dict.fromkeys(issue.reason for issue in self.issues))
         more = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
         return f"{reasons[0]}{more}"
 
@@ -305,11 +313,11 @@ def find_causes(campaign: Campaign) -> list[Cause]:
     Causes by decreasing effect, those of unknown effect last, equal ones in the order of `Kind`.
     Notes without consequences are not included (`find_notes`).
     """
-    concerns = [concern for concern in find_issues(campaign) if concern.kind is not Kind.NOTE]
+    issues = [issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE]
     groups = {group.name: group for group in campaign.groups}
     causes = [
         Cause(related[0].kind, related[0].code, tuple(related), _effect(related, groups))
-        for related in _cluster_concerns(concerns)
+        for related in _cluster_issues(issues)
     ]
     return sorted(
         causes, key=lambda cause: -inf if cause.effect is None else cause.effect.size, reverse=True
@@ -323,61 +331,59 @@ def find_notes(campaign: Campaign) -> list[Cause]:
     ----------
     campaign : all of it
     """
-    notes = [concern for concern in find_issues(campaign) if concern.kind is Kind.NOTE]
+    notes = [issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE]
     causes = [
-        Cause(same[0].kind, same[0].code, tuple(same), None) for same in _cluster_concerns(notes)
+        Cause(same[0].kind, same[0].code, tuple(same), None) for same in _cluster_issues(notes)
     ]
-    return sorted(causes, key=lambda cause: len(cause.concerns), reverse=True)
+    return sorted(causes, key=lambda cause: len(cause.issues), reverse=True)
 
 
-def _cluster_concerns(concerns: Iterable[Issue]) -> list[list[Issue]]:
-    """Cluster concerns of one kind that share a code; slips share one cluster."""
+def _cluster_issues(issues: Iterable[Issue]) -> list[list[Issue]]:
+    """Cluster issues of one kind that share a code; slips share one cluster."""
     clusters: list[tuple[Kind, set[str], list[Issue]]] = []
-    for concern in concerns:
+    for issue in issues:
         codes = (
-            {Kind.SLIP}
-            if concern.kind is Kind.SLIP
-            else set(filter(None, concern.code.split(", ")))
+            {Kind.SLIP} if issue.kind is Kind.SLIP else set(filter(None, issue.code.split(", ")))
         )
-        for kind, cluster_codes, related in clusters:
-            if kind is concern.kind and codes & cluster_codes:
+        for issue_kind, cluster_codes, related in clusters:
+            if issue_kind is issue.kind and codes & cluster_codes:
                 cluster_codes.update(codes)
-                related.append(concern)
+                related.append(issue)
                 break
         else:
-            clusters.append((concern.kind, set(codes), [concern]))
+            clusters.append((issue.kind, set(codes), [issue]))
     return [related for _, _, related in clusters]
 
 
-def _effect(concerns: Sequence[Issue], groups: dict[str, Group]) -> Effect | None:
-    if concerns[0].kind is Kind.UNREADABLE:
+def _effect(issues: Sequence[Issue], groups: dict[str, Group]) -> Effect | None:
+    if issues[0].kind is Kind.UNREADABLE:
         return Effect(inf, "the test is missing from all numbers")
-    if concerns[0].kind is Kind.REJECTED:
+    if issues[0].kind is Kind.REJECTED:
         return Effect(0.0, "not in any mean, by decision")
     effects = [
         effect
-        for name, group_concerns in _by_group(concerns).items()
+        for name, group_issues in _by_group(issues).items()
         if name in groups
-        for effect in _group_effects(groups[name], group_concerns)
+        for effect in _group_effects(groups[name], group_issues)
     ]
     return max(effects, key=lambda effect: effect.size, default=None)
 
 
-def _by_group(concerns: Iterable[Issue]) -> dict[str, list[Issue]]:
-    concerns_by_group: dict[str, list[Issue]] = {}
-    for concern in concerns:
-        concerns_by_group.setdefault(concern.group, []).append(concern)
-    return concerns_by_group
+def _by_group(issues: Iterable[Issue]) -> dict[str, list[Issue]]:
+    issues_by_group: dict[str, list[Issue]] = {}
+    for issue in issues:
+        issues_by_group.setdefault(issue.group, []).append(issue)
+    return issues_by_group
 
 
-def _group_effects(group: Group, concerns: Sequence[Issue]) -> Iterator[Effect]:
+def _group_effects(group: Group, issues: Sequence[Issue]) -> Iterator[Effect]:
     """Yield the effects of all affected tests on the numbers of a group."""
     for number in group.numbers:
         tests = {
             test
-            for concern in concerns
-            if not concern.numbers or number.name in concern.numbers
-            for test in (concern.test, *concern.tests)
+            for issue in issues
+            if not issue.numbers or number.name in issue.numbers
+            for test in (issue.test, *issue.tests)
             if test
         }
         if tests and not number.is_set_by_rig:
@@ -388,6 +394,8 @@ def _group_effects(group: Group, concerns: Sequence[Issue]) -> Iterator[Effect]:
 
 def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Return the effect of tests that do not enter the mean of a number."""
+    # Effect, in half intervals, of a cause that leaves one value, without an interval.
+    no_interval_effect = 10.0
     lost = len(tests & number.left_out.keys())
     if not lost:
         return None
@@ -396,7 +404,7 @@ def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effe
         return Effect(inf, f"no value of {name}")
     n = number.mean.chosen.n
     if n == 1:
-        return Effect(_NO_INTERVAL_EFFECT, f"one value of {name}, without an interval")
+        return Effect(no_interval_effect, f"one value of {name}, without an interval")
     wider = _relative_width(n) / _relative_width(n + lost)
     text = f"mean of {n} of {n + lost} values of {name}, interval about {wider:.1f} times as wide"
     return Effect(wider - 1.0, text)
@@ -408,6 +416,8 @@ def _relative_width(n: int) -> float:
 
 def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Return the shift of a mean without the tests."""
+    # Effect, in half intervals, of a cause that affects all values of a number.
+    all_values_effect = 5.0
     touched = tests & number.values.keys()
     mean = number.mean
     if not touched or mean is None:
@@ -420,13 +430,13 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
             spool = "" if mean.is_pooled else spools.get(test, "")
             remaining.setdefault(spool, []).append(result.value)
     if not remaining:
-        return Effect(_ALL_VALUES_EFFECT, f"all values of {name}")
+        return Effect(all_values_effect, f"all values of {name}")
     before, half = mean.chosen.mean, mean.chosen.half
     moved = float(np.mean([np.mean(values) for values in remaining.values()])) - before
     without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"
     share = f"{100.0 * abs(moved / before):.2g} % " if before else ""
-    way = "higher" if moved > 0.0 else "lower"
+    direction = "higher" if moved > 0.0 else "lower"
     size = abs(moved) / half if half > 0.0 else 0.0
     if isnan(half) or isnan(size):
-        return Effect(0.0, f"{without} {share}{way}")
-    return Effect(size, f"{without} {share}{way}, {size:.2g} times half its interval")
+        return Effect(0.0, f"{without} {share}{direction}")
+    return Effect(size, f"{without} {share}{direction}, {size:.2g} times half its interval")

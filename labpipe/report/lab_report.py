@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import base64
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from io import BytesIO
+from itertools import groupby
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from labpipe.records.group import Campaign, Group
+from labpipe.errors import UsageError, error_text
+from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
+from labpipe.records.result import Result
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
-from labpipe.report.comparison_figures import figures_of_families
-from labpipe.report.comparisons import remarks_on_pairs
-from labpipe.report.group_figures import group_drawings, stems
-from labpipe.report.group_panels import group_panels
-from labpipe.report.group_tables import (
-    cause_lines,
-    method_tables,
-    note_table,
-    slip_table,
-    spool_mean_table,
+from labpipe.report.comparisons import (
+    Pair,
+    answer_cells,
+    context_words,
+    families,
+    field_words,
+    question_table,
+    remarks_on_pairs,
+    single_field_pairs,
 )
-from labpipe.report.issues import find_causes, sentences
-from labpipe.report.page_comparisons import questions
+from labpipe.report.group_figures import family_plots, figures_of_families, group_drawings
+from labpipe.report.group_panels import first_loading, group_panels
+from labpipe.report.issues import Cause, Kind, find_causes, sentences
 from labpipe.report.page_facts import (
+    PageTest,
     PageTests,
     days_words,
     instrument_lines,
@@ -31,38 +42,48 @@ from labpipe.report.page_facts import (
     report_id,
     roles_words,
     samples_of,
+    stems,
 )
-from labpipe.report.page_groups import (
+from labpipe.report.page_plots import Strip, clip_range, mean_strip, sparkline
+from labpipe.report.page_tables import (
+    DASH,
+    Cell,
+    Table,
     about_group,
-    budget_causes,
-    budget_drawing,
+    budget_parts,
+    cause_table,
+    export_table,
+    method_tables,
+    note_table,
     number_table,
+    rows_of_tests,
     samples_tables,
+    slip_table,
+    spool_mean_table,
 )
-from labpipe.report.page_parts import (
-    css_string,
-    fill_template,
-    page_data,
-    page_script,
-    page_style,
-    style_hash,
-    style_of,
-)
-from labpipe.report.page_tests import export_table, test_rows
+from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.saving import save_pages, written_to
-from labpipe.report.summary_page import (
-    KeyBlock,
-    answers,
-    count_words,
-    fold,
-    key_blocks,
-    open_decisions,
+from labpipe.report.saving import save_pages, writing
+from labpipe.report.wording import (
+    as_label,
+    count_of,
+    display_of,
+    heading,
+    is_first_cycle,
+    mean_with_interval,
+    printable,
+    replace_names,
+    shown_in,
+    unit_words,
+    with_interval,
 )
-from labpipe.report.wording import printable, replace_names
+from labpipe.statistics.group_fields import in_order
 
-_TEMPLATE = "lab_report.html"
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
 _NO_INSTRUMENTS = "no calibration certificate stated in the protocols"
+_ANSWER_HEADS = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +101,47 @@ class Letterhead:
 
 
 PLAIN = Letterhead()
+_MAX_LOGO_BYTES = 200_000
+_SIGNATURES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+
+
+def read_logo(path: Path) -> str:
+    """Read a picture for page one.
+
+    Parameters
+    ----------
+    path : a PNG or a JPEG
+
+    Returns
+    -------
+    The picture as a ``data:`` address.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be read, has another format, is damaged or too large for a mailed page.
+    """
+    from PIL import Image
+
+    content, kind, fault = b"", "", "a file of another format"
+    try:
+        if not path.is_file() or path.stat().st_size > _MAX_LOGO_BYTES:
+            fault = f"{path.stat().st_size} bytes" if path.is_file() else "no file"
+        else:
+            content = path.read_bytes()
+            kind = next(
+                (kind for sign, kind in _SIGNATURES.items() if content.startswith(sign)), ""
+            )
+        if kind:
+            Image.open(BytesIO(content)).load()
+            fault = ""
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        fault = f"a file that cannot be read ({error})"
+    if fault:
+        expected = f"a picture, PNG or JPEG, of at most {_MAX_LOGO_BYTES // 1000} kB"
+        remedy = "Save the logo as PNG, about 600 points wide, or omit --logo."
+        raise UsageError(error_text(path, "", expected=expected, found=fault, remedy=remedy))
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def render_page(
@@ -100,9 +162,9 @@ def render_page(
     """
     names = stems(group.name for group in campaign.groups)
     report, script = report_id(campaign), page_script()
-    style = style_of(css_string(f"{campaign.title}  \u00b7  report {report}"), page_style())
+    style = style_of(css_string(f"{campaign.title}  \u00b7  report {report}"), _text(STYLE))
     return fill_template(
-        _TEMPLATE,
+        "lab_report.html",
         campaign=campaign,
         report=report,
         style=style,
@@ -120,11 +182,16 @@ def render_page(
 def _first_screen(
     campaign: Campaign, names: Sequence[str], letterhead: Letterhead
 ) -> dict[str, Any]:
-    """Return the contents of page one."""
+    """Return the contents of page one: answers, then numbers, then open decisions."""
+    max_answers, max_decisions, min_groups = 8, 4, 3
+    screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     tests, causes = PageTests(campaign, names), find_causes(campaign)
-    open_ones = open_decisions(causes, tests)
-    answer_rows, blocks = answers(campaign), key_blocks(campaign, names)
-    folds = fold(len(answer_rows), blocks, len(open_ones))
+    open_ones, answer_rows = open_decisions(causes, tests), answers(campaign)
+    folds = {
+        "answers": min(len(answer_rows), max_answers),
+        "decisions": min(len(open_ones), max_decisions),
+    }
+    room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
     samples = samples_of(campaign)
     recorded = roles_words(samples)
     return {
@@ -133,10 +200,10 @@ def _first_screen(
         "instruments": instrument_lines(samples),
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
         "answers": answer_rows,
-        "blocks": _limit_rows(blocks, folds.groups),
+        "blocks": _limit_rows(key_blocks(campaign, names), max(room, min_groups)),
         "open_ones": open_ones,
         "folds": folds,
-        "causes": cause_lines(causes),
+        "causes": [(cause, cause_table(cause)) for cause in causes],
     }
 
 
@@ -156,14 +223,239 @@ def _protocols(campaign: Campaign) -> str:
     return ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
 
 
-def _limit_rows(blocks: Sequence[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
+def answers(campaign: Campaign) -> list[dict[str, Any]]:
+    """Collect the verdicts on pairs of groups by field.
+
+    Parameters
+    ----------
+    campaign : with its differences; the first main number of each pair is used
+
+    Returns
+    -------
+    For each ``field``, its ``question``, ``verdict`` (for several pairs their number by verdict),
+    ``difference`` and ``counts`` of the pair with the largest one, and the table of its ``pairs``.
+    """
+    return [
+        _answer(field, list(pairs))
+        for field, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field)
+    ]
+
+
+def _answer(field: str, pairs: Sequence[Pair]) -> dict[str, Any]:
+    rows = tuple(answer_cells(pair) for pair in pairs)
+    largest = max(range(len(pairs)), key=lambda at: _rank_of_pair(pairs[at]))
+    question, verdict = rows[0][0].text, rows[0][1].text
+    if len(pairs) > 1:
+        every = {word for pair in pairs for word in pair.differences[0].fields[field]}
+        values = sorted(every, key=lambda word: in_order(field, word))
+        question = f"{field_words(field)}: {', '.join(values)}"
+        counts = Counter(pair.differences[0].verdict for pair in pairs)
+        verdict = ", ".join(f"{str(kind).upper()} {counts[kind]}" for kind in Verdict
+                            if counts[kind])  # fmt: skip
+    of_several = f", largest of {len(pairs)} pairs" if len(pairs) > 1 else ""
+    return {
+        "field": field,
+        "question": question,
+        "verdict": verdict,
+        "difference": rows[largest][2].text + of_several,
+        "counts": rows[largest][3].text,
+        "pairs": Table("", _ANSWER_HEADS, rows),
+    }
+
+
+def _rank_of_pair(pair: Pair) -> tuple[bool, float]:
+    """Rank a pair: differing pairs first, then by the size of the difference."""
+    difference = pair.differences[0]
+    size = difference.share if difference.share is not None else difference.difference.mean
+    return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
+
+
+class KeyRow(NamedTuple):
+    """A group on the first screen.
+
+    Parameters
+    ----------
+    name, stem : the stem is used in links
+    n : samples
+    strip : drawing of the first number with its interval, if any
+    cells : of its first numbers
+    spark : its curve, if any
+    """
+
+    name: str
+    stem: str
+    n: int
+    strip: Strip | None
+    cells: tuple[Cell, ...]
+    spark: str
+
+
+class KeyBlock(NamedTuple):
+    """Groups with one table head.
+
+    Parameters
+    ----------
+    heads : of their numbers; without, each cell names its own
+    rows : one per group
+    """
+
+    heads: tuple[str, ...]
+    rows: Sequence[KeyRow]
+
+
+def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
+    """Return the key numbers of each group: a block for each kind, and one of all single groups.
+
+    Parameters
+    ----------
+    campaign : with the main numbers of the protocol first in each group
+    stems : of its groups
+    """
+    by_protocol: dict[str, list[tuple[Group, str]]] = {}
+    for group, stem in zip(campaign.groups, stems, strict=True):
+        by_protocol.setdefault(group.protocol, []).append((group, stem))
+    by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
+    for groups in by_protocol.values():
+        by_heads.setdefault(_key_heads(groups), []).extend(groups)
+    blocks: list[KeyBlock] = []
+    single: list[KeyRow] = []
+    for heads, groups in by_heads.items():
+        if len(groups) > 1 or len(by_heads) == 1:
+            texts = tuple(text for _, text in heads)
+            blocks.append(KeyBlock(texts, _key_rows(groups, dict(heads))))
+        else:
+            single += _key_rows(groups, dict(heads), has_heads=False)
+    return [*blocks, *([KeyBlock((), single)] if single else [])]
+
+
+def _key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
+    """Return names and headings of the first numbers of groups of one protocol."""
+    n_numbers = 3
+    heads: dict[str, str] = {}
+    for group, _ in groups:
+        for number in group.numbers:
+            if is_first_cycle(number.name) and not number.is_set_by_rig:
+                unit = shown_in(number.name, number.unit, display_of(group)).unit
+                heads.setdefault(number.name, heading(number.name, unit))
+    return tuple(heads.items())[:n_numbers]
+
+
+def _key_rows(
+    groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool = True
+) -> list[KeyRow]:
+    names = list(heads)
+    ends = _ends([first for group, _ in groups if (first := _number(group, names[:1])) is not None])
+    rows = []
+    for group, stem in groups:
+        strip = _mean_strip(group, names, ends) if has_heads else None
+        cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in names)
+        rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
+    return rows
+
+
+def _number(group: Group, names: Sequence[str]) -> GroupNumber | None:
+    return next((number for number in group.numbers if number.name in names), None)
+
+
+def _ends(numbers: Sequence[GroupNumber]) -> tuple[float, float]:
+    """Return the scale of a column: full means, intervals only as far as the means stay apart."""
+    chosen = [number.mean.chosen for number in numbers if number.mean is not None]
+    means = [mean.mean for mean in chosen] or [0.0, 1.0]
+    ends = [end for mean in chosen if mean.interval is not None
+            for end in (mean.interval.lower, mean.interval.upper)]  # fmt: skip
+    return clip_range(means, ends, 1.0)
+
+
+def _mean_strip(group: Group, names: Sequence[str], ends: tuple[float, float]) -> Strip | None:
+    number = _number(group, names[:1])
+    if number is None or number.mean is None:
+        return None
+    interval = _interval_source(number.mean.chosen, number)[0].interval
+    return mean_strip(ends, interval, number.mean.chosen.mean)
+
+
+def _key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
+    number = _number(group, [name])
+    if number is None or number.mean is None:
+        return Cell(DASH, tip="no sample has this number")
+    scale = shown_in(name, number.unit, display_of(group))
+    chosen = number.mean.chosen
+    source, tip = _interval_source(chosen, number)
+    if source.distinct_estimate is not None:
+        estimate = mean_with_interval(chosen, scale.factor).partition("(")[2].partition(",")[0]
+        tip = f"interval of the {estimate}"
+    text = with_interval(chosen.mean, source.interval, scale.factor)
+    if not has_label:
+        return Cell(text, tip=tip)
+    return Cell(f"{text} {unit_words(scale.unit)}".strip(), small=as_label(name), tip=tip)
+
+
+def _interval_source(mean: MeanInterval, number: GroupNumber) -> tuple[MeanInterval | Result, str]:
+    """Return the mean or the single test that has the interval of a number, and a note on it."""
+    if mean.interval is None and len(number.values) == 1:
+        return next(iter(number.values.values())), "one test: uncertainty of its measurement"
+    return mean, ""
+
+
+def _spark(group: Group) -> str:
+    """Write the mean curve of a group, or else its first curve, as a sparkline."""
+    band, first = group.band, None
+    if len(band.displacement) and band.n > 1:
+        first = band.displacement, band.mean
+    else:
+        curves = map(first_loading, group.samples)
+        first = next(((one.displacement, one.force) for one in curves if one is not None), None)
+    if first is None:
+        return ""
+    rows = simplify_line(*first, points=24, tolerance=0.01)
+    return sparkline(first[0][rows], first[1][rows])
+
+
+def _limit_rows(blocks: Iterable[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
     """Limit the number of groups of each block that are shown at first."""
-    blocks_with_counts = []
+    shown = []
     for block in blocks:
         count = min(len(block.rows), max(most, 0))
-        blocks_with_counts.append((block, count))
-        most -= count
-    return blocks_with_counts
+        shown.append((block, count))
+        most -= count + 1
+    return shown
+
+
+class OpenDecision(NamedTuple):
+    """A cause that requires a decision, and the affected tests that are not decided."""
+
+    cause: Cause
+    tests: tuple[PageTest, ...]
+
+
+def open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecision]:
+    """List the causes that require a decision: doubtful, failed, marked as outliers.
+
+    Parameters
+    ----------
+    causes : ranked
+    tests : decided ones are left out
+    """
+    decisions = []
+    for cause in causes:
+        named = (tests.by_name.get(concern.test) for concern in cause.issues)
+        open_ones = (test for test in named if test is not None and not test.sample.decided)
+        undecided = tuple(dict.fromkeys(open_ones))
+        if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
+            decisions.append(OpenDecision(cause, undecided))
+    return decisions
+
+
+def count_words(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> str:
+    """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
+    undecided = len({test.number for open_one in open_ones for test in open_one.tests})
+    parts = [
+        count_of(len(samples_of(campaign)), "test"),
+        f"{len(campaign.rejected)} rejected",
+        *([f"{len(campaign.left_out)} not read"] if campaign.left_out else []),
+        f"{undecided} to decide",
+    ]
+    return " \u00b7 ".join(parts)
 
 
 def _other_sections(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
@@ -175,10 +467,10 @@ def _other_sections(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
         "groups": [_group(group, stem, tests) for group, stem in groups],
         "has_bundles": has_bundles(campaign),
         "places": place_table(campaign),
-        "questions": questions(campaign, {group.name: stem for group, stem in groups}),
+        "questions": list(_questions(campaign, {group.name: stem for group, stem in groups})),
         "remarks_on_pairs": remarks_on_pairs(campaign),
         "notes": note_table(campaign),
-        "rows": test_rows(campaign, tests, by_stem),
+        "rows": rows_of_tests(campaign, tests, by_stem),
         "methods": method_tables(campaign),
         "protocols": _protocols(campaign),
         "exports": export_table(tests),
@@ -187,6 +479,7 @@ def _other_sections(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
 
 def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
     spools = {sample.specimen.spool for sample in group.samples}
+    budget, causes = budget_parts(group)
     return {
         "name": group.name,
         "stem": stem,
@@ -196,22 +489,164 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "rejected": tests.rejected(stem),
         "plots": group_panels(group, stem, tests),
         "numbers": number_table(group),
-        "budget": budget_drawing(group),
-        "causes": budget_causes(group),
+        "budget": budget,
+        "causes": causes,
         "samples": samples_tables(group, tests),
         "slips": slip_table(group),
         "spools": spool_mean_table(group) if len(spools) > 1 else None,
-        "remarks": _remarks(group),
+        "remarks": [
+            replace_names(f"{note.where}: {note.message}")
+            for note in group.notes
+            if note.severity is Severity.INFO
+        ],
     }
 
 
-def _remarks(group: Group) -> list[str]:
-    """Return the notes of the group without consequences."""
-    return [
-        replace_names(f"{note.where}: {note.message}")
-        for note in group.notes
-        if note.severity is Severity.INFO
-    ]
+def _questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """Yield the comparisons of groups that differ in one field, field by field."""
+    drawn: dict[str, list[tuple[str, Any]]] = {}
+    for family in families(campaign):
+        heading = context_words(family.groups, family.field)
+        drawn.setdefault(family.field, []).append((heading, family_plots(family, stems)))
+    for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
+        of_field = list(pairs)
+        tables = [question_table(pair) for pair in of_field]
+        answers = tuple(map(answer_cells, of_field))
+        yield {
+            "field": name,
+            "name": field_words(name),
+            "answers": Table(f"Verdicts: {field_words(name)}", _ANSWER_HEADS, answers),
+            "comparisons": drawn.get(name, []),
+            "tables": [replace(table, notes=()) for table in tables],
+            "notes": list(dict.fromkeys(note for table in tables for note in table.notes)),
+        }
+
+
+SCRIPTS: Final = ("page_tables.js", "page_plots.js", "page_decisions.js")
+STYLE: Final = "page_answers.css"
+LOOKS: Final = "page_looks.css"
+_SCHEMA: Final = 1
+_NO_NETWORK: Final = "connect-src 'none'"
+_OWN_SERVER: Final = "connect-src 'self'"
+
+
+def page_script() -> Markup:
+    """Return the script of a page for one ``script`` element.
+
+    It sorts and filters tables, zooms figures and stores decisions. It defines no global names and
+    uses no network.
+    """
+    from markupsafe import Markup
+
+    parts = "\n".join(_text(name) for name in SCRIPTS)
+    return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')
+
+
+def page_data(campaign: Campaign, *, report: str) -> Markup:
+    """Return the data of the script for a ``script`` element of type ``application/json``.
+
+    Parameters
+    ----------
+    campaign : with the current entries of its ``decisions.json``
+    report : id of the report
+
+    Returns
+    -------
+    JSON in which no text can end the element.
+    """
+    from markupsafe import Markup
+
+    data = {
+        "schema": _SCHEMA,
+        "campaign": campaign.name,
+        "report": report,
+        "labpipe": campaign.labpipe_version,
+        "decisions": [dict(decision) for decision in campaign.decisions],
+    }
+    # Escaped to ASCII: a name may contain a lone surrogate.
+    text = json.dumps(data, separators=(",", ":")).replace("&", r"\u0026")
+    return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e"))
+
+
+def fill_template(template: str, **values: Any) -> str:
+    """Fill the template of a page; all texts are escaped.
+
+    Parameters
+    ----------
+    template : name of the file, or a text with marks of jinja
+    values : all values of the template, by name
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    is_text = "{" in template
+    page = environment.from_string(template) if is_text else environment.get_template(template)
+    return page.render(**values)
+
+
+def style_of(footer: str, more: str) -> Markup:
+    """Return the style sheet of a page.
+
+    Parameters
+    ----------
+    footer : of each printed sheet, from `css_string`
+    more : rules of that page alone
+    """
+    from markupsafe import Markup
+
+    return Markup(f"{_text(LOOKS).replace('var(--footer)', footer)}{more}")
+
+
+def style_hash(text: str) -> Markup:
+    """Return the SHA-256 of a style or a script as the page's policy writes it.
+
+    Parameters
+    ----------
+    text : of a style or a script, as in the page
+    """
+    from markupsafe import Markup
+
+    digest = hashlib.sha256(printable(text).encode()).digest()
+    return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
+
+
+def css_string(text: str) -> str:
+    """Write a text as an escaped string of a style sheet.
+
+    Parameters
+    ----------
+    text : any
+    """
+    plain = (
+        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
+        for letter in printable(text)
+    )
+    return f'"{"".join(plain)}"'
+
+
+def allow_own_server(page: str) -> str:
+    """Allow a page that this machine serves to connect to its server.
+
+    Parameters
+    ----------
+    page : of a report, whose policy forbids connections
+
+    Returns
+    -------
+    The page with a policy that allows connections to its own server; unchanged without such a
+    policy: then its decisions are saved as a file.
+    """
+    head, policy, rest = page.partition(_NO_NETWORK)
+    return page if "<body" in head or not policy else f"{head}{_OWN_SERVER}{rest}"
+
+
+def _text(name: str) -> str:
+    return (files("labpipe.report") / name).read_text(encoding="utf-8")
 
 
 PAGE_FILE = "report.html"
@@ -256,23 +691,18 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
     StoreError
         If a file cannot be written.
     """
-    with written_to(folder, "a report", again="make the report"):
-        folder.mkdir(parents=True, exist_ok=True)
-        page, tables = folder / PAGE_FILE, folder / TABLES_FILE
-        text = render_page(
-            campaign, letterhead=extras.letterhead, has_test_pages=bool(extras.test_pages)
-        )
-        page.write_text(printable(text), encoding="utf-8")
+    page = render_page(
+        campaign, letterhead=extras.letterhead, has_test_pages=bool(extras.test_pages)
+    )
+    tables, pages = folder / TABLES_FILE, {PAGE_FILE: page, **extras.test_pages}
+    with writing(folder, "a report"):
+        for name, text in pages.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(printable(text), encoding="utf-8")
         save_workbook(campaign, tables)
-        single = [_save_page(folder / name, text) for name, text in extras.test_pages.items()]
         figures = _save_figures(campaign, folder / FIGURES_FOLDER, extras.formats)
-    return [page, tables, *single, *figures]
-
-
-def _save_page(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(printable(text), encoding="utf-8")
-    return path
+    return [folder / PAGE_FILE, tables, *(folder / name for name in extras.test_pages), *figures]
 
 
 def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> list[Path]:
@@ -286,13 +716,11 @@ def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> l
         for group, stem in zip(campaign.groups, names, strict=True)
         for drawing in group_drawings(group)
     ]
-    wanted += [figure for _, figure in figures_of_families(campaign)]
+    wanted += figures_of_families(campaign)
     wanted += place_figures(campaign)
     return save_pages(
         wanted,
         folder,
-        what="figures",
-        again="make the report",
         png="png" in formats,
         pdf="pdf" in formats,
         dpi=report_dpi,

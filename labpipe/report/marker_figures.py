@@ -17,14 +17,11 @@ from labpipe.records.result import TestResult
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    PageTexts,
-    area_key,
-    keyed_page,
-    line_key,
+    add_key,
+    empty_page,
+    map_colours,
     new_page,
-    panel_letter,
-    side_key,
-    step_colours,
+    titled,
     write_reason,
 )
 from labpipe.report.plot_thinning import extremes, worst
@@ -32,7 +29,6 @@ from labpipe.report.wording import footnote, scale, title, why_missing
 from labpipe.results.beam import BendingStiffness
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -57,26 +53,23 @@ class Steps:
 
 def draw_wire_shapes(result: TestResult) -> Figure:
     """Draw shapes in the plane of bending; without branches in two planes."""
-    width_mm = 144.0
+    panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
-        page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
-        write_reason(page.subplots(), why_missing(result, "shape"))
-        return page
+        reason = why_missing(result, "shape")
+        return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
     steps, rig = choose_frames(result, shape), rig_of(result)
     planes = [1] if _first_loading(result) is not None else [1, 2]
-    heights = [width_mm * _aspect_ratio(shape, steps, plane, rig) for plane in planes]
-    total = sum(heights) + 17.0 + 14.0 * (len(planes) - 1)
-    note = " ".join(filter(None, (_offset_note(result, shape, rig), footnote(result))))
-    texts = PageTexts(title(result), note, _sign_keys(shape, steps, rig))
-    page = keyed_page(texts, height_mm=total, width_mm=DOUBLE_COLUMN)
+    heights = [panel_width_mm * _aspect_ratio(shape, steps, plane, rig) for plane in planes]
+    height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
+    page = new_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
-    for letter, axes, plane in zip("ab", panels, planes, strict=False):
+    for axes, plane in zip(panels, planes, strict=True):
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
-            panel_letter(axes, letter, f"x-{'xyz'[plane]} view")
-    _draw_step_key(result, panels[0], steps)
-    return page
+            axes.set_title(f"x-{'xyz'[plane]} view", loc="left")
+    note = " ".join(filter(None, (_offset_note(result, shape, rig), footnote(result))))
+    return titled(page, title(result), note)
 
 
 def choose_frames(result: TestResult, shape: Shape) -> Steps:
@@ -92,13 +85,15 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     -------
     About six frames, the first at rest.
     """
-    n_steps = 5
+    n_steps = 6
+    from matplotlib.ticker import MaxNLocator
+
     way, word = _tip_path(result, shape)
     if np.isnan(way).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), word)
     factor = scale(result, "displacement", "m").factor
-    step = _round_step(float(np.nanmax(way)) * factor / n_steps) / factor
-    levels = np.arange(0.0, np.nanmax(way) * (1 + 1e-9), step)
+    steps = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
+    levels = np.asarray(steps.tick_values(0.0, factor * float(np.nanmax(way)))) / factor
     # the first frame at a level: later ones may belong to another motion
     reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
     frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
@@ -107,11 +102,8 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
 
 def _first_loading(result: TestResult) -> tuple[float, float] | None:
     branches = result.curve.branches if result.curve is not None else ()
-    times = ((one.start_time, one.stop_time) for one in branches if one.direction is _LOADING)
-    return next(times, None)
-
-
-_LOADING = Direction.LOADING
+    loadings = (branch for branch in branches if branch.direction is Direction.LOADING)
+    return next(((branch.start_time, branch.stop_time) for branch in loadings), None)
 
 
 def _tip_path(result: TestResult, shape: Shape) -> tuple[Floats, str]:
@@ -124,25 +116,16 @@ def _tip_path(result: TestResult, shape: Shape) -> tuple[Floats, str]:
         far: Floats = np.linalg.norm(tip - start, axis=1)
         return far, "tip excursion"
     curve = result.curve
-    way: Floats = np.interp(shape.time, curve.time, curve.displacement)
-    way[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
+    travel: Floats = np.interp(shape.time, curve.time, curve.displacement)
+    travel[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-    return way, "tip deflection" if is_clamped else "deflection"
+    return travel, "tip deflection" if is_clamped else "deflection"
 
 
 def _last_tracked(shape: Shape) -> int:
     """Return the tracked point nearest to the free end."""
     tracked = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
     return int(tracked[-1]) if len(tracked) else len(shape.names) - 1
-
-
-def _round_step(step: float) -> float:
-    """Round a step to 1, 2 or 5 times a power of ten."""
-    if step <= 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(step))
-    candidates = power * np.array([1.0, 2.0, 5.0, 10.0])
-    return float(candidates[np.argmin(np.abs(np.log(candidates / step)))])
 
 
 def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
@@ -192,16 +175,17 @@ def _draw_rollers(axes: Axes, shape: Shape, steps: Steps, rig: Rig, factor: floa
     from matplotlib.patches import Circle
 
     load = _load_centres(shape, steps, rig)
-    for centres, look in ((_support_centres(rig), _SUPPORT), ([*load[:1], *load[-1:]], _LOAD)):
+    support_look: dict[str, Any] = {"facecolor": "#d9d9d9", "linewidth": 0.6, "label": "supports"}
+    load_look: dict[str, Any] = {
+        "facecolor": "none", "linewidth": 0.8, "linestyle": (0, (3, 1.5)),
+        "label": "load, first and last",
+    }  # fmt: skip
+    ends = [*load[:1], *load[-1:]]
+    for centres, look in ((_support_centres(rig), support_look), (ends, load_look)):
         for x, y in centres:
-            place = (x * factor, y * factor)
-            axes.add_patch(Circle(place, rig.roller_radius * factor, zorder=0.5, **look))
-
-
-_SUPPORT: dict[str, Any] = {"facecolor": "#d9d9d9", "edgecolor": GREY, "linewidth": 0.6}
-_LOAD: dict[str, Any] = {
-    "facecolor": "none", "edgecolor": GREY, "linewidth": 0.8, "linestyle": (0, (3, 1.5))
-}  # fmt: skip
+            circle = Circle((x * factor, y * factor), rig.roller_radius * factor, zorder=0.5)
+            circle.set(edgecolor=GREY, **look)
+            axes.add_patch(circle)
 
 
 def _offset_note(result: TestResult, shape: Shape, rig: Rig) -> str:
@@ -210,10 +194,10 @@ def _offset_note(result: TestResult, shape: Shape, rig: Rig) -> str:
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
     if not is_clamped or abs(rig.centre_offset) < min_offset or not shape.coefficients.shape[2]:
         return ""
-    way = scale(result, "displacement", "m")
+    across = scale(result, "displacement", "m")
     return (
-        f"Centres of markers are {abs(rig.centre_offset) * way.factor:.3g} {way.unit} beside the"
-        " axis, which is the curve."
+        f"Centres of markers are {abs(rig.centre_offset) * across.factor:.3g} {across.unit} beside "
+        "the axis, which is the curve."
     )
 
 
@@ -223,31 +207,43 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     Parameters
     ----------
     result : its shape is drawn
-    axes : to draw on; an explaining sentence if there is no shape
+    axes : to draw on; nothing without a shape
     plane : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
     shape = result.shape
-    if shape is None or not len(shape.time):
-        write_reason(axes, why_missing(result, "shape"))
+    if shape is None:
         return
     steps, rig = choose_frames(result, shape), rig_of(result)
     way = scale(result, "displacement", "m")
-    if plane == 1:
-        _draw_rollers(axes, shape, steps, rig, way.factor)
-    for frame, colour in zip(steps.frames, step_colours(len(steps.frames)), strict=True):
+    colours = map_colours(len(steps.frames))
+    for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
         x, up = _fitted_curve(shape, int(frame))[[0, plane]] * way.factor
         axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
-        for flag in _LOOKS:
-            mine = shape.flags[frame] == flag
-            if not mine.any():
-                continue
-            x, up = shape.positions[frame][mine][:, [0, plane]].T * way.factor
-            axes.plot(x, up, color=colour, **_marker_style(flag, colour))
+        _draw_markers(shape, int(frame), (plane, way.factor, colour), axes)
+        level = f"{steps.levels[at] * way.factor:g} {way.unit}"
+        label = level if at else f"{steps.word} {level}"
+        add_key(axes, label, color=colour, linewidth=1.6)
+    present = set(np.unique(shape.flags[steps.frames]))
+    for flag in [flag for flag in _LOOKS if flag in present]:
+        add_key(axes, flag.name.lower(), color=GREY, **_marker_style(flag, GREY))
+    if shape.coefficients.shape[2]:
+        add_key(axes, "fitted curve", color=GREY, linewidth=0.9)
+    if plane == 1:
+        _draw_rollers(axes, shape, steps, rig, way.factor)
     axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0, rig)))
     axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane, rig)))
     axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set_xlabel(way.label("x"))
-    axes.set_ylabel(way.label("xyz"[plane]))
+    axes.set(xlabel=way.label("x"), ylabel=way.label("xyz"[plane]))
+
+
+def _draw_markers(shape: Shape, frame: int, how: tuple[int, float, str], axes: Axes) -> None:
+    """Draw the markers of a frame in a plane, with a factor and a colour."""
+    plane, factor, colour = how
+    for flag in _LOOKS:
+        mine = shape.flags[frame] == flag
+        if mine.any():
+            x, up = shape.positions[frame][mine][:, [0, plane]].T * factor
+            axes.plot(x, up, color=colour, **_marker_style(flag, colour))
 
 
 def _fitted_curve(shape: Shape, frame: int) -> Floats:
@@ -260,47 +256,8 @@ def _fitted_curve(shape: Shape, frame: int) -> Floats:
 
 def _marker_style(flag: PointFlag, colour: str) -> dict[str, Any]:
     sign, full = _LOOKS[flag]
-    return {
-        "marker": sign,
-        "linestyle": "",
-        "markersize": 3.4,
-        "markerfacecolor": colour if full else "white",
-        "label": flag.name.lower(),
-    }
-
-
-def _sign_keys(shape: Shape, steps: Steps, rig: Rig) -> list[Artist]:
-    """Return the key of the drawn points and rollers."""
-    from matplotlib.lines import Line2D
-
-    present = set(np.unique(shape.flags[steps.frames]))
-    handles: list[Artist] = [
-        Line2D([], [], color=GREY, **_marker_style(flag, GREY))
-        for flag in _LOOKS
-        if flag in present
-    ]
-    if shape.coefficients.shape[2]:
-        handles.append(line_key("fitted curve", color=GREY, linewidth=0.9))
-    if _support_centres(rig):
-        handles.append(area_key("supports", **_SUPPORT))
-        handles.append(area_key("load, first and last", **_LOAD))
-    return handles
-
-
-def _draw_step_key(result: TestResult, axes: Axes, steps: Steps) -> None:
-    """Draw the key of the deflections of the tip beside the panel."""
-    way = scale(result, "displacement", "m")
-    levels = [
-        line_key(f"{level * way.factor:g} {way.unit}", color=colour, linewidth=1.6)
-        for level, colour in zip(steps.levels, step_colours(len(steps.levels)), strict=True)
-    ]
-    axes.legend(
-        handles=levels,
-        loc="upper left",
-        bbox_to_anchor=(1.01, 1.0),
-        title=steps.word,
-        alignment="left",
-    )
+    face = colour if full else "white"
+    return {"marker": sign, "linestyle": "", "markersize": 3.4, "markerfacecolor": face}
 
 
 FLAG_COLOURS = {
@@ -315,15 +272,15 @@ _PIXEL_BINS = 900
 
 def draw_marker_quality(result: TestResult) -> Figure:
     """Draw a row per marker against time, and below them the errors of the rigid bodies."""
-    row_mm = 4.2
+    row_mm, lower_mm, frames_mm = 4.2, 25.0, 30.0
     rows = 0 if result.shape is None else int(_is_marker(result.shape).sum())
-    upper = max(rows * row_mm, 25.0)
-    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=upper + 55.0)
-    flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, 25.0])
+    upper = max(rows * row_mm, lower_mm)
+    page = new_page(width_mm=DOUBLE_COLUMN, height_mm=upper + lower_mm + frames_mm)
+    flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, lower_mm])
     plot_flags(result, flags)
     plot_tracking(result, lower)
     lower.set_xlabel(scale(result, "time", "s").label("Time"))
-    return page
+    return titled(page, title(result), footnote(result))
 
 
 def plot_flags(result: TestResult, axes: Axes) -> None:
@@ -347,25 +304,16 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     edges *= scale(result, "time", "s").factor
     for flag, colour in FLAG_COLOURS.items():
-        axes.add_collection(
-            PolyCollection(list(_bar_corners(flags == flag, edges)), color=colour, linewidth=0)
-        )
+        if (flags == flag).any():
+            bars = list(_bar_corners(flags == flag, edges))
+            look: dict[str, Any] = {"color": colour, "linewidth": 0, "label": flag.name.lower()}
+            axes.add_collection(PolyCollection(bars, **look))
     axes.autoscale_view()
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.margins(x=0.01)
-    _draw_flag_key(axes, set(np.unique(flags)))
-
-
-def _draw_flag_key(axes: Axes, present: set[int]) -> None:
-    handles = [
-        area_key(flag.name.lower(), color=colour)
-        for flag, colour in FLAG_COLOURS.items()
-        if flag in present
-    ]
-    side_key(axes, handles)
 
 
 def plot_tracking(result: TestResult, axes: Axes) -> None:
@@ -402,7 +350,6 @@ def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[Rigi
         axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
     axes.set_ylabel(up.label("Body error"))
     axes.set_ylim(bottom=0.0)
-    side_key(axes, axes.lines)
 
 
 def _is_marker(shape: Shape) -> NDArray[np.bool_]:
@@ -452,7 +399,7 @@ class Rig(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """Distance from the axis of the specimen to the axis of a roller, m."""
+        """Return the distance from the axis of the specimen to the axis of a roller, m."""
         return self.roller_radius + self.section_radius
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
 from functools import cached_property
 
 from labpipe.records.group import Campaign, Sample
@@ -52,22 +52,21 @@ class PageTests:
             for number, (sample, stem) in enumerate(samples)
         ]
         homes = {group.name: stem for group, stem in groups}
-        rejected = [
-            PageTest(
-                number, sample, homes.get(group_of_rejected(sample, campaign), ""), "rejected", why
-            )
-            for number, (sample, why) in enumerate(_rejected(campaign), start=len(included))
-        ]
+        rejected = []
+        for number, sample in enumerate(campaign.rejected_samples, start=len(included)):
+            stem = homes.get(group_of_rejected(sample, campaign), "")
+            why = campaign.rejected.get(sample.source, sample.decided)
+            rejected.append(PageTest(number, sample, stem, "rejected", why))
         self.every = (*included, *rejected)
 
     @cached_property
     def number(self) -> Mapping[str, int]:
-        """Numbers of the tests by source file and name."""
+        """Return the numbers of the tests by source file and name."""
         return {key_of(test.sample): test.number for test in self.every}
 
     @cached_property
     def by_name(self) -> Mapping[str, PageTest]:
-        """Tests by name."""
+        """Return the tests by name."""
         return {test.sample.test: test for test in self.every}
 
     def rejected(self, stem: str) -> list[PageTest]:
@@ -75,14 +74,28 @@ class PageTests:
         return [test for test in self.every if test.state == "rejected" and test.stem == stem]
 
 
+def stems(names: Iterable[str]) -> list[str]:
+    """Turn names of groups into stems of file names: ASCII, lower case, unique.
+
+    Examples
+    --------
+    >>> stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
+    ['a2-wire-cantilever', 'a2-wire-cantilever-2', 'group']
+    """
+    stems: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
+        stem, number = plain, 1
+        while stem in stems:
+            number += 1
+            stem = f"{plain}-{number}"
+        stems.append(stem)
+    return stems
+
+
 def key_of(sample: Sample) -> str:
     """Return a unique key of a sample in a report."""
     return f"{sample.source}\n{sample.test}"
-
-
-def _rejected(campaign: Campaign) -> Iterator[tuple[Sample, str]]:
-    for sample in campaign.rejected_samples:
-        yield sample, campaign.rejected.get(sample.source, sample.decided)
 
 
 def group_of_rejected(sample: Sample, campaign: Campaign) -> str:
@@ -144,13 +157,8 @@ def days_words(samples: Iterable[Sample]) -> str:
     missing = sum(day is None for day in days)
     if not dates:
         return "on an unknown day (no sheet states one)"
-    period = _date_range(dates)
+    period = " to ".join(dict.fromkeys(map(str, (dates[0], dates[-1]))))
     return f"{period}, {count_of(missing, 'test')} of unknown day" if missing else period
-
-
-def _date_range(dates: Sequence[date]) -> str:
-    first, last = dates[0], dates[-1]
-    return f"{first}" if first == last else f"{first} to {last}"
 
 
 def operators_words(samples: Iterable[Sample]) -> str:

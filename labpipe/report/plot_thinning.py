@@ -86,12 +86,12 @@ def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: flo
     ]
     heapq.heapify(segments)
     while segments and len(rows) < points:
-        distance, start, at, stop = heapq.heappop(segments)
+        distance, start, furthest, stop = heapq.heappop(segments)
         if -distance <= max_distance:
             break
-        rows.add(at)
-        heapq.heappush(segments, _furthest_sample(across, values, start, at))
-        heapq.heappush(segments, _furthest_sample(across, values, at, stop))
+        rows.add(furthest)
+        heapq.heappush(segments, _furthest_sample(across, values, start, furthest))
+        heapq.heappush(segments, _furthest_sample(across, values, furthest, stop))
     return np.array(sorted(rows), dtype=np.int64)
 
 
@@ -104,8 +104,8 @@ def _furthest_sample(across: Floats, values: Floats, start: int, stop: int) -> _
     # a vertical part is drawn sample by sample
     share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
     distance = np.abs(y - y[0] - (y[-1] - y[0]) * np.clip(share, 0.0, 1.0))
-    at = int(np.argmax(distance))
-    return (-float(distance[at]), start, start + at, stop)
+    furthest = int(np.argmax(distance))
+    return (-float(distance[furthest]), start, start + furthest, stop)
 
 
 def worst(flags: NDArray[np.uint8], rank: NDArray[np.uint8], *, bins: int) -> NDArray[np.uint8]:

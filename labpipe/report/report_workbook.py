@@ -2,41 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import partial
-from itertools import count as numbers_from
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
 
-from labpipe.records.group import Band, Campaign, Group, GroupNumber, MeanInterval
-from labpipe.records.quality import worded
-from labpipe.report.comparisons import Pair, context_words, field_words, single_field_pairs
-from labpipe.report.detail_sheets import (
-    Column,
-    budgets_sheet,
-    column_head,
-    comparisons_sheet,
-    interval_shares,
-    issues_sheet,
-    p_value,
-    places_sheet,
-    results_sheet,
-    tests_sheet,
+from labpipe.records.causes import IS_COMMON
+from labpipe.records.curve import Interval
+from labpipe.records.group import (
+    Campaign,
+    Difference,
+    Group,
+    GroupNumber,
+    MeanInterval,
+    Sample,
 )
-from labpipe.report.group_plots import group_scale
+from labpipe.records.quality import worded
+from labpipe.records.result import Result, Status
+from labpipe.report.budget_figures import sort_causes
+from labpipe.report.bundle_figures import place_scales
+from labpipe.report.comparisons import (
+    Pair,
+    context_words,
+    field_words,
+    fields_in_words,
+    multi_field_differences,
+    single_field_pairs,
+)
+from labpipe.report.issues import Cause, find_causes, find_notes
 from labpipe.report.page_facts import (
     days_words,
     instrument_lines,
     operators_words,
     report_id,
     samples_of,
+    state_of,
 )
 from labpipe.report.wording import (
     Scale,
     as_label,
     count_of,
     display_of,
+    group_scale,
     is_first_cycle,
+    is_main,
     shown_in,
     unit_words,
 )
@@ -45,14 +52,18 @@ from labpipe.report.workbook_file import (
     Chart,
     Line,
     NumberCell,
-    Row,
+    Record,
     Sheet,
     Value,
-    interval_cells,
+    array_records,
+    ends_record,
     number_cell,
     percent_cell,
     save_book,
+    sheet_of,
+    unite_heads,
 )
+from labpipe.statistics.means import group_budget
 
 _ABOUT = (
     "Cells hold all digits of a number and show two digits of its interval. Lower and upper are the"
@@ -94,7 +105,7 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
     """
     footer = f"{campaign.title}  \u00b7  report {report_id(campaign)}"
     about = About(campaign.title, (*_facts(campaign), *_ABOUT), footer)
-    save_book(about, list(_sheets(campaign)), path, again="make the report")
+    save_book(about, list(_sheets(campaign)), path)
 
 
 def _facts(campaign: Campaign) -> Iterator[str]:
@@ -102,8 +113,8 @@ def _facts(campaign: Campaign) -> Iterator[str]:
     samples = samples_of(campaign)
     tests = count_of(len(samples), "test")
     rejected = len(campaign.rejected)
-    left = f", {count_of(rejected, 'test')} rejected" if rejected else ""
-    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{left}."
+    rejected_text = f", {count_of(rejected, 'test')} rejected" if rejected else ""
+    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{rejected_text}."
     if samples:
         yield f"Tested {days_words(samples)}; {operators_words(samples)}."
     for instrument_line in instrument_lines(samples):
@@ -115,50 +126,77 @@ def _facts(campaign: Campaign) -> Iterator[str]:
 
 def _sheets(campaign: Campaign) -> Iterator[Sheet]:
     if pairs := single_field_pairs(campaign):
-        yield _answers_sheet(pairs)
+        yield sheet_of(
+            "answers", map(_answer, pairs), frozen=1, printed="why",
+            question="What is the verdict of each comparison: different, equivalent, or cannot"
+            " tell?",
+        )  # fmt: skip
     yield _key_numbers_sheet(campaign)
-    yield _means_sheet(campaign)
-    yield tests_sheet(campaign)
-    yield results_sheet(campaign)
+    yield sheet_of(
+        "means", _means(campaign), frozen=2, printed="n samples",
+        question="What is the mean of each number, of all samples and of each spool?",
+    )  # fmt: skip
+    yield _tests_sheet(campaign)
+    yield sheet_of(
+        "results", _results(campaign), frozen=2, printed="status",
+        question="How uncertain is each number of each test, how was it obtained, why is it"
+        " doubtful?",
+    )  # fmt: skip
     yield _curves_sheet(campaign, is_scaled=False)
     if any(group.band_scaled is not None for group in campaign.groups):
         yield _curves_sheet(campaign, is_scaled=True)
-    yield comparisons_sheet(campaign)
-    budgets = budgets_sheet(campaign)
+    single_field = [difference for difference in campaign.differences if difference.family]
+    displays = {group.name: display_of(group) for group in campaign.groups}
+    differences = [
+        _difference(difference, displays.get(difference.first, {}))
+        for difference in (*single_field, *multi_field_differences(campaign))
+    ]
+    yield sheet_of(
+        "comparisons", differences, frozen=2, printed="question",
+        printed_rows=len(single_field) or None,
+        question="How do pairs of groups differ in each number? Pairs that differ in one field come"
+        " first.",
+    )  # fmt: skip
+    budgets = _budgets_sheet(campaign)
     if budgets.rows:
         yield budgets
     if campaign.places:
-        yield places_sheet(campaign)
-    yield issues_sheet(campaign)
-
-
-def _answers_sheet(pairs: Sequence[Pair]) -> Sheet:
-    heads = (
-        "comparison", "of", "number", "verdict", "difference (%)", "corrected lower (%)",
-        "corrected upper (%)", "difference", "unit", "irrelevant below", "n", "n against",
-        "why", "level (%)", "first", "second", "caveats",
+        yield sheet_of(
+            "slipping and sticking", _places(campaign), frozen=2,
+            question="Where does the bending stiffness of each bundle lie between slipping and"
+            " sticking?",
+        )  # fmt: skip
+    ranked = list(_issues(enumerate(find_causes(campaign), start=1)))
+    notes = _issues((None, note) for note in find_notes(campaign))
+    yield sheet_of(
+        "needs a look", [*ranked, *notes], frozen=1, printed="largest effect of the cause",
+        wrapped=("test", "what", "reason", "largest effect of the cause"),
+        printed_rows=len(ranked) or None,
+        question="Which results need a check? Largest effect on a number first; notes have no"
+        " rank.",
     )  # fmt: skip
-    question = "What is the verdict of each comparison: different, equivalent, or cannot tell?"
-    rows = [_answer_row(pair) for pair in pairs]
-    return Sheet("answers", heads, rows, 1, question=question, printed="why")
 
 
-def _answer_row(pair: Pair) -> Row:
+def _answer(pair: Pair) -> Record:
+    """Return the verdict on the first main number of a pair."""
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
-    scale = shown_in(difference.name, difference.unit, display_of(pair.first))
-    lower, upper = interval_shares(difference)
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
-    return (
-        f"{field_words(pair.field)}: {after} against {before}",
-        context_words((pair.first, pair.second), pair.field), as_label(difference.name),
-        str(difference.verdict), percent_cell(difference.share), lower, upper,
-        number_cell(difference.difference.mean, difference.difference.interval, scale.factor),
-        unit_words(scale.unit), number_cell(difference.margin, None, scale.factor),
-        *reversed(counts), difference.why,
-        None if difference.interval is None else percent_cell(difference.interval.level),
-        difference.first, difference.second, "; ".join(difference.caveats),
-    )  # fmt: skip
+    record = _difference(difference, display_of(pair.first))
+    shared = ("unit", "irrelevant below", "level (%)", "first", "second")
+    return {
+        "comparison": f"{field_words(pair.field)}: {after} against {before}",
+        "of": context_words((pair.first, pair.second), pair.field),
+        **{head: record[head] for head in ("number", "verdict")},
+        "difference (%)": record["share (%)"],
+        **{head: record[head] for head in ("corrected lower (%)", "corrected upper (%)")},
+        "difference": record["second minus first"],
+        "n": counts[1],
+        "n against": counts[0],
+        "why": difference.why,
+        **{head: record[head] for head in shared},
+        "caveats": "; ".join(difference.caveats),
+    }
 
 
 def _key_numbers_sheet(campaign: Campaign) -> Sheet:
@@ -166,180 +204,359 @@ def _key_numbers_sheet(campaign: Campaign) -> Sheet:
 
     The last columns hold the lengths of the error bars of the charts.
     """
-    groups = sorted(campaign.groups, key=lambda group: group.protocol)
-    keys_of_groups = [_key_numbers_of(group) for group in groups]
-    columns = list(dict.fromkeys(column for group_keys in keys_of_groups for column in group_keys))
-    heads = ["group", "protocol", "samples"]
-    for column in columns:
-        heads += [column_head(column, part) for part in ("", ", lower", ", upper")]
-    last = heads[-1]
-    heads += [column_head(column, part) for column in columns for part in (", down", ", up")]
-    rows: list[Row] = []
-    for group, group_keys in zip(groups, keys_of_groups, strict=True):
-        ends = [group_keys.get(column, (None, None, None)) for column in columns]
-        bars = [cell for end in ends for cell in _bar_lengths(end)]
-        head = (group.name, group.protocol, len(group.samples))
-        rows.append((*head, *(cell for end in ends for cell in end), *bars))
-    charts = [_key_chart(keys_of_groups, columns, at) for at in range(len(columns))]
-    question = "What are the key numbers of each group, with their 95 % intervals?"
-    drawn = [chart for chart in charts if chart is not None]
-    return Sheet("key numbers", heads, rows, 1, question=question, charts=drawn, printed=last)
+    rows: list[Record] = []
+    bars: list[Record] = []
+    charted: dict[str, str] = {}
+    for group in sorted(campaign.groups, key=lambda group: group.protocol):
+        row: Record = {
+            "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
+        }  # fmt: skip
+        bar: Record = {}
+        for number in _key_numbers(group):
+            name, unit, ends = _key_cells(group, number)
+            charted[column_head(name, unit)] = name
+            parts = (("", "mean"), (", lower", "lower"), (", upper", "upper"))
+            row |= {column_head(name, unit, part): ends[key] for part, key in parts}
+            for part, low, high in ((", down", "lower", "mean"), (", up", "mean", "upper")):
+                bar[column_head(name, unit, part)] = _length(ends[low], ends[high])
+        rows.append(row)
+        bars.append(bar)
+    heads = [*unite_heads(rows), *unite_heads(bars)]
+    records = [row | bar for row, bar in zip(rows, bars, strict=True)]
+    charts = [_key_chart(name, head, heads, rows) for head, name in charted.items()]
+    return sheet_of(
+        "key numbers", records, heads=heads, frozen=1, printed=unite_heads(rows)[-1],
+        charts=[chart for chart in charts if chart is not None],
+        question="What are the key numbers of each group, with their 95 % intervals?",
+    )  # fmt: skip
 
 
-_Ends: TypeAlias = tuple[NumberCell | None, NumberCell | None, NumberCell | None]
-"""Mean, lower, upper."""
-
-
-def _key_numbers_of(group: Group) -> dict[Column, _Ends]:
+def _key_numbers(group: Group) -> list[GroupNumber]:
     """Return the first numbers of the specimen and of its first cycle."""
-    numbers = [
+    return [
         number
         for number in group.numbers
         if not number.is_set_by_rig and is_first_cycle(number.name)
-    ]
-    return dict(_key_number(group, number) for number in numbers[:3])
+    ][:3]
 
 
-def _key_number(group: Group, number: GroupNumber) -> tuple[Column, _Ends]:
+def _key_cells(group: Group, number: GroupNumber) -> tuple[str, str, Record]:
+    """Return name, unit, and the cells of the mean and the ends of its interval."""
     scale = shown_in(number.name, number.unit, display_of(group))
-    column = as_label(number.name), unit_words(scale.unit)
-    if number.mean is None:
-        return column, (None, None, None)
-    chosen = number.mean.chosen
-    return column, interval_cells(chosen.mean, chosen.interval, scale.factor)
+    chosen = None if number.mean is None else number.mean.chosen
+    mean, interval = (None, None) if chosen is None else (chosen.mean, chosen.interval)
+    cells = ends_record(mean, interval, scale.factor, name="mean")
+    return as_label(number.name), unit_words(scale.unit), cells
 
 
-def _bar_lengths(ends: _Ends) -> tuple[Value, Value]:
-    """Return the lengths of the error bars of a chart, down and up."""
-    mean, lower, upper = ends
-    if mean is None or lower is None or upper is None:
-        return None, None
-    down, up = mean.value - lower.value, upper.value - mean.value
-    return NumberCell(down, mean.form), NumberCell(up, mean.form)
+def _length(low: Value, high: Value) -> Value:
+    if not isinstance(low, NumberCell) or not isinstance(high, NumberCell):
+        return None
+    return NumberCell(high.value - low.value, high.form)
 
 
-def _key_chart(
-    keys_of_groups: Sequence[dict[Column, _Ends]], columns: Sequence[Column], at: int
-) -> Chart | None:
+def column_head(name: str, unit: str, part: str = "") -> str:
+    """Write the head of a column: name, part and unit."""
+    return f"{name}{part} ({unit})" if unit else f"{name}{part}"
+
+
+def _key_chart(name: str, head: str, heads: Sequence[str], rows: Sequence[Record]) -> Chart | None:
     """Return the bar chart of a number; None for a single group or negative means."""
-    column = columns[at]
     means = {
-        row: mean.value
-        for row, group_keys in enumerate(keys_of_groups)
-        if (mean := group_keys.get(column, (None,))[0]) is not None
+        at: cell.value
+        for at, row in enumerate(rows)
+        if isinstance(cell := row.get(head), NumberCell)
     }
     if len(means) < 2 or min(means.values()) < 0.0:
         return None
-    up, down = 3 + 3 * at, 3 + 3 * len(columns) + 2 * at
-    line = Line(column[0], (min(means), max(means)), 0, up, down, down + 1)
-    return Chart(f"{column[0]}, mean and 95 % interval", "", column_head(column), [line], "bars")
+    unit = head.removeprefix(name)
+    down, up = (heads.index(f"{name}{part}{unit}") for part in (", down", ", up"))
+    line = Line(name, (min(means), max(means)), 0, heads.index(head), down, up)
+    return Chart(f"{name}, mean and 95 % interval", "", head, [line], "bars")
 
 
-def _means_sheet(campaign: Campaign) -> Sheet:
-    heads = (
-        "group", "number", "over", "unit", "mean", "lower", "upper", "standard deviation", "n",
-        "scale", "mean over", "n samples", "within spools", "between spools", "spools equal, p",
-        "decision", "reason", "result",
-    )  # fmt: skip
-    rows = [
-        row
-        for group in campaign.groups
-        for number in group.numbers
-        for row in (_mean_row(group, number), *_spool_rows(group, number))
-    ]
-    question = "What is the mean of each number, of all samples and of each spool?"
-    return Sheet("means", heads, rows, 2, question=question, printed="n samples")
+def _means(campaign: Campaign) -> Iterator[Record]:
+    """Yield the mean of each number, and those of several spools; a single one has that of all."""
+    for group in campaign.groups:
+        for number in group.numbers:
+            mean = number.mean
+            if mean is None:
+                why = "; ".join(map(worded, number.left_out.values()))
+                yield _mean_record(group, number, None, "all") | {"reason": why}
+                continue
+            scale = shown_in(number.name, number.unit, display_of(group))
+            within, between = (
+                number_cell(spread, mean.chosen.interval, scale.factor)
+                for spread in (mean.within, mean.between_spools)
+            )
+            yield _mean_record(group, number, mean.chosen, "all") | {
+                "mean over": "samples" if mean.is_pooled else "spool means",
+                "n samples": mean.over_samples.n,
+                "within spools": within,
+                "between spools": between,
+                "spools equal, p": number_cell(mean.spool_p, None),
+                "decision": str(mean.decision),
+            }
+            for spool, of_spool in mean.spool_means.items() if len(mean.spool_means) > 1 else ():
+                yield _mean_record(group, number, of_spool, f"spool {spool}")
 
 
-def _mean_row(group: Group, number: GroupNumber) -> Row:
+def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, over: str) -> Record:
     scale = shown_in(number.name, number.unit, display_of(group))
-    head = (group.name, as_label(number.name), "all", unit_words(scale.unit))
-    mean = number.mean
+    row: Record = {
+        "group": group.name, "number": as_label(number.name), "over": over,
+        "unit": unit_words(scale.unit),
+    }  # fmt: skip
+    middle: tuple[str, ...] = (
+        "mean over", "n samples", "within spools", "between spools", "spools equal, p", "decision"
+    )  # fmt: skip
+    last: Record = {"reason": "", "result": number.name}
     if mean is None:
-        why = "; ".join(map(worded, number.left_out.values()))
-        return (*head, *[None] * 11, "", why, number.name)
-    spread = partial(number_cell, interval=mean.chosen.interval, factor=scale.factor)
-    return (
-        *head, *_mean_cells(mean.chosen, scale), "log" if mean.chosen.is_log else "linear",
-        "samples" if mean.is_pooled else "spool means", mean.over_samples.n, spread(mean.within),
-        spread(mean.between), p_value(mean.spool_p), str(mean.decision),
-        str(mean.chosen.reason or ""), number.name,
-    )  # fmt: skip
+        return row | ends_record(None, None, name="mean") | last
+    return {
+        **row,
+        **ends_record(mean.mean, mean.interval, scale.factor, name="mean"),
+        "standard deviation": number_cell(mean.deviation, mean.interval, scale.factor),
+        "n": mean.n,
+        "scale": "log" if mean.is_log else "linear",
+        **dict.fromkeys(middle),
+        "reason": str(mean.reason or ""),
+        "result": number.name,
+    }
 
 
-def _spool_rows(group: Group, number: GroupNumber) -> Iterator[Row]:
-    """Yield the means of several spools; for a single one it is the mean of all."""
-    if number.mean is None or len(number.mean.spool_means) < 2:
-        return
-    scale = shown_in(number.name, number.unit, display_of(group))
-    for spool, mean in number.mean.spool_means.items():
-        head = (group.name, as_label(number.name), f"spool {spool}", unit_words(scale.unit))
-        why = str(mean.reason or "")
-        nothing = [None] * 5
-        on = "log" if mean.is_log else "linear"
-        yield (*head, *_mean_cells(mean, scale), on, *nothing, "", why, number.name)
+def _tests_sheet(campaign: Campaign) -> Sheet:
+    """Return the sheet of tests, rejected ones last, with a column per number."""
+    last = ("decision", "key of the run")
+    every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
+    every += [("", sample) for sample in campaign.rejected_samples]
+    records = [_test(group, sample) for group, sample in every]
+    heads = [*(head for head in unite_heads(records) if head not in last), *last]
+    question = "What was measured in each test? One row per test, one column per number."
+    printed = heads[-3] if records else ""
+    return sheet_of("tests", records, heads=heads, frozen=1, question=question, printed=printed)
 
 
-def _mean_cells(mean: MeanInterval, scale: Scale) -> tuple[Value, ...]:
-    """Return mean, ends, standard deviation and count."""
-    spread = number_cell(mean.deviation, mean.interval, scale.factor)
-    return (*interval_cells(mean.mean, mean.interval, scale.factor), spread, mean.n)
+def _test(group: str, sample: Sample) -> Record:
+    specimen = sample.specimen
+    main = [result for result in sample.results if is_main(result.name)]
+    numbers: Record = {}
+    for result in main:
+        scale = shown_in(result.name, result.unit, sample.display)
+        head = column_head(as_label(result.name), unit_words(scale.unit))
+        numbers[head] = number_cell(result.value, result.interval, scale.factor)
+    sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
+             for name, size in specimen.dimensions.items()}  # fmt: skip
+    return {
+        "test": sample.test,
+        "group": group,
+        "state": state_of(sample) if group else "rejected",
+        "type": specimen.type,
+        "spool": specimen.spool,
+        "sample": specimen.sample,
+        "protocol": sample.protocol,
+        "day": "" if sample.date is None else str(sample.date),
+        "operator": sample.operator,
+        **sizes,
+        "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
+        "failed numbers": sum(result.status is Status.FAILED for result in main),
+        **numbers,
+        "decision": sample.decided,
+        "key of the run": sample.run,
+    }
+
+
+def _results(campaign: Campaign) -> Iterator[Record]:
+    """Yield every result of every test with its interval, status, reason and method."""
+    for group in campaign.groups:
+        for sample in group.samples:
+            for result in sample.results:
+                yield {"group": group.name, "test": sample.test, **_result(sample, result)}
+
+
+def _result(sample: Sample, result: Result) -> Record:
+    scale = shown_in(result.name, result.unit, sample.display)
+    return {
+        "number": as_label(result.name),
+        "unit": unit_words(scale.unit),
+        **ends_record(result.value, result.interval, scale.factor, name="value"),
+        "estimate": number_cell(result.estimate, result.interval, scale.factor),
+        "status": str(result.status),
+        "reason": result.why,
+        "result": result.name,
+        "method": result.how,
+    }
 
 
 def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
-    """Return the sheet of the mean curves of all groups, in common units."""
+    """Return the sheet of the mean curves of all groups, in common units, with their charts."""
     first = next((group for group in campaign.groups if group.samples), None)
-    metre, newton = Scale(1.0, "m"), Scale(1.0, "N")
-    across = metre if first is None else group_scale(first, "displacement")
-    up = newton if first is None else group_scale(first, "force")
-    up = Scale(1.0, "1") if is_scaled else up
-    unit = unit_words(up.unit)
-    parts = ("mean", "lower", "upper", "lower, whole curve", "upper, whole curve")
-    heads = (
-        "group", across.label("displacement"), *(column_head((part, unit)) for part in parts), "n",
-        "mean over", "reason",
-    )  # fmt: skip
-    rows: list[Row] = []
-    places: dict[str, tuple[int, int]] = {}
+    across, up = Scale(1.0, "m"), Scale(1.0, "N")
+    if first is not None:
+        across, up = group_scale(first, "displacement"), group_scale(first, "force")
+    up = Scale(1.0, "") if is_scaled else up
+    parts = {
+        "mean": "mean", "lower": "lower", "upper": "upper",
+        "lower, whole curve": "lower_all", "upper, whole curve": "upper_all",
+    }  # fmt: skip
+    force_fields = {column_head(part, up.unit): name for part, name in parts.items()}
+    rows: list[Record] = []
+    lines: dict[str, list[Line]] = {}
     for group in campaign.groups:
         band = group.band_scaled if is_scaled else group.band
         if band is None:
             continue
-        group_rows = list(_curve_rows(group, band, across, up))
-        if len(band.displacement):
-            places[group.name] = (len(rows), len(rows) + len(group_rows) - 1)
-        rows += group_rows
-    charts = list(_curve_charts(campaign, places, heads, is_scaled=is_scaled))
-    name = "scaled curves" if is_scaled else "curves"
+        columns = {across.label("displacement"): across.factor * band.displacement}
+        columns |= {head: up.factor * getattr(band, name) for head, name in force_fields.items()}
+        own = array_records({"group": group.name}, columns)
+        own = [row | {"n": band.n, "mean over": band.members} for row in own]
+        if own:
+            line = Line(group.name, (len(rows), len(rows) + len(own) - 1), 1, 2)
+            lines.setdefault(group.protocol, []).append(line)
+        first_row: Record = own[0] if own else {"group": group.name}
+        rows += [first_row | {"reason": str(band.reason or "")}, *own[1:]]
+    title = "Mean force over peak force" if is_scaled else "Mean force"
+    label = "Force / peak force" if is_scaled else up.label("Force")
+    charts = [
+        Chart(f"{title} on first loading ({protocol})", across.label("Displacement"), label, own)
+        for protocol, own in lines.items()
+    ]
     what = "force over its peak" if is_scaled else "force"
-    question = f"What is the mean {what} of each group against displacement, on first loading?"
-    return Sheet(name, heads, rows, 1, question=question, charts=charts)
+    heads = [across.label("displacement"), *force_fields, "n", "mean over", "reason"]
+    return sheet_of(
+        "scaled curves" if is_scaled else "curves", rows, heads=["group", *heads], frozen=1,
+        charts=charts,
+        question=f"What is the mean {what} of each group against displacement, on first loading?",
+    )  # fmt: skip
 
 
-def _curve_rows(group: Group, band: Band, across: Scale, up: Scale) -> Iterator[Row]:
-    why = str(band.reason or "")
-    if not len(band.displacement):
-        yield (group.name, *[None] * 8, why)
-        return
-    names = ("mean", "lower", "upper", "lower_all", "upper_all")
-    columns = [(up.factor * getattr(band, name)).tolist() for name in names]
-    x = (across.factor * band.displacement).tolist()
-    for number, values in zip(numbers_from(), zip(x, *columns, strict=True), strict=False):
-        yield (group.name, *values, band.n, band.over, "" if number else why)
+def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
+    """Return the difference of two groups in one number."""
+    shift, ends = difference.difference, difference.interval
+    scale = shown_in(difference.name, difference.unit, display)
+    in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
+    corrected = ends_record(shift.mean, in_unit, scale.factor)
+    return {
+        "first": difference.first,
+        "second": difference.second,
+        "number": as_label(difference.name),
+        "unit": unit_words(scale.unit),
+        **ends_record(shift.mean, shift.interval, scale.factor, name="second minus first"),
+        "share (%)": percent_cell(difference.share),
+        "corrected lower (%)": None if of_share is None else percent_cell(of_share.lower),
+        "corrected upper (%)": None if of_share is None else percent_cell(of_share.upper),
+        "corrected lower": corrected["lower"],
+        "corrected upper": corrected["upper"],
+        "verdict": str(difference.verdict),
+        "question": difference.question,
+        "differ in": fields_in_words(difference),
+        "level (%)": None if ends is None else percent_cell(ends.level),
+        "irrelevant below": number_cell(difference.margin, None, scale.factor),
+        "different, p": number_cell(difference.p, None),
+        "equivalent, p": number_cell(difference.p_equivalent, None),
+        "family": difference.family,
+        "in family": difference.tests or None,
+        "why": "; ".join(filter(None, (difference.why, *difference.caveats))),
+        "reason": str(shift.reason or ""),
+        "result": difference.name,
+    }
 
 
-def _curve_charts(
-    campaign: Campaign, places: dict[str, tuple[int, int]], heads: Sequence[str], *, is_scaled: bool
-) -> Iterator[Chart]:
-    """Yield a chart for the groups of each protocol."""
-    what = "Mean force over peak force" if is_scaled else "Mean force"
-    up = "Force / peak force" if is_scaled else heads[2].replace("mean", "Force")
-    for protocol in dict.fromkeys(group.protocol for group in campaign.groups):
-        lines = [
-            Line(group.name, places[group.name], 1, 2)
-            for group in campaign.groups
-            if group.protocol == protocol and group.name in places
-        ]
-        if lines:
-            title = f"{what} on first loading ({protocol})"
-            yield Chart(title, heads[1].replace("d", "D", 1), up, lines)
+def _budgets_sheet(campaign: Campaign) -> Sheet:
+    """Return the sheet of budgets: shares of the causes for means, then for tests."""
+    means = [row for group in campaign.groups for row in _budgets_of_means(group)]
+    tests = [row for group in campaign.groups for row in _budgets_of_tests(group)]
+    of_means = {cause for _, shares in means for cause in shares}
+    others = {cause for _, shares in tests for cause in shares} - of_means
+    causes = [*sort_causes(of_means), *sort_causes(others)]
+    heads = {cause: f"{cause}{'*' * IS_COMMON.get(cause, False)} (%)" for cause in causes}
+    records = [
+        head | {heads[cause]: percent_cell(shares.get(cause)) for cause in causes}
+        for head, shares in (*means, *tests)
+    ]
+    question = (
+        "Which causes contribute to each 95 % interval? Shares of the variance, for means of the"
+        " squared half width; * marks causes common to all tests of a rig, which more"
+        " samples do not reduce."
+    )
+    printed = heads[causes[len(of_means) - 1]] if means else ""
+    rows = len(means) or None
+    return sheet_of(
+        "budgets", records, frozen=2, question=question, printed=printed, printed_rows=rows
+    )
+
+
+def _budgets_of_means(group: Group) -> Iterator[tuple[Record, dict[str, float]]]:
+    for number in group.numbers:
+        budget = group_budget(number)
+        if budget.of_tests and budget.of_mean and number.mean is not None:
+            interval = number.mean.chosen.interval
+            head = _budget_head(group, number, "mean of the group", interval)
+            yield head, dict(budget.of_mean)
+
+
+def _budgets_of_tests(group: Group) -> Iterator[tuple[Record, dict[str, float]]]:
+    """Yield the median shares of the tests of a group, then the shares of each test."""
+    for number in group.numbers:
+        shares = group_budget(number).of_tests
+        if shares:
+            yield _budget_head(group, number, "median of the tests", None), dict(shares)
+        for test, result in number.values.items():
+            if result.largest_share is not None:
+                rows = zip(result.budget, result.shares, strict=True)
+                test_shares = {row.cause: share for row, share in rows}
+                yield _budget_head(group, number, test, result.interval), test_shares
+
+
+def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval | None) -> Record:
+    scale = shown_in(number.name, number.unit, display_of(group))
+    half = None if interval is None else 0.5 * (interval.upper - interval.lower)
+    return {
+        "group": group.name,
+        "number": as_label(number.name),
+        "of": of,
+        "unit": unit_words(scale.unit),
+        "half of the 95 % interval": number_cell(half, None, scale.factor),
+    }
+
+
+def _places(campaign: Campaign) -> Iterator[Record]:
+    """Yield the bending stiffness of each bundle between the bounds of its model."""
+    scales = place_scales(campaign)
+    for place in campaign.places:
+        scale, ends = scales[place.group], place.share_interval
+        bounds = {
+            "all slips": place.low,
+            "wires slip": place.free,
+            "nothing slips": place.high,
+            "smallest of all directions": place.principal[0],
+            "largest of all directions": place.principal[1],
+        }
+        yield {
+            "group": place.group,
+            "test": place.test or "mean",
+            "unit": unit_words(scale.unit),
+            **ends_record(place.value, place.interval, scale.factor, name="bending stiffness"),
+            **{head: number_cell(value, None, scale.factor) for head, value in bounds.items()},
+            "share (%)": percent_cell(place.share),
+            "share lower (%)": None if ends is None else percent_cell(ends.lower),
+            "share upper (%)": None if ends is None else percent_cell(ends.upper),
+            "reason": worded(place.reasons),
+        }
+
+
+def _issues(causes: Iterable[tuple[int | None, Cause]]) -> Iterator[Record]:
+    """Yield the issues of each cause with its rank."""
+    for rank, cause in causes:
+        effect = "" if cause.effect is None else cause.effect.text
+        for concern in cause.issues:
+            yield {
+                "rank": rank,
+                "kind": str(concern.kind),
+                "group": concern.group,
+                "test": concern.test or ", ".join(concern.tests),
+                "what": concern.what,
+                "reason": concern.reason,
+                "largest effect of the cause": effect,
+                "code": concern.code,
+            }

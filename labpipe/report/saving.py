@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 _SVG = "http://www.w3.org/2000/svg"
 _LINK = "{http://www.w3.org/1999/xlink}href"
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
-_STRAIGHT = re.compile(r"M[ML\d.\s-]*z?")
-_NO_TURN = re.compile(r"rotate\(-?0 [^()]*\)")
 _RULE = re.compile(r"([a-z-]+): *([^;{}]+)")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
@@ -50,9 +48,9 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
 
     Returns
     -------
-    One ``svg`` element as wide as the page allows, with coordinates to 0.01 pt, in long lines to
-    0.1 pt, less than a line width, without metadata and unused ids. Its texts have the width of
-    the layout with any font. Its styles are classes with equal names in all drawings.
+    One ``svg`` element as wide as the page allows, with coordinates to 0.01 pt, without
+    metadata and unused ids. Its texts have the width of the layout with any font. Its styles are
+    classes with equal names in all drawings.
     """
     ET.register_namespace("", _SVG)
     ET.register_namespace("xlink", "http://www.w3.org/1999/xlink")
@@ -66,7 +64,6 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     for element in root.iter():
         _shorten_element(element, wanted, prefix)
         _style_to_class(element, classes)
-    _remove_empty_groups(root)
     _describe(root, title)
     text = ET.tostring(root, encoding="unicode", short_empty_elements=True)
     return Inline(re.sub(r">\s+<", "><", text).strip(), classes)
@@ -110,7 +107,7 @@ def _referenced_ids(root: ET.Element) -> set[str]:
 
 
 def _shorten_element(element: ET.Element, wanted: set[str], prefix: str) -> None:
-    min_line_points = 20
+    """Drop unused ids, prefix the others, and round coordinates to 0.01 pt."""
     attributes = element.attrib
     name = attributes.pop("id", "")
     if name in wanted:
@@ -119,16 +116,9 @@ def _shorten_element(element: ET.Element, wanted: set[str], prefix: str) -> None
         attributes[_LINK] = f"#{prefix}-{attributes[_LINK][1:]}"
     for key, value in attributes.items():
         attributes[key] = _REFERENCE.sub(rf"url(#{prefix}-\1)", value)
-    if _NO_TURN.fullmatch(attributes.get("transform", "")):
-        del attributes["transform"]
     for key in attributes.keys() & _WITH_NUMBERS:
         attributes[key] = " ".join(_LONG_NUMBER.sub(_two_places, attributes[key]).split())
-    if attributes.get("d", "").count("L") > min_line_points and _STRAIGHT.fullmatch(
-        attributes["d"]
-    ):
-        strokes, closing, _ = attributes["d"].partition("z")
-        attributes["d"] = "".join(map(_relative_steps, strokes.split("M")[1:])) + closing
-    elif "d" in attributes:  # numbers after a line are ends of further lines
+    if "d" in attributes:  # numbers after a line are ends of further lines
         attributes["d"] = re.sub(r"(?<=\d) L (?=[-\d])", " ", attributes["d"])
 
 
@@ -139,23 +129,6 @@ def _style_to_class(element: ET.Element, classes: dict[str, str]) -> None:
         name = f"s{zlib.crc32(look.encode()):x}"
         classes[name] = look
         element.set("class", name)
-
-
-def _remove_empty_groups(parent: ET.Element) -> None:
-    """Remove groups without attributes."""
-    for child in list(parent):
-        _remove_empty_groups(child)
-        if child.tag == f"{{{_SVG}}}g" and not child.attrib:
-            at = list(parent).index(child)
-            parent[at : at + 1] = list(child)
-
-
-def _relative_steps(stroke: str) -> str:
-    """Write a line as its first point and steps of tenths of a point, half as long as points."""
-    ends = [round(10.0 * float(number)) for number in stroke.replace("L", " ").split()]
-    steps = [after - before for before, after in zip(ends, ends[2:], strict=False)]
-    first, rest = (" ".join(f"{piece / 10:g}" for piece in part) for part in (ends[:2], steps))
-    return f"M{first}" + (f"l{rest}".replace(" -", "-") if rest else "")
 
 
 def _two_places(match: re.Match[str]) -> str:
@@ -196,8 +169,6 @@ def save_pages(
     wanted: Iterable[FigureToSave],
     folder: Path,
     *,
-    what: str,
-    again: str,
     say: Callable[[str], None] = lambda _: None,
     run: str = "",
     png: bool = False,
@@ -210,7 +181,6 @@ def save_pages(
     ----------
     wanted : each is drawn and released before the next
     folder : made if it is not there
-    what, again : name of the figures, and how to draw them again, for a message
     say : called with the name of each figure as it is drawn
     run : key of the run of the figures, written to SVG and PNG; may be empty
     png, pdf : each as PNG or PDF, too; the SVG is identical
@@ -229,7 +199,7 @@ def save_pages(
     -----
     The same figure gives the same bytes with the same version of matplotlib.
     """
-    with written_to(folder, what, again=again), style():
+    with writing(folder, "figures"), style():
         folder.mkdir(parents=True, exist_ok=True)
         files = []
         for figure_to_save in wanted:
@@ -252,13 +222,13 @@ def pngs_of(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
 
 
 @contextmanager
-def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
-    """Report a folder that cannot be written to, with its purpose and a remedy.
+def writing(path: Path, what: str) -> Iterator[None]:
+    """Report a file or folder that cannot be written, with a remedy.
 
     Parameters
     ----------
-    folder : written to inside this block
-    what, again : name of the files, and how to make them again
+    path : written inside this block
+    what : name of the files
 
     Raises
     ------
@@ -269,11 +239,12 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
         yield
     except OSError as error:
         message = error_text(
-            folder,
+            path,
             "",
-            expected=f"a folder that {what} can be written to",
+            expected=f"room and permission to write {what}",
             found=str(error),
-            remedy=f"Make room, or change the permissions, and {again} again.",
+            remedy="Make room, change the permissions or close the open file, then repeat the"
+            " command.",
         )
         raise StoreError(message) from error
 

@@ -11,14 +11,13 @@ from labpipe.records.quality import Severity
 from labpipe.records.result import Instrument, Result, Status, TestResult
 from labpipe.report.figure_page import finish_layout, style
 from labpipe.report.figures import FIGURES
-from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentence, sentences
-from labpipe.report.page_parts import css_string, fill_template, style_hash, style_of
+from labpipe.report.lab_report import css_string, fill_template, style_hash, style_of
+from labpipe.report.page_tables import DASH, Cell, Table
 from labpipe.report.saving import Inline, inline_svg
 from labpipe.report.wording import heading, replace_names, shown_in, unit_words, with_interval
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 _TEMPLATE = "single_test.html"
@@ -36,6 +35,9 @@ def render_test(result: TestResult, *, report: str = "") -> str:
     -------
     An HTML document that needs no other file, no network and no script.
     """
+    from markupsafe import Markup
+
+    inputs = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
     drawn = [_inline_figure(result, name) for name in result.figures if name in FIGURES]
     classes = {name: look for figure in drawn for name, look in figure.classes.items()}
     footer = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
@@ -49,17 +51,10 @@ def render_test(result: TestResult, *, report: str = "") -> str:
         style_hash=style_hash(looks),
         facts=_facts(result),
         numbers=_numbers(result),
-        figures=[_markup(figure.element) for figure in drawn],
+        figures=[Markup(figure.element) for figure in drawn],  # matplotlib escapes its texts
         notes=_notes(result),
-        exports=_exports(result),
+        exports=Table("Exports", ("Role", "File", "SHA-256"), inputs),
     )
-
-
-def _markup(element: str) -> Markup:
-    """Mark a drawing by matplotlib, whose texts are escaped, as safe."""
-    from markupsafe import Markup
-
-    return Markup(element)
 
 
 def _inline_figure(result: TestResult, name: str) -> Inline:
@@ -119,7 +114,9 @@ def _number_row(result: TestResult, number: Result, why: str) -> tuple[Cell, ...
     unit = shown_in(number.name, number.unit, result.display)
     value = DASH
     if number.value is not None:
-        value = with_interval(number.value, number.interval, unit.factor, apart=number.apart)
+        value = with_interval(
+            number.value, number.interval, unit.factor, estimate=number.distinct_estimate
+        )
     return (
         Cell(heading(number.name, unit.unit), tip=number.name),
         Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
@@ -149,8 +146,3 @@ def _notes(result: TestResult) -> Table:
         for note in notes
     )
     return Table("Notes", ("Where", "Kind", "Note"), rows)
-
-
-def _exports(result: TestResult) -> Table:
-    rows = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
-    return Table("Exports", ("Role", "File", "SHA-256"), rows)

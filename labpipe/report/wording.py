@@ -80,28 +80,39 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub("\ufffd", text)
 
 
-def shortened(word: str, most: int) -> str:
+def shortened(word: str, max_length: int) -> str:
     """Shorten a long name in its middle.
 
     Parameters
     ----------
     word : any text
-    most : characters, at least 3
+    max_length : characters, at least 3
 
     Examples
     --------
     >>> shortened("TWB-B1-19-PVC-half-lap", 12)
     'TWB-B1…f-lap'
     """
-    if len(word) <= most:
+    if len(word) <= max_length:
         return word
-    end = (most - 1) // 2
-    return f"{word[: most - 1 - end]}…{word[len(word) - end :]}"
+    end = (max_length - 1) // 2
+    return f"{word[: max_length - 1 - end]}…{word[len(word) - end :]}"
 
 
 def count_of(number: int, noun: str) -> str:
     """Write a count, such as ``1 sample`` or ``3 samples``."""
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def count_words(group: Group) -> str:
+    """Count samples and spools of a group, such as ``6 samples from 2 spools``."""
+    spools = {sample.specimen.spool for sample in group.samples}
+    return f"{count_of(len(group.samples), 'sample')} from {count_of(len(spools), 'spool')}"
+
+
+def group_title(group: Group) -> str:
+    """Write name, protocol and counts of a group in one line."""
+    return f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
 
 
 def why_missing(result: TestResult, what: str) -> str:
@@ -138,8 +149,6 @@ _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
 """Name of a stiffness at a curvature in the shipped protocols."""
 _SLIP_RESULTS = ("slip_position", "slip_drop")
 _DEFAULT_DIGITS = 4
-_PLAIN_RANGE = (1e-3, 1e6)
-"""Sizes of numbers that are written without a power of ten."""
 SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
@@ -170,8 +179,8 @@ def as_label(name: str) -> str:
     stem, _, part = name.partition(".")
     if stem.endswith(_PER_PEAK):
         name_text = f"{as_label(stem.removesuffix(_PER_PEAK))}, per peak force"
-    elif at := _AT_CURVATURE.fullmatch(stem):
-        name_text = f"{as_label(at[1])} at {at[2]} 1/m"
+    elif match := _AT_CURVATURE.fullmatch(stem):
+        name_text = f"{as_label(match[1])} at {match[2]} 1/m"
     else:
         name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
     if not part:
@@ -240,6 +249,13 @@ def display_of(group: Group) -> Mapping[str, str]:
     return group.samples[0].display if group.samples else {}
 
 
+def group_scale(group: Group, quantity: str) -> Scale:
+    """Return the display unit of displacement, force, curvature or moment in a group."""
+    si_unit = {"displacement": "m", "force": "N", "curvature": "1/m", "moment": "N*m"}[quantity]
+    unit = display_of(group).get(quantity, si_unit)
+    return Scale(1.0 / si_factor(unit, si_unit), unit_words(unit))
+
+
 def unit_words(unit: str) -> str:
     """Typeset a unit: ``N*mm^2`` as N·mm², empty for a pure number.
 
@@ -274,13 +290,13 @@ class Written:
 
     @property
     def interval(self) -> str:
-        """Interval as text, such as ``46.3 to 58.3``; may be empty."""
+        """Return the interval as text, such as ``46.3 to 58.3``; may be empty."""
         about = f"estimate {self.estimate}, " if self.estimate else ""
         return f"{about}{self.lower} to {self.upper}" if self.lower else ""
 
     @property
     def text(self) -> str:
-        """Number and interval in one line."""
+        """Return number and interval in one line."""
         return f"{self.value} ({self.interval})" if self.lower else self.value
 
 
@@ -290,7 +306,7 @@ def write_number(
     factor: float = 1.0,
     *,
     digits: int = _DEFAULT_DIGITS,
-    apart: float | None = None,
+    estimate: float | None = None,
 ) -> Written:
     """Write a number with as many digits as its interval supports.
 
@@ -299,7 +315,7 @@ def write_number(
     value, interval : in SI; a value that is not finite is a dash
     factor : from SI to the display unit
     digits : significant digits of a number without an interval
-    apart : estimate that differs from the value, in SI, if any
+    estimate : estimate that differs from the value, in SI, if any
 
     Returns
     -------
@@ -316,7 +332,7 @@ def write_number(
     place = place_of(value, interval, factor, digits)
     if not math.isfinite(value):
         return Written("\u2013")
-    numbers = [value, *_ends(interval), *([] if apart is None else [apart])]
+    numbers = [value, *_ends(interval), *([] if estimate is None else [estimate])]
     return Written(*_round_together([factor * number for number in numbers], place))
 
 
@@ -377,9 +393,10 @@ def _last_place(size: float, digits: int) -> int:
 
 def _round_together(numbers: Iterable[float], place: int) -> list[str]:
     """Round numbers to one place, with a common power of ten if they are far from one."""
+    plain_range = (1e-3, 1e6)  # sizes of numbers that are written without a power of ten
     several = list(numbers)
     largest = max(map(abs, several))
-    if _PLAIN_RANGE[0] <= largest < _PLAIN_RANGE[1] or largest == 0.0 or not math.isfinite(largest):
+    if plain_range[0] <= largest < plain_range[1] or largest == 0.0 or not math.isfinite(largest):
         return [rounded(number, place) for number in several]
     power = math.floor(math.log10(largest))
     tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
@@ -393,7 +410,7 @@ def rounded(number: float, place: int) -> str:
 
 
 def with_interval(
-    value: float, interval: Interval | None, factor: float = 1.0, *, apart: float | None = None
+    value: float, interval: Interval | None, factor: float = 1.0, *, estimate: float | None = None
 ) -> str:
     """Write a number with its interval in one line.
 
@@ -401,7 +418,7 @@ def with_interval(
     ----------
     value, interval : in SI
     factor : from SI to the unit that is shown
-    apart : estimate that differs from the value, if any
+    estimate : estimate that differs from the value, if any
 
     Returns
     -------
@@ -416,12 +433,12 @@ def with_interval(
     '1.26 (1.15 to 1.44)'
     """
     max_uneven_share = 0.1  # difference of both sides of a symmetric interval, of half its width
-    written = write_number(value, interval, factor, apart=apart)
+    written = write_number(value, interval, factor, estimate=estimate)
     if interval is None or not written.lower:
         return written.value
     up, down = interval.upper - value, value - interval.lower
     half = max(up, down)
-    if apart is not None or not isfinite(half) or abs(up - down) > max_uneven_share * half:
+    if estimate is not None or not isfinite(half) or abs(up - down) > max_uneven_share * half:
         return f"{written.value} ({written.interval})"
     number, times, power = written.value.partition(" \u00d7 ")
     size = float(f"1e{power[2:].translate(_PLAIN_DIGITS)}") if times else 1.0
@@ -443,4 +460,4 @@ def mean_with_interval(mean: MeanInterval, factor: float = 1.0) -> str:
     mean : in SI
     factor : from SI to the unit that is shown
     """
-    return with_interval(mean.mean, mean.interval, factor, apart=mean.apart)
+    return with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)

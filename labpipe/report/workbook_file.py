@@ -6,14 +6,15 @@ import io
 import math
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from labpipe.errors import StoreError, error_text
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
+from labpipe.report.saving import writing
 from labpipe.report.wording import place_of, printable, shortened
 
 _WRAPPED_WIDTH = 46
@@ -100,13 +101,49 @@ class Sheet(NamedTuple):
 
     @property
     def is_long(self) -> bool:
-        """Whether charts are beside the table and printed instead of it."""
+        """Return whether charts are beside the table and printed instead of it."""
         return len(self.rows) > 80
 
     @property
     def printed_columns(self) -> int:
-        """Number of printed columns."""
+        """Return the number of printed columns."""
         return list(self.heads).index(self.printed) + 1 if self.printed else len(self.heads)
+
+
+def unite_heads(records: Iterable[Record]) -> list[str]:
+    """List the headings of records in the order in which they appear."""
+    return list(dict.fromkeys(head for record in records for head in record))
+
+
+def sheet_of(
+    name: str, records: Iterable[Record], *, heads: Sequence[str] = (), **layout: Any
+) -> Sheet:
+    """Make a sheet of records, a column per heading.
+
+    Parameters
+    ----------
+    name : of the sheet
+    records : cells by heading; a missing one is empty
+    heads : headings in order; those of the records if empty
+    layout : other fields of the sheet
+    """
+    rows = list(records)
+    heads = heads or unite_heads(rows) or ["no rows"]
+    if not rows:
+        layout["printed"] = ""
+    return Sheet(name, heads, [[row.get(head) for head in heads] for row in rows], **layout)
+
+
+def array_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
+    """Return a record per element of arrays, each with the same first cells.
+
+    Parameters
+    ----------
+    head : first cells
+    columns : arrays of one length by heading
+    """
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [{**head, **dict(zip(columns, row, strict=True))} for row in values]
 
 
 class About(NamedTuple):
@@ -127,7 +164,7 @@ class About(NamedTuple):
 READ_ME = "read me"
 
 
-def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) -> None:
+def save_book(about: About, sheets: Sequence[Sheet], path: Path) -> None:
     """Write sheets as an xlsx file, after one that describes them.
 
     Parameters
@@ -135,7 +172,6 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
     about : contents of the sheet `READ_ME`, which lists and links the others
     sheets : in order; the first is shown first
     path : of the file
-    again : how to make the file again, for a message
 
     Raises
     ------
@@ -153,17 +189,8 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
     for number, sheet in enumerate(sheets):
         book.add(sheet, is_first=not number)
     book.close()
-    try:
+    with writing(path, "a workbook"):
         path.write_bytes(memory.getvalue())
-    except OSError as error:
-        message = error_text(
-            path,
-            "",
-            expected="a workbook that can be written",
-            found=str(error),
-            remedy=f"Make room, change the permissions or close the open file, and {again} again.",
-        )
-        raise StoreError(message) from error
 
 
 class _WorkbookWriter:
@@ -220,13 +247,13 @@ class _WorkbookWriter:
         if is_first:
             page.activate()
         widths = _column_widths(sheet)
-        for at, width in enumerate(widths):
-            page.set_column(at, at, width)
+        for i, width in enumerate(widths):
+            page.set_column(i, i, width)
         forms = [column_place(column) for column in zip(*sheet.rows, strict=True)]
         wrapped = [head in sheet.wrapped for head in sheet.heads]
         for number, row in enumerate(sheet.rows, start=1):
-            for at, value in enumerate(row):
-                self._write(page, (number, at), value, forms[at], is_wrapped=wrapped[at])
+            for i, value in enumerate(row):
+                self._write(page, (number, i), value, forms[i], is_wrapped=wrapped[i])
             lines = _row_lines(row, wrapped)
             if lines > 1:
                 page.set_row(number, lines * _LINE_HEIGHT)
@@ -261,8 +288,8 @@ class _WorkbookWriter:
     def _make_table(self, page: Any, sheet: Sheet) -> None:
         heads = unique_heads(sheet.heads)
         if not sheet.rows:
-            for at, head in enumerate(heads):
-                _write_text(page, 0, at, head, self.head)
+            for i, head in enumerate(heads):
+                _write_text(page, 0, i, head, self.head)
             return
         columns = [{"header": head, "header_format": self.head} for head in heads]
         look = {"columns": columns, "style": "Table Style Light 1"}
@@ -310,9 +337,9 @@ def _set_print_area(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[
     width, height = size
     deep = math.ceil(math.ceil(len(sheet.charts) / _CHARTS_ABREAST) * height / _CELL_HEIGHT)
     if sheet.charts and sheet.is_long:
-        left = len(sheet.heads) + 1
+        first_column = len(sheet.heads) + 1
         wide = min(len(sheet.charts), _CHARTS_ABREAST) * width // _CELL_WIDTH
-        page.print_area(1, left, deep, left + wide)
+        page.print_area(1, first_column, deep, first_column + wide)
         page.fit_to_pages(1, 0)
         return
     rows = len(sheet.rows) if sheet.printed_rows is None else sheet.printed_rows
@@ -371,11 +398,11 @@ def _column_widths(sheet: Sheet) -> list[int]:
     """Return the width of each column: of its longest text; headings are wrapped."""
     widths = [max(8, *map(len, head.split(" "))) + _FILTER_WIDTH for head in sheet.heads]
     for row in sheet.rows:
-        for at, value in enumerate(row):
+        for i, value in enumerate(row):
             if isinstance(value, str):
-                widths[at] = max(widths[at], len(value) + 1)
-    most = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
-    return [min(pair) for pair in zip(widths, most, strict=True)]
+                widths[i] = max(widths[i], len(value) + 1)
+    max_widths = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
+    return [min(pair) for pair in zip(widths, max_widths, strict=True)]
 
 
 def _chart(book: Any, name: str, chart: Chart) -> Any:
@@ -427,13 +454,11 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
         series |= {"line": {"color": colour, "width": 1.5, "dash_type": dash}}
     if line.plus:
         ends = {"minus_values": line.minus, "plus_values": line.plus}
-        bars = {"type": "custom", **{k: _cells(sheet, first, last, at) for k, at in ends.items()}}
+        bars = {"type": "custom", **{k: _cells(sheet, first, last, i) for k, i in ends.items()}}
         series["y_error_bars"] = {**bars, "line": {"color": "#333333", "width": 1.0}}
     return series
 
 
-_COLUMN_DIGITS = 5
-"""Digits of the largest number of a column."""
 _MIN_DIGITS = 3
 """Digits of a small number that would have fewer in its column."""
 
@@ -452,7 +477,8 @@ class NumberCell(NamedTuple):
 
 
 Value: TypeAlias = str | float | NumberCell | None
-Row: TypeAlias = Sequence[Value]
+Record: TypeAlias = dict[str, Value]
+"""Cells of a row by their headings."""
 
 
 def number_cell(
@@ -476,27 +502,28 @@ def number_cell(
     )
 
 
-def interval_cells(
-    value: float | None, interval: Interval | None, factor: float = 1.0
-) -> tuple[NumberCell | None, NumberCell | None, NumberCell | None]:
+def ends_record(
+    value: float | None, interval: Interval | None, factor: float = 1.0, *, name: str = "value"
+) -> Record:
     """Return cells that display a number and the ends of its interval to the same digit.
 
     Parameters
     ----------
     value, interval : in SI
     factor : from SI to the unit of the cells
+    name : heading of the number; those of the ends are ``lower`` and ``upper``
 
     Returns
     -------
-    Value, lower, upper; None for missing ones.
+    Three cells by heading; None for missing ones.
     """
-    if interval is None:
-        return number_cell(value, None, factor), None, None
-    lower, upper = sorted((factor * interval.lower, factor * interval.upper))
-    about = interval.lower if value is None else value
-    place = place_of(about, interval, factor)
-    low, high = (NumberCell(end, number_format(end, place)) for end in (lower, upper))
-    return number_cell(value, interval, factor), low, high
+    cells: Record = {name: number_cell(value, interval, factor), "lower": None, "upper": None}
+    if interval is not None:
+        lower, upper = sorted((factor * interval.lower, factor * interval.upper))
+        place = place_of(interval.lower if value is None else value, interval, factor)
+        cells["lower"] = NumberCell(lower, number_format(lower, place))
+        cells["upper"] = NumberCell(upper, number_format(upper, place))
+    return cells
 
 
 def percent_cell(share: float | None) -> NumberCell | None:
@@ -533,17 +560,18 @@ def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
-def truncate_text(text: str, most: int) -> str:
+def truncate_text(text: str, max_length: int) -> str:
     """Truncate a text to a number of UTF-16 units, as Excel counts."""
-    return text.encode("utf-16-le")[: 2 * most].decode("utf-16-le", "ignore")
+    return text.encode("utf-16-le")[: 2 * max_length].decode("utf-16-le", "ignore")
 
 
 def column_place(column: Sequence[Value]) -> int | None:
     """Return the place of the last digit of the plain numbers of a column; None for integers."""
+    column_digits = 5  # digits of the largest number of a column
     plain = [abs(v) for v in column if isinstance(v, float) and math.isfinite(v)]
     if not any(plain):
         return None
-    return place_of(max(plain), None, digits=_COLUMN_DIGITS)
+    return place_of(max(plain), None, digits=column_digits)
 
 
 def format_in_column(value: float, place: int | None) -> str:

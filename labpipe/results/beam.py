@@ -162,9 +162,9 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
             f"an elastic beam on this span slips through at {1e3 * deflection[last]:.4g} mm, the "
             f"stiffness goes up to {1e3 * high:.4g} mm",
         )
-    at = np.linspace(low, high, window_samples)
-    over = np.interp(at, deflection[: last + 1], load[: last + 1])
-    slope = float(np.polynomial.Polynomial.fit(at, over, 1).convert().coef[1])
+    deflections = np.linspace(low, high, window_samples)
+    loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
+    slope = float(np.polynomial.Polynomial.fit(deflections, loads, 1).convert().coef[1])
     ratio = slope * rollers.span**3 / 48.0
     if ratio < min_ratio:
         fail(
@@ -215,7 +215,7 @@ class BendingStiffness(OfStiffness):
 
     @property
     def length(self) -> str:
-        """Key of the length in the formula."""
+        """Return the key of the length in the formula."""
         return _FORMULAS[self.support][0]
 
     @staticmethod
@@ -266,8 +266,8 @@ class BendingStiffness(OfStiffness):
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
         ratio = or_failure(self._ratio)(trace.sizes, window)
         length = trace.sizes[_FORMULAS[self.support][0]]
-        whole = stiffness * beam_factor(length, self.support)
-        return np.asarray(whole / (np.nan if isinstance(ratio, Failure) else ratio[0]))
+        beam_stiffness = stiffness * beam_factor(length, self.support)
+        return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
     def _ratio(self, sizes: Mapping[str, float], window: tuple[float, float]) -> tuple[float, str]:
         """Return the stiffness of an elastic beam as a multiple of the formula, and a remark."""

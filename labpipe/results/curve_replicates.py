@@ -1,15 +1,15 @@
-"""The curve of a test, its replicates, and the noise of the samples of its force."""
+"""Draw replicates of the curve of a test."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Ints, Singles, means_from
+from labpipe.records.arrays import Floats, Ints, means_from
 from labpipe.records.causes import (
     CENTRE,
     DRIFT_OF_ZERO,
@@ -28,237 +28,19 @@ from labpipe.records.causes import (
     ZERO_OF_FORCE,
 )
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
-from labpipe.records.signals import Clocks, Filter, FilterFunction, Signal
+from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
-from labpipe.signal.filters import in_pieces
+from labpipe.results.sample_noise import have_no_effect
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import (
     Input,
     Law,
     Replicates,
     draw_replicates,
-    random_stream,
     smooth_curve,
     spline_intervals_of,
 )
 from labpipe.uncertainty.zero_drift import drift_modes
-
-
-def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
-    """Return the samples of a signal at which a new piece begins.
-
-    Parameters
-    ----------
-    clocks : of the test
-    ends : s on the clock of the curve, of branches, and of the failure
-    signal : the signal
-    """
-    at = [clocks.from_curve(end, signal.clock) for end in ends]
-    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
-    return cuts
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceSamples:
-    """The force of a curve without noise on its own clock, and deviations of single samples.
-
-    Parameters
-    ----------
-    time : shape (n,), s on the clock of the curve, increasing
-    smooth : shape (n,), N, without noise
-    left : shape (n,), N, deviations of single samples from the mean of their frame
-    frames : shape (n,), sample of the curve of each
-    filters : of the force
-    cuts : at which a new piece begins
-    reach : samples on either side that the filters need
-    seed : of draws
-    """
-
-    time: Floats
-    smooth: Floats
-    left: Floats
-    frames: Ints
-    filters: tuple[Filter, ...]
-    cuts: tuple[int, ...]
-    reach: int
-    seed: bytes
-
-    @classmethod
-    def of(cls, test: ReducedTest, trace: Trace) -> ForceSamples | None:
-        """Prepare the samples of a test.
-
-        Parameters
-        ----------
-        test : with a curve
-        trace : the curve without noise
-
-        Returns
-        -------
-        None if the force has hardly more samples than the curve, or no filter.
-        """
-        signal, filters = test.unfiltered, test.signals.filters.get(test.signals.force, ())
-        if signal is None or not filters or any(stride != 1 for _, stride in filters):
-            return None
-        reach = _filter_reach(filters)
-        if reach is None or len(signal.time) < 2.0 * len(trace.time):
-            return None
-        time = test.clocks.to_curve(signal.time, signal.clock)
-        middles = 0.5 * (trace.time[1:] + trace.time[:-1])
-        ends_of_frames = np.searchsorted(time, middles, side="right")
-        counts = np.diff(ends_of_frames, prepend=0, append=len(time))
-        frames = np.repeat(np.arange(len(counts)), counts)
-        ends = [at for branch in trace.branches for at in (branch.start_time, branch.stop_time)]
-        cuts = cuts_of(test.clocks, ends, signal)
-        smooth = _between_frames(trace, time, cuts, reach)
-        left = signal.values - smooth
-        left -= (np.bincount(frames, left) / np.maximum(np.bincount(frames), 1))[frames]
-        np.nan_to_num(left, copy=False)
-        return cls(time, smooth, left, frames, filters, tuple(cuts), reach, test.seed)
-
-    def of_cycle(self, trace: Trace, stretch: slice, sense: float) -> PeakSamples | None:
-        """Select the samples of a cycle.
-
-        Parameters
-        ----------
-        trace : the curve without noise
-        stretch : its samples of the cycle
-        sense : sign of loading
-
-        Returns
-        -------
-        None if the cycle has none, or the curve has gaps there.
-        """
-        if np.isnan(trace.force[stretch]).any():
-            return None
-        first, last = trace.time[stretch][[0, -1]]
-        low, high = np.searchsorted(self.time, first), np.searchsorted(self.time, last, "right")
-        over = sense * self.smooth[low:high]
-        is_finite = ~np.isnan(over)
-        if not is_finite.any():
-            return None
-        spread = float(self.left[low:high][is_finite].std())
-        return PeakSamples(self, sense, int(low), over, float(over[is_finite].max()), spread)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PeakSamples:
-    """Samples of a cycle, for their largest one.
-
-    Parameters
-    ----------
-    samples : of the whole test
-    sense : sign of loading
-    start : the first one of the cycle
-    over : shape (n,), N in that sense, without noise; NaN where unknown
-    top : N, the largest of them
-    spread : N, standard deviation of single samples
-    """
-
-    samples: ForceSamples
-    sense: float
-    start: int
-    over: Floats
-    top: float
-    spread: float
-
-    def raised(self, noise: Floats | Singles) -> Floats | None:
-        """Return the effect of noise on the largest sample of the cycle.
-
-        Parameters
-        ----------
-        noise : shape (replicates, frames), N, of the curve before all filters
-
-        Returns
-        -------
-        N in the direction of loading, shape (replicates,). None if too many samples may be the
-        largest.
-        """
-        # Standard deviations of noise below the peak up to which a sample may be the largest.
-        max_deviations = 8.0
-        max_samples = 20_000  # the curve has enough samples of a longer plateau
-        size = float(np.hypot(noise.std(), self.spread))
-        near = np.flatnonzero(self.over >= self.top - max_deviations * size) + self.start
-        if len(near) > max_samples:
-            return None
-        # The parts of the record are reproducible draws.
-        chance = random_stream(self.samples.seed, "samples of the force")
-        largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
-        for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
-            filtered = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)
-            filtered *= self.sense
-            largest = np.maximum(largest, filtered.max(axis=1))
-        return largest - self.top
-
-    def _filtered(
-        self, noise: Floats | Singles, first: int, stop: int, chance: np.random.Generator
-    ) -> Floats:
-        """Return a range of the force with noise, filtered, shape (replicates, samples)."""
-        samples = self.samples
-        part = slice(max(first - samples.reach, 0), min(stop + samples.reach, len(samples.smooth)))
-        count = part.stop - part.start
-        stretches = np.lib.stride_tricks.sliding_window_view(samples.left, count)
-        force = samples.smooth[part] + noise.take(samples.frames[part], axis=1)
-        force += stretches[chance.integers(0, len(stretches), len(noise))]
-        filtered = in_pieces(force, [cut - part.start for cut in samples.cuts], samples.filters)
-        return filtered[:, first - part.start : stop - part.start]
-
-
-def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int) -> Floats:
-    """Interpolate the force of a curve, with extrapolation to the start of the next piece.
-
-    Parameters
-    ----------
-    trace : the curve
-    time : shape (n,), s on its clock
-    cuts : samples of `time` at which branches begin and end
-    reach : samples within the reach of the filter, over which a piece joins the one before
-    """
-    frames = [at for branch in trace.branches for at in (branch.start, branch.stop)]
-    between_frames = np.empty(len(time))
-    ends = sorted({(0, 0), *zip(cuts, frames, strict=True), (len(time), len(trace.time))})
-    for (low, begin), (high, end) in pairwise(ends):
-        if end - begin > 1:
-            between_frames[low:high] = _extrapolated(
-                time[low:high], trace.time[begin:end], trace.force[begin:end]
-            )
-            _join_at_cut(between_frames, low, min(reach, high - low))
-        else:
-            between_frames[low:high] = np.interp(time[low:high], trace.time, trace.force)
-    return between_frames
-
-
-def _join_at_cut(values: Floats, cut: int, over: int) -> None:
-    """Remove a jump between two pieces beyond a step of either.
-
-    A force does not jump at a turn of the motion, but a spline may be inaccurate at its end.
-    """
-    if not 1 < cut < len(values) - 1 or over < 2:
-        return
-    step = max(abs(values[cut - 1] - values[cut - 2]), abs(values[cut + 1] - values[cut]))
-    gap = values[cut - 1] - values[cut]
-    ramp = 1.0 - np.arange(over) / over
-    values[cut : cut + over] += (gap - np.clip(gap, -step, step)) * ramp
-
-
-def _extrapolated(at: Floats, time: Floats, values: Floats) -> Floats:
-    """Interpolate values, with linear extrapolation at both ends."""
-    interpolated = np.interp(at, time, values)
-    for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
-        (before, after), (low, high) = time[pair], values[pair]
-        interpolated[there] = low + (high - low) / (after - before) * (at[there] - before)
-    return interpolated
-
-
-def _filter_reach(filters: Sequence[Filter]) -> int | None:
-    """Return twice the samples on each side that a filter reaches, or None for too many."""
-    pulse_samples = 4001
-    pulse = np.zeros(pulse_samples)
-    pulse[pulse_samples // 2] = 1.0
-    response = in_pieces(pulse, (), filters)
-    far = np.flatnonzero(np.abs(response) > 1e-3 * np.abs(response).max())
-    reach = int(np.abs(far - pulse_samples // 2).max()) + 1
-    return 2 * reach if 4 * reach < pulse_samples else None
-
 
 _BY_FRAMES = (SHAPE, GRIP, PULL, CENTRE)
 """Causes whose effect is computed frame by frame, from markers with noise."""
@@ -280,20 +62,22 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         return None
     measured = traced(test)
     both = test.signals.displacement, test.signals.force
-    starts = _starts(_corners(test), len(curve.time))
+    starts = _starts(_corners(test), curve)
     grid_time = _means(curve.time, starts)
     acts = [_filters_on_grid(test, name, grid_time) for name in both]
     signals = _displacements(test, curve), _forces(test, unfiltered, curve)
     cuts = [int(np.searchsorted(starts, corner)) for corner in _corners(test)]
     records = [
-        _single_samples(curve.time, filtered, _corners(test), starts)
-        if _have_no_effect(act)
-        else _means(raw, starts)
+        _means(filtered if have_no_effect(act) else raw, starts)
         for (filtered, raw), act in zip(signals, acts, strict=True)
     ]
-    grid = replace(
-        _on_grid(measured, starts), time=grid_time, displacement=records[0], force=records[1]
+    blocks = replace(
+        _on_grid(measured, starts),
+        time=grid_time,
+        displacement=_means(curve.displacement, starts),
+        force=_means(curve.force, starts),
     )
+    grid = replace(blocks, displacement=records[0], force=records[1])
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
 
     def smooth(change: Floats) -> Floats:
@@ -302,10 +86,16 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
     inputs = tuple(_inputs(test, starts, smooth))
-    replicates = draw_replicates(
-        measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
+    return draw_replicates(
+        measured,
+        grid,
+        cuts,
+        (first, second),
+        inputs,
+        seed=test.seed,
+        compliance=test.compliance,
+        blocks=blocks,
     )
-    return replace(replicates, before_filters=None) if _have_no_effect(acts[1]) else replicates
 
 
 def traced(test: ReducedTest) -> Trace:
@@ -353,12 +143,17 @@ def _corners(test: ReducedTest) -> list[int]:
     return sorted({cut for cut in cuts if 0 < cut < len(curve.time)})
 
 
-def _starts(corners: Sequence[int], count: int) -> Ints:
+def _starts(corners: Sequence[int], curve: Curve) -> Ints:
     """Return the first samples of the blocks of a grid, which do not cross corners.
 
     The last block of a piece includes the remainder.
     """
-    block = -(-count // 20_000)
+    # The record may have fewer blocks if the shortest branch still has enough.
+    min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
+    count = len(curve.time)
+    shortest = min(branch.stop - branch.start for branch in curve.branches)
+    block = min(count // min_blocks, shortest // min_branch_blocks)
+    block = max(block, -(-count // max_blocks))
     pieces = pairwise([0, *corners, count])
     starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
     return np.concatenate(starts)
@@ -369,19 +164,18 @@ def _means(values: Floats, starts: Ints) -> Floats:
     return values if len(starts) == len(values) else means_from(values, starts)
 
 
-def _single_samples(time: Floats, values: Floats, corners: Sequence[int], starts: Ints) -> Floats:
-    """Return values of a grid with the noise of single samples.
+def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
+    """Return the samples of a signal at which a new piece begins.
 
-    The largest sample is a single one, and a mean has far less noise. The noise is that of a random
-    sample of each block, as evenly spaced ones would alias hum. The curve is that of the means.
+    Parameters
+    ----------
+    clocks : of the test
+    ends : s on the clock of the curve, of branches, and of the failure
+    signal : the signal
     """
-    if len(starts) == len(values):
-        return values
-    smooth = smooth_curve(time, values, corners, 40)
-    lengths = np.diff(np.append(starts, len(values)))
-    one = starts + np.random.default_rng(0).integers(0, lengths)
-    noise: Floats = (values - smooth)[one]
-    return _means(smooth, starts) + noise
+    at = [clocks.from_curve(end, signal.clock) for end in ends]
+    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    return cuts
 
 
 def _on_grid(trace: Trace, starts: Ints) -> Trace:
@@ -451,12 +245,6 @@ def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterF
         acts.append(act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw)))))
         raw = raw[::stride]
     return acts
-
-
-def _have_no_effect(acts: Sequence[FilterFunction]) -> bool:
-    """Return whether filters do not change a single-sample pulse."""
-    pulse = np.eye(1, 101, 50)[0]
-    return all(np.array_equal(act(pulse), pulse) for act in acts)
 
 
 def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[int]) -> Floats:
@@ -582,7 +370,7 @@ def _zeroed_at(test: ReducedTest) -> float:
         return test.clocks.to_curve(0.5 * sum(signals.zeroed[name]), clock)
     if name not in signals.lined:
         return float(time[0])
-    first, last = (test.clocks.to_curve(at, clock) for at in signals.lined[name])
+    first, last = (test.clocks.to_curve(end, clock) for end in signals.lined[name])
     return first if first - time[0] < time[-1] - last else last
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import ClassVar, Literal
 
@@ -19,7 +19,7 @@ from labpipe.records.estimates import Estimate, Failure, fail, or_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import ForceSamples, PeakSamples, traced
+from labpipe.results.curve_replicates import traced
 from labpipe.results.kinds import Computed, Errors, Kind
 from labpipe.results.least_squares import (
     finite_samples,
@@ -30,10 +30,9 @@ from labpipe.results.least_squares import (
     zero_of_line,
 )
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
-
-MIN_LOOP_SAMPLES = 3
 
 
 def energy_of(displacement: Floats, force: Floats) -> Floats:
@@ -67,7 +66,7 @@ _TIME_BEFORE_ZERO = 1.0
 _MIN_SAMPLES = 8
 
 
-_MIN_FOOT_SAMPLES = 4
+_MIN_ZERO_FOOT_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,12 +146,12 @@ def unloaded(
         return _through_zero(finite, t, f, limit)
     last, far = int(above[-1]), np.flatnonzero(f > _FOOT_LIMITS * limit)
     foot = slice(int(far[-1]) if len(far) else 0, last + 1)
-    from_end, at, slope = t - t[last], np.nan, 0.0
-    if foot.stop - foot.start >= _MIN_FOOT_SAMPLES:
-        at = float(zero_of_line(from_end[foot], -f[foot]))
+    from_end, zero_time, slope = t - t[last], np.nan, 0.0
+    if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
+        zero_time = float(zero_of_line(from_end[foot], -f[foot]))
         slope = float(slope_of_line(from_end[foot], f[foot]))
-    falls = not np.isnan(at)
-    zero = float(t[last]) + at if falls else float(t[last])
+    falls = not np.isnan(zero_time)
+    zero = float(t[last]) + zero_time if falls else float(t[last])
     rest = t > zero + 0.2
     has_stopped = falls and slope * (t[-1] - zero) < -3.0 * limit
     rests = has_stopped and _is_slack(t[rest], d, f[rest], rest, limit)
@@ -180,12 +179,12 @@ def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Un
 
     def of(displacement: Floats, force: Floats) -> Floats:
         level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
-        at = np.zeros_like(level)
+        zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
-            step = ratio(level + at * (slope + at * bend), slope + 2.0 * at * bend)
-            at = np.clip(at - step, after[0], after[-1])
+            step = ratio(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
+            zero = np.clip(zero - step, after[0], after[-1])
         place, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
-        value: Floats = place + at * (speed + at * curve)
+        value: Floats = place + zero * (speed + zero * curve)
         return value
 
     return Unloaded("through zero", limit, len(after), of)
@@ -195,11 +194,11 @@ def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: flo
     """Return whether force and displacement rest within their noise."""
     if rest.sum() < _MIN_SAMPLES or np.abs(force).max() > 2.0 * limit:
         return False
-    at, values = time - time.mean(), path[rest]
-    slope = float(slope_of_line(at, values))
-    noise = values - values.mean() - slope * at
+    centred_time, values = time - time.mean(), path[rest]
+    slope = float(slope_of_line(centred_time, values))
+    noise = values - values.mean() - slope * centred_time
     still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(path))
-    return abs(slope) * float(np.ptp(at)) <= still
+    return abs(slope) * float(np.ptp(centred_time)) <= still
 
 
 def _mean(displacement: Floats, force: Floats, *, rest: Samples) -> Floats:
@@ -219,10 +218,10 @@ def _follow(
 
     Samples come with their times, s, from the end of the foot, where the force is zero without it.
     """
-    at = np.zeros(()) if foot is None else zero_of_line(foot[1], -force[..., foot[0]])
+    zero = np.zeros(()) if foot is None else zero_of_line(foot[1], -force[..., foot[0]])
     samples, time = near
     d = displacement[..., samples]
-    value: Floats = d.mean(axis=-1) + slope_of_line(time, d) * (at - time.mean())
+    value: Floats = d.mean(axis=-1) + slope_of_line(time, d) * (zero - time.mean())
     return value
 
 
@@ -248,16 +247,16 @@ def _follow_each(
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
     middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
-    falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_FOOT_SAMPLES)
-    at = np.where(falls, middle - ratio(level, slope), time[end])
+    falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
+    zeros = np.where(falls, middle - ratio(level, slope), time[end])
     part = slice(
-        *np.searchsorted(time, [at.min() - _TIME_BEFORE_ZERO, at.max() + _TIME_BEFORE_ZERO])
+        *np.searchsorted(time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO])
     )
-    t, start = time[part], at[:, np.newaxis] - _TIME_BEFORE_ZERO
-    near = (t >= start) & (t <= at[:, np.newaxis])
+    t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
+    near = (t >= start) & (t <= zeros[:, np.newaxis])
     middle, level, slope = line_in(near, t, d[:, part])
     ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
-    return np.where(ended, level + slope * (at - middle), np.nan)
+    return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
 def _last_flagged(flags: Flags) -> Ints:
@@ -271,7 +270,7 @@ def _last_flagged(flags: Flags) -> Ints:
 class OfCycle(Kind):
     """A kind of result with one number per cycle of the curve."""
 
-    whole: ClassVar[int] = 0
+    complete_branches: ClassVar[int] = 0
     """Branches of a cycle that must be complete."""
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Range of a cycle that the number depends on, counted in branches: 0.9 is after nine tenths of
@@ -311,7 +310,7 @@ class OfCycle(Kind):
             test,
             or_failure(test.measure_one)(decider(number), self.plain(test, branches)),
             during=_time_of_part(branches, self.reads),
-            doubts=cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
+            doubts=cut_short(test, branches[: self.complete_branches], self.outputs[0].rests_on)
             + self.doubts(test, branches),
             part=f".{number}",
         )
@@ -322,9 +321,7 @@ def rectangle(estimate: Estimate, other: Estimate) -> Errors:
     return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
-def gap_at_peak(
-    test: ReducedTest, branches: list[Branch], what: Literal["force", "displacement"]
-) -> tuple[Reason, ...]:
+def gap_at_peak(test: ReducedTest, branches: list[Branch], what: Quantity) -> tuple[Reason, ...]:
     """Return a doubt if samples next to the largest one of a cycle are missing.
 
     Parameters
@@ -334,11 +331,11 @@ def gap_at_peak(
     """
     curve = test.known_curve
     values: Floats = getattr(curve, what)
-    over = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
-    if np.isnan(over).all():
+    signed_values = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
+    if np.isnan(signed_values).all():
         return ()
-    top = int(np.nanargmax(over))
-    if not np.isnan(over[max(top - 1, 0) : top + 2]).any():
+    top = int(np.nanargmax(signed_values))
+    if not np.isnan(signed_values[max(top - 1, 0) : top + 2]).any():
         return ()
     message = f"samples beside the largest {what} of the cycle are missing"
     return (Reason("gap_at_peak", message),)
@@ -349,9 +346,9 @@ def _time_of_part(branches: list[Branch], reads: tuple[float, float]) -> Stretch
     if reads[0] >= len(branches):
         return None
     ends = []
-    for at, number in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
+    for position, number in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
         part = branches[min(number, len(branches) - 1)]
-        share = at - number if number < len(branches) else 1.0
+        share = position - number if number < len(branches) else 1.0
         ends.append(part.start_time + share * (part.stop_time - part.start_time))
     return ends[0], ends[1]
 
@@ -377,8 +374,10 @@ def cut_short(
         return ()  # it broke, so the record is complete
     if quantities == ("force",) and _is_past_peak(test, part):
         return ()
-    at = f"{ends:.3f} s" if curve.time_unit == "s" else f"sample {round(ends) + 1}"
-    return (Reason("partial_cycle", f"the record ends at {at}, while still {part.direction}"),)
+    end_text = f"{ends:.3f} s" if curve.time_unit == "s" else f"sample {round(ends) + 1}"
+    return (
+        Reason("partial_cycle", f"the record ends at {end_text}, while still {part.direction}"),
+    )
 
 
 def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
@@ -449,7 +448,7 @@ class Energy(OfCycle):
             "energy", "J", "Energy dissipated", (*CURVE, "start"), first=1, is_raised_by_slips=True
         ),
     )
-    whole: ClassVar = 2
+    complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
@@ -490,15 +489,16 @@ def work_over(trace: Trace, stretch: slice) -> Reading:
     UnavailableError
         ``gap`` if samples are missing, ``too_few_samples``.
     """
+    min_loop_samples = 3
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         fail("gap", f"{missing} samples of the cycle have no force or no displacement")
-    require_samples(len(force), MIN_LOOP_SAMPLES, " in the cycle")
+    require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])
-    between = (energy_of(displacement, force) - coarse) / 3.0
-    return Reading(on_part(energy_of, stretch), len(force), between=(float(between),))
+    correction = (energy_of(displacement, force) - coarse) / 3.0
+    return Reading(on_part(energy_of, stretch), len(force), between=(float(correction),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -521,7 +521,7 @@ class ResidualDisplacement(OfCycle):
 
     @property
     def method(self) -> str:
-        """With the limit of the force."""
+        """Describe the method with the limit of the force."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
@@ -581,17 +581,18 @@ def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
 
 
 def _largest(
-    trace: Trace, name: Literal["force", "displacement"], number: int, steps: float = 1.0
+    test: ReducedTest, trace: Trace, quantity: Quantity, number: int, steps: float = 1.0
 ) -> Reading:
     """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
     ----------
+    test : with all samples of the quantity
     trace, number : one curve, and a cycle of it
-    name : of the quantity
+    quantity : whose largest sample
     steps : sampling steps of its signal per sample of the curve
     """
-    values: Floats = getattr(trace, name)
+    values: Floats = getattr(trace, quantity)
     sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
     seen = sense * values[stretch]
     if np.isnan(seen).all():
@@ -600,10 +601,22 @@ def _largest(
     reach = _reach_beyond_top(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        over = sense * getattr(trace, name)[..., stretch]
-        return (sense * (np.fmax.reduce(over, axis=-1) + trace.beyond * reach),)
+        signed = sense * getattr(trace, quantity)[..., stretch]
+        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.beyond * reach),)
 
-    return Reading(numbers, int((~np.isnan(seen)).sum()))
+    @cache
+    def samples() -> SampleNoise | None:
+        peak = stretch.start + int(np.nanargmax(seen))
+        return SampleNoise.around(test, trace, quantity, stretch, peak)
+
+    def in_noise(drawn: Trace) -> tuple[Floats]:
+        peak_samples = samples()
+        if peak_samples is None:
+            return numbers(drawn)
+        noise = getattr(drawn, quantity) - values
+        return (numbers(trace)[0] + peak_samples.raised(noise, sense),)
+
+    return Reading(numbers, int((~np.isnan(seen)).sum()), in_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -614,14 +627,13 @@ class PeakForce(OfCycle):
     outputs: ClassVar = (
         Output("peak_force", "N", "Peak force", ("force",), first=1, is_raised_by_slips=True),
     )
-    whole: ClassVar = 1
+    complete_branches: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """Use the same samples of the force for all cycles."""
-        samples = cache(partial(ForceSamples.of, test))
-        return lambda number: partial(_peak_of_samples, number=number, test=test, samples=samples)
+        """Choose the largest sample of the force."""
+        return lambda number: partial(peak_of, test, number=number)
 
     def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
@@ -634,35 +646,10 @@ class PeakForce(OfCycle):
             return None
         stretch = stretch_of_cycle(curve, branches)
         ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
-        first, last = (test.clocks.from_curve(float(at), signal.clock) for at in ends)
+        first, last = (test.clocks.from_curve(float(end), signal.clock) for end in ends)
         values = signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
         sense = sense_of(curve, curve.force)
         return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
-
-
-def _peak_of_samples(
-    trace: Trace, *, number: int, test: ReducedTest, samples: Callable[[Trace], ForceSamples | None]
-) -> Reading:
-    """Choose the largest sample of the force; with noise, among all its samples."""
-    reading = peak_of(test, trace, number)
-    if test.force.clock == test.clocks.curve:
-        return reading
-    sense, plain = sense_of(trace, trace.force), reading
-
-    @cache
-    def top() -> PeakSamples | None:
-        stretch = stretch_of_cycle(trace, cycle_of(trace, number))
-        force_samples = samples(trace)
-        return None if force_samples is None else force_samples.of_cycle(trace, stretch, sense)
-
-    def in_noise(drawn: Trace) -> tuple[Floats]:
-        seen = None if drawn.noise is None else top()
-        raised = None if drawn.noise is None or seen is None else seen.raised(drawn.noise)
-        if raised is None:
-            return (plain.numbers(drawn)[0],)
-        return (plain.numbers(trace)[0] + sense * raised,)
-
-    return replace(reading, in_noise=in_noise)
 
 
 def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading:
@@ -676,7 +663,7 @@ def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading:
     curve_step, force_step = (
         float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
     )
-    return _largest(trace, "force", number, max(1.0, curve_step / force_step))
+    return _largest(test, trace, "force", number, max(1.0, curve_step / force_step))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -694,14 +681,13 @@ class PeakDisplacement(OfCycle):
             is_set_by_stroke=True,
         ),
     )
-    whole: ClassVar = 1
+    complete_branches: ClassVar = 1
     reads: ClassVar = (0.9, 1.1)
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Choose the largest sample of the displacement."""
-        del test
-        return lambda number: partial(_largest, name="displacement", number=number)
+        return lambda number: partial(_largest, test, quantity="displacement", number=number)
 
     def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""

@@ -5,8 +5,9 @@ Both are read from the loading branch of the failure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from labpipe.results.cycles import sense_of, work_over
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import finite_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
+from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
 
@@ -67,8 +69,8 @@ def final_loss(
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
     if not len(f) or not f.max() > 0.0:
-        most = float(f.max()) + 0.0 if len(f) else 0.0
-        return Failure("no_tension", f"the force is nowhere above zero, at most {most:.4g} N")
+        max_force = float(f.max()) + 0.0 if len(f) else 0.0
+        return Failure("no_tension", f"the force is nowhere above zero, at most {max_force:.4g} N")
     peak = float(f.max())
     last = int(np.flatnonzero(f >= rule.force_below * peak)[-1])
     if last == len(f) - 1:
@@ -123,7 +125,7 @@ def _reach(time: Floats, sample: int, within: float) -> int:
 
 
 def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
-    """Go back while the force falls by the share within the time, or at that rate."""
+    """Return the first sample of the loss before `last`, by its share in the time or its rate."""
     lost = rule.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - rule.within))
@@ -206,7 +208,9 @@ def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
     if sample is None:
         raise test.unavailable(NO_LOADING)
     if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
-        return _at_slow_loss(test.failure.slow_below, trace)
+        singles = _single_samples(test, trace, sample)
+        return _at_slow_loss(test.failure.slow_below, trace, singles)
+    singles = _single_samples(test, trace, sample)
     step, rise = _next_step(trace, sample)
     fall, is_clear = _loss_before(test)
     ahead, lost = (rise, fall) if is_clear else (rise + fall, 0.0)
@@ -215,14 +219,34 @@ def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
         place = trace.displacement[..., sample] + trace.beyond * step
         return place, trace.force[..., sample] + trace.beyond * ahead
 
-    def in_noise(trace: Trace) -> tuple[Floats, Floats]:
-        place, force = numbers(trace)
-        return place, force - lost
+    def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
+        place, force = numbers(drawn)
+        count = (len(force),)
+        return place + singles("displacement", count), force - lost + singles("force", count)
 
     return Reading(numbers, 1, in_noise)
 
 
-def _at_slow_loss(share: float, trace: Trace) -> Reading:
+def _single_samples(
+    test: ReducedTest, trace: Trace, sample: int
+) -> Callable[[Quantity, tuple[int, ...]], Floats]:
+    """Return a function that draws deviations of single samples of a quantity before a failure."""
+
+    @cache
+    def around(quantity: Quantity) -> SampleNoise | None:
+        loading = slice(loading_before(trace, sample).start, sample + 1)
+        return SampleNoise.around(test, trace, quantity, loading, sample)
+
+    def drawn(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
+        noise = around(quantity)
+        return np.zeros(shape) if noise is None else noise.drawn(shape)
+
+    return drawn
+
+
+def _at_slow_loss(
+    share: float, trace: Trace, singles: Callable[[Quantity, tuple[int, ...]], Floats]
+) -> Reading:
     """Choose the sample at which each curve falls below a share of its peak."""
     sense = sense_of(trace, trace.force)
 
@@ -233,10 +257,13 @@ def _at_slow_loss(share: float, trace: Trace) -> Reading:
         ends = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
         step = np.gradient(place, axis=-1)
         more = trace.beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
-        here, there = ends
-        return here + more, there
+        first_end, second_end = ends
+        return first_end + more, second_end
 
-    return Reading(numbers, 1)
+    def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
+        return numbers(replace(drawn, force=drawn.force + singles("force", drawn.force.shape)))
+
+    return Reading(numbers, 1, in_noise)
 
 
 def _loss_before(test: ReducedTest) -> tuple[float, bool]:

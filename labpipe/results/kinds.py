@@ -18,7 +18,7 @@ import numpy as np
 from labpipe.records.causes import FIT, SCALE_OF_FORCE, contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, widened
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_errors
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
@@ -192,7 +192,7 @@ def _completed(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contrib
         changes = {FIT: fit, **errors}
         if np.isfinite(list(changes.values())).all():
             budget = tuple(contribution(*change) for change in changes.items() if change[1])
-        outcome = widened(outcome, *errors.values())
+        outcome = add_errors(outcome, *errors.values())
     if not isinstance(outcome, Failure) and not np.isfinite([outcome.value, outcome.error]).all():
         message = f"value {outcome.value}, standard error {outcome.error}"
         return Failure("not_finite", message), ()
@@ -217,8 +217,8 @@ def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tupl
     inside = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
     if not inside:
         return ()
-    at = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
-    message = f"slipped in the grips at {at}, and the curve stays as measured"
+    positions_text = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
+    message = f"slipped in the grips at {positions_text}, and the curve stays as measured"
     return (Reason("slip_in_window", message),)
 
 

@@ -143,10 +143,10 @@ class CommonPath:
         last = len(d) - 1
         rows, reach = np.arange(last + 1), max(1, last // 50)
         low, high = np.maximum(rows - reach, 0), np.minimum(rows + reach, last)
-        way, rise, whole = d[high] - d[low], f[high] - f[low], d[-1] - d[0]
-        overall = (f[-1] - f[0]) / whole if whole > 0.0 else 0.0
+        run, rise, stroke = d[high] - d[low], f[high] - f[low], d[-1] - d[0]
+        overall = (f[-1] - f[0]) / stroke if stroke > 0.0 else 0.0
         slope = np.empty(last + 1)
-        slope[in_time] = np.where(way > 0.0, rise / np.where(way > 0.0, way, 1.0), overall)
+        slope[in_time] = np.where(run > 0.0, rise / np.where(run > 0.0, run, 1.0), overall)
         is_all = np.array_equal(samples, np.arange(len(force)))
         return cls(None if is_all else samples, displacement[samples], slope)
 

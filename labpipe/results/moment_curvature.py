@@ -31,8 +31,6 @@ from labpipe.results.reduced_test import ReducedTest
 from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY
 
-EARLY_DEFLECTIONS = (0.5e-3, 3e-3)
-"""Deflections, m, for the distance by which the clamp is ahead of the tip."""
 MIN_SLACK_TRAVEL = 0.2e-3
 """m, by which the clamp is ahead of the tip, from which the string was slack."""
 HANGING_SHARE, LEANING_SHARE = 0.5, 0.1
@@ -73,7 +71,7 @@ class AtRest:
 
     @property
     def load(self) -> str:
-        """The load at the tip in words, with its numbers."""
+        """Return the load at the tip in words, with its numbers."""
         if self.own_weight == 0.0:
             return f"the counterweight of {1e3 * self.weight:.3g} mN"
         counterweight = 1e3 * (self.weight - self.own_weight)
@@ -84,33 +82,33 @@ class AtRest:
 
     @property
     def load_alone(self) -> str:
-        """Short name of the load."""
+        """Return the short name of the load."""
         return "the counterweight" if self.own_weight == 0.0 else "that load"
 
     @property
     def is_known(self) -> bool:
-        """Whether there is any evidence."""
+        """Return whether there is any evidence."""
         return bool(np.isfinite(self.ahead) or np.isfinite(self.sag))
 
     @property
     def share(self) -> float:
-        """Sag as a share of the deflection under the load at the tip, or NaN."""
+        """Return the sag as a share of the deflection under the load at the tip, or NaN."""
         min_reach = 0.5e-3  # m, to differ from the direction of the clamp
         return self.sag / self.reach if self.reach >= min_reach else float("nan")
 
     @property
     def carries(self) -> float:
-        """Tension at rest, N, from the force of the slack string, or NaN."""
+        """Return the tension at rest, N, from the force of the slack string, or NaN."""
         return -self.slackened
 
     @property
     def was_pulled(self) -> bool:
-        """Whether the force falls below that at rest, so that the string carried a load then."""
+        """Return whether the force falls below that at rest, where the string was loaded."""
         return self.lowest < -max(0.05 * self.weight, 5.0 * self.error)
 
     @property
     def state(self) -> State:
-        """State by the evidence, the most direct first."""
+        """Return the state by the evidence, the most direct first."""
         all_share, none_share, straight_share = 0.75, 0.25, 0.25  # wires are curled
         carried_nothing = self.ahead > MIN_SLACK_TRAVEL and not self.was_pulled
         if np.isfinite(self.slackened):
@@ -131,7 +129,7 @@ class AtRest:
 
     @property
     def facts(self) -> str:
-        """The evidence in words."""
+        """Return the evidence in words."""
         facts = []
         if np.isfinite(self.sag):
             facts.append(
@@ -153,7 +151,7 @@ class AtRest:
 
     @property
     def why_not_straight(self) -> str:
-        """Why the test is not a first loading from straight, with the numbers, or empty."""
+        """Return why the test is not a first loading from straight, with the numbers, or empty."""
         state = self.state
         if state in ("taut", "off the wire"):
             return ""
@@ -191,6 +189,8 @@ def at_rest(
     weight : N, of the counterweight
     own_weight : N, part of the wire's weight on a prop at its tip: `held_at_rest`
     """
+    # Deflections, m, for the distance by which the clamp is ahead of the tip.
+    early_deflections = (0.5e-3, 3e-3)
     n_blocks = 100
     weight += own_weight
     part = slice(first.start, first.stop)
@@ -202,8 +202,8 @@ def at_rest(
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
         behind = curve.displacement[part]
-        is_early = (behind > EARLY_DEFLECTIONS[0]) & (
-            behind < EARLY_DEFLECTIONS[1]
+        is_early = (behind > early_deflections[0]) & (
+            behind < early_deflections[1]
         )  # the string has begun to pull
         ahead = _median((travel.values[part] - behind)[is_early])
         slackened = _while_slack(travel.values, curve, first)

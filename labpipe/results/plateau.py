@@ -38,8 +38,8 @@ class Tangents:
     Parameters
     ----------
     path : of the samples with both quantities, in order of time
-    over : m, length of a tangent
-    places : shape (p,), m, middles of the tangents, an eighth of `over` apart, from the end
+    length : m, of a tangent
+    places : shape (p,), m, middles of the tangents, an eighth of `length` apart, from the end
         backwards
     rows : shape (p, k), 1/m, weights of the forces in each slope
     first : shape (k,), weights of the forces in the level of the first tangent in its middle
@@ -47,21 +47,21 @@ class Tangents:
     """
 
     path: CommonPath
-    over: float
+    length: float
     places: Floats
     rows: Floats
     first: Floats
     last: Ints
 
     @classmethod
-    def of(cls, displacement: Floats, force: Floats, *, over: float) -> Tangents:
+    def of(cls, displacement: Floats, force: Floats, *, length: float) -> Tangents:
         """Choose the samples of the tangents of a curve.
 
         Parameters
         ----------
         displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled;
             NaN are ignored
-        over : m, length of a tangent
+        length : m, of a tangent
 
         Returns
         -------
@@ -81,22 +81,22 @@ class Tangents:
         """
         samples = finite_samples(displacement, force)
         d = displacement[samples]
-        if not len(d) or np.ptp(d) < 2.0 * over:
+        if not len(d) or np.ptp(d) < 2.0 * length:
             reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
-            message = f"the branch is {reached:.4g} mm long, twice {1e3 * over:.4g} mm is needed"
+            message = f"the branch is {reached:.4g} mm long, twice {1e3 * length:.4g} mm is needed"
             fail("not_reached", message)
-        low, high = float(d.min()) + 0.5 * over, float(d.max()) - 0.5 * over
-        stretches = _Stretches.of(d, np.arange(high, low, -over / _TANGENTS_PER_LENGTH), over)
+        low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
+        stretches = _Stretches.of(d, np.arange(high, low, -length / _TANGENTS_PER_LENGTH), length)
         stretches.require_first()
-        there = slice(int(np.argmin([*stretches.is_enough, False])))
-        levels, slopes = (stretches.spread(weight)[there] for weight in stretches.weights())
+        usable = slice(int(np.argmin([*stretches.is_enough, False])))
+        levels, slopes = (stretches.spread(weight)[usable] for weight in stretches.weights())
         path = CommonPath.of(displacement, force, samples)
         last = stretches.samples[0][stretches.samples[0] < len(d)]
-        return cls(path, over, stretches.at[there], slopes, levels[0], last)
+        return cls(path, length, stretches.places[usable], slopes, levels[0], last)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Smallest and largest displacement over the last stretch, m."""
+        """Return the smallest and largest displacement over the last stretch, m."""
         d = self.path.displacement[self.last]
         return float(d.min()), float(d.max())
 
@@ -138,7 +138,7 @@ class Tangents:
 
         Parameters
         ----------
-        force, displacement : as `slope_at_end` takes them
+        force, displacement : as for `slope_at_end`
         initial : shape (...), N/m, slope at the start of each curve
         slope_below : share of `initial`
 
@@ -146,14 +146,14 @@ class Tangents:
         -------
         m, N, each of shape (...): from the end backwards, where the tangent first reaches the
         share, interpolated. NaN for a curve that is never so steep. The force is that of the
-        parabola over half of `over` around the place: a parabola cuts a corner in proportion to its
-        length.
+        parabola over half of `length` around the place: a parabola cuts a corner in proportion to
+        its length.
 
         Examples
         --------
         >>> d = np.linspace(0.0, 0.05, 501)
         >>> f = np.where(d < 0.03, 400.0 * d - 6500.0 * d**2, 6.15)
-        >>> tangents = Tangents.of(d, f, over=2e-3)
+        >>> tangents = Tangents.of(d, f, length=2e-3)
         >>> place, force = tangents.onset(f, np.array(400.0), slope_below=0.1)
         >>> round(1e3 * float(place), 1), round(float(force), 2)
         (27.7, 6.09)
@@ -162,13 +162,13 @@ class Tangents:
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
         share = slope_below * np.broadcast_to(initial, shape).reshape(-1)
         place = _first_place_with(self.places, f @ self.rows.T, share)
-        levels = _levels(self.path.displacement, f, place, 0.5 * self.over)
+        levels = _levels(self.path.displacement, f, place, 0.5 * self.length)
         return place.reshape(shape), levels.reshape(shape)
 
     def corners(
         self,
         force: Floats,
-        at: Floats | float,
+        onset: Floats | float,
         slope: Floats | float,
         displacement: Floats | None = None,
     ) -> tuple[Floats, Floats, Floats]:
@@ -176,8 +176,8 @@ class Tangents:
 
         Parameters
         ----------
-        force, displacement : as `slope_at_end` takes them
-        at : shape (...), m, the onset
+        force, displacement : as for `slope_at_end`
+        onset : shape (...), m, the onset
         slope : shape (...), N/m, of the tangent there
 
         Returns
@@ -188,20 +188,20 @@ class Tangents:
         """
         f = self.path.force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
-        at, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (at, slope))
+        onset, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (onset, slope))
         # One place for all curves: noise moves it by a small part of a tangent.
-        d, half, middle = self.path.displacement, 0.5 * self.over, float(np.nanmean(at))
-        near = middle + self.over * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
+        d, half, middle = self.path.displacement, 0.5 * self.length, float(np.nanmean(onset))
+        near = middle + self.length * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
         is_inside = (near <= d.max() - 0.5 * half) & (near >= d.min() + 0.5 * half)
         stretches = _Stretches.of(d, near[is_inside], half)
-        there = stretches.is_enough
-        rows = stretches.spread(stretches.weights()[1])[there]
-        reached = _first_place_with(stretches.at[there], f @ rows.T, slope)
-        whole, short = (_levels_at(d, f, middle, over) for over in (self.over, half))
+        usable = stretches.is_enough
+        rows = stretches.spread(stretches.weights()[1])[usable]
+        reached = _first_place_with(stretches.places[usable], f @ rows.T, slope)
+        full, short = (_levels_at(d, f, middle, length) for length in (self.length, half))
         places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
         beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
-        moved = np.where(np.isnan(reached), 0.0, reached - at)
-        return moved.reshape(shape), (short - whole).reshape(shape), beyond.reshape(shape)
+        moved = np.where(np.isnan(reached), 0.0, reached - onset)
+        return moved.reshape(shape), (short - full).reshape(shape), beyond.reshape(shape)
 
 
 def _first_place_with(places: Floats, slopes: Floats, wanted: Floats) -> Floats:
@@ -216,12 +216,12 @@ def _first_place_with(places: Floats, slopes: Floats, wanted: Floats) -> Floats:
     return reached
 
 
-def _levels(d: Floats, f: Floats, places: Floats, over: float) -> Floats:
+def _levels(d: Floats, f: Floats, places: Floats, length: float) -> Floats:
     """Return forces of curves (R, k) at places (R,), from parabolas around them."""
     is_finite = np.isfinite(places)
     levels = np.full(len(places), np.nan)
     if is_finite.any():
-        stretches = _Stretches.of(d, places[is_finite], over)
+        stretches = _Stretches.of(d, places[is_finite], length)
         inside = np.minimum(stretches.samples, len(d) - 1)  # padding has zero weight
         weights, _ = stretches.weights()
         taken = np.take_along_axis(f[is_finite], inside, axis=1)
@@ -230,9 +230,9 @@ def _levels(d: Floats, f: Floats, places: Floats, over: float) -> Floats:
     return levels
 
 
-def _levels_at(d: Floats, f: Floats, place: float, over: float) -> Floats:
+def _levels_at(d: Floats, f: Floats, place: float, length: float) -> Floats:
     """Return forces of curves (R, k) at one place, from a parabola around it."""
-    stretch = _Stretches.of(d, np.array([place]), over)
+    stretch = _Stretches.of(d, np.array([place]), length)
     level, _ = stretch.weights()
     levels: Floats = f @ stretch.spread(level)[0]
     return levels
@@ -244,17 +244,17 @@ class _Stretches:
 
     Parameters
     ----------
-    at : shape (p,), m
-    over : m
+    places : shape (p,), m
+    length : m
     samples : shape (p, m), padded with the number of all samples
     count : of all samples
-    powers : shape (p, 3, m), of the distance from the place over `over`; 0 where padded
+    powers : shape (p, 3, m), of the distance from the place over `length`; 0 where padded
     products : shape (p, 3, 3), of the powers with one another
     is_enough : shape (p,), whether they determine a parabola
     """
 
-    at: Floats
-    over: float
+    places: Floats
+    length: float
     samples: Ints
     count: int
     powers: Floats
@@ -262,26 +262,32 @@ class _Stretches:
     is_enough: Flags
 
     @classmethod
-    def of(cls, d: Floats, at: Floats, over: float) -> _Stretches:
+    def of(cls, d: Floats, places: Floats, length: float) -> _Stretches:
         edge_share = 1e-9  # a sample this close to an end counts as on it, despite rounding
         # Of the products of 1, x, x^2 per sample: rounding for samples at two places; 5e-4 for
         # evenly spaced samples.
         min_determinant = 1e-9
         reached = np.maximum.accumulate(d)
-        begin, end = at - (0.5 + edge_share) * over, at + (0.5 - edge_share) * over
+        begin, end = places - (0.5 + edge_share) * length, places + (0.5 - edge_share) * length
         start = np.searchsorted(reached, begin)
         stop = np.minimum(np.searchsorted(reached, end) + 1, len(d))
         samples = start[:, None] + np.arange(int((stop - start).max()))
         is_inside = samples < stop[:, None]
         samples = np.where(is_inside, samples, len(d))
-        x = np.where(is_inside, (np.append(d, 0.0)[samples] - at[:, None]) / over, 0.0)
+        x = np.where(is_inside, (np.append(d, 0.0)[samples] - places[:, None]) / length, 0.0)
         travel = np.ptp(np.where(is_inside, x, x[:, :1]), axis=1)
         powers = np.stack([is_inside * x**power for power in range(3)], axis=1)
         products = powers @ powers.transpose(0, 2, 1)
         count = products[:, 0, 0]
         is_wide = (travel >= 0.5) & (np.linalg.det(products) > min_determinant * count**3)
         return cls(
-            at, over, samples, len(d), powers, products, (count >= _MIN_TANGENT_SAMPLES) & is_wide
+            places,
+            length,
+            samples,
+            len(d),
+            powers,
+            products,
+            (count >= _MIN_TANGENT_SAMPLES) & is_wide,
         )
 
     def require_first(self) -> None:
@@ -293,7 +299,7 @@ class _Stretches:
 
     def spread(self, weights: Floats) -> Floats:
         """Expand weights (p, m) of the samples of each stretch to all samples (p, k)."""
-        columns = np.zeros((len(self.at), self.count + 1))
+        columns = np.zeros((len(self.places), self.count + 1))
         np.put_along_axis(columns, self.samples, weights, axis=1)
         return columns[:, :-1]
 
@@ -301,7 +307,7 @@ class _Stretches:
         """Return the weights of forces in level and slope of the parabolas, shapes (p, m)."""
         products = np.where(self.is_enough[:, None, None], self.products, np.eye(3))
         level, slope, _ = np.moveaxis(np.linalg.solve(products, self.powers), 1, 0)
-        return level, slope / self.over
+        return level, slope / self.length
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -400,7 +406,7 @@ class Plateau(Kind):
         value = float(slope.numbers(trace)[0])
         if value <= 0.0:
             fail("no_stiffness", f"the slope at the start is {value:.4g} N/m")
-        return Tangents.of(*_loading(trace), over=self.over), slope
+        return Tangents.of(*_loading(trace), length=self.over), slope
 
     def _decide_end(self, trace: Trace, *, initial: Choose) -> Reading:
         """Choose the samples for the slope at the end over that at the start."""
@@ -419,7 +425,7 @@ class Plateau(Kind):
         From the step before: the machine turned somewhere between two samples.
         """
         d, f = _loading(trace)
-        before = or_failure(Tangents.of)(d[:-1], f[:-1], over=self.over)
+        before = or_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
         if isinstance(before, Failure):
             return 0.0
         return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
@@ -511,13 +517,13 @@ class Plateau(Kind):
     def _no_plateau(self, test: ReducedTest, end: Result) -> Finding:
         reached = float(np.nanmax(_loading(traced(test))[0]))
         interval = end.interval
-        between = (
+        interval_text = (
             f" ({1e2 * interval.lower:.3g} % to {1e2 * interval.upper:.3g} %)" if interval else ""
         )
         message = (
             f"the slope over the last {1e3 * self.over:g} mm is {1e2 * (end.value or 0.0):.3g} % "
-            f"of {self.of}{between}, not surely below {1e2 * self.slope_below:g} %: no plateau up "
-            f"to {1e3 * reached:.4g} mm"
+            f"of {self.of}{interval_text}, not surely below {1e2 * self.slope_below:g} %: no "
+            f"plateau up to {1e3 * reached:.4g} mm"
         )
         return info_note("no_plateau", test.signals.force, message)
 

@@ -47,7 +47,7 @@ NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
 
 
 def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
-    """Why what counts from a slack is as doubtful as the slack."""
+    """Return why what counts from a slack is as doubtful as the slack."""
     return tuple(
         Reason(reason.code, f"displacement counts from a slack that is doubtful: {reason.message}")
         for _, reason in measured_slack.doubts
@@ -183,22 +183,22 @@ class ReducedTest:
 
     @property
     def force(self) -> Signal:
-        """The force of the curve, filtered."""
+        """Return the force of the curve, filtered."""
         return self.signals.filtered[self.signals.force]
 
     @property
     def displacement(self) -> Signal:
-        """The displacement of the curve, filtered."""
+        """Return the displacement of the curve, filtered."""
         return self.signals.filtered[self.signals.displacement]
 
     @property
     def raw_force(self) -> Signal:
-        """The force of the curve, calibrated and zeroed but not filtered."""
+        """Return the force of the curve, calibrated and zeroed but not filtered."""
         return self.signals.raw[self.signals.force]
 
     @property
     def known_curve(self) -> Curve:
-        """The curve, which exists if there are cycles.
+        """Return the curve, which exists if there are cycles.
 
         Raises
         ------
@@ -217,7 +217,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        decide, values : as `labpipe.uncertainty.intervals.measure` takes them; `decide` may raise
+        decide, values : as for `labpipe.uncertainty.intervals.measure`; `decide` may raise
 
         Raises
         ------
@@ -238,20 +238,20 @@ class ReducedTest:
 
     @property
     def cycles(self) -> list[list[Branch]]:
-        """The branches of the curve by cycle."""
+        """Return the branches of the curve by cycle."""
         branches = self.curve.branches if self.curve else ()
         numbers = sorted({branch.cycle for branch in branches})
         return [[branch for branch in branches if branch.cycle == number] for number in numbers]
 
     @property
     def first_loading(self) -> Branch | None:
-        """The first loading branch of the curve, or None."""
+        """Return the first loading branch of the curve, or None."""
         branches = self.curve.branches if self.curve is not None else ()
         return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
 
     @property
     def slack_error(self) -> float:
-        """Standard error of the slack subtracted from the displacement, m; 0 without slack."""
+        """Return the standard error of the subtracted slack, m; 0 without slack."""
         return self.slack.error if isinstance(self.slack, Measured) else 0.0
 
     def while_loading(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
@@ -271,8 +271,8 @@ class ReducedTest:
             return None
         branch = curve.branches[0]
         path = curve.displacement[branch.start : branch.stop]
-        at, beyond = (np.flatnonzero(mask) for mask in (path >= low, path > high))
-        start = curve.time[branch.start + int(at[0])] if len(at) else branch.start_time
+        reached, beyond = (np.flatnonzero(mask) for mask in (path >= low, path > high))
+        start = curve.time[branch.start + int(reached[0])] if len(reached) else branch.start_time
         stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
         return float(start), float(stop)
 
@@ -281,7 +281,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        quantity : as `Doubt` has it
+        quantity : as for `Doubt`
         during : s, on the clock of the curve; None for the whole record
 
         Returns
@@ -302,14 +302,14 @@ class ReducedTest:
     def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:
             return True
-        start, stop = (self.clocks.to_curve(at, doubt.clock) for at in doubt.during)
+        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.during)
         signals, stretches = self.signals, [during]
         name = {"force": signals.force, "displacement": signals.displacement}.get(
             doubt.quantity, ""
         )
         if name in signals.zeroed or name in signals.lined:
             zero = signals.zeroed.get(name) or signals.lined[name]
-            first, last = (self.clocks.to_curve(at, signals.raw[name].clock) for at in zero)
+            first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
 

@@ -63,8 +63,8 @@ def secant_stiffness(time: Floats, displacement: Floats, force: Floats, chosen: 
         fail("no_travel", "the displacement does not change over the stretch")
     slope = float(weight @ (f - f.mean())) / travel
     scaled = weight / np.abs(weight).max()
-    left = f - slope * d
-    noise = left - np.polynomial.Polynomial.fit(scaled, left, 3)(scaled)
+    residuals = f - slope * d
+    noise = residuals - np.polynomial.Polynomial.fit(scaled, residuals, 3)(scaled)
     variance = long_run_variance(noise, parameters=4)
     return Estimate(slope, float(np.sqrt(variance * (weight @ weight)) / abs(travel)), count)
 
@@ -102,9 +102,9 @@ def _tip_travel(test: ReducedTest) -> Estimate:
     if is_finite.sum() < 16:
         fail("too_few_samples", f"the tip is seen in {int(is_finite.sum())} frames")
     begin = tip[is_finite][:5].mean(axis=0)
-    away = np.linalg.norm(tip[is_finite] - begin, axis=1)
-    error = np.sqrt(2.0) * noise_level(away)
-    return Estimate(float(away.max()), float(error), int(is_finite.sum()))
+    distances = np.linalg.norm(tip[is_finite] - begin, axis=1)
+    error = np.sqrt(2.0) * noise_level(distances)
+    return Estimate(float(distances.max()), float(error), int(is_finite.sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,11 +159,13 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
             f"{entry.at:g} 1/m is needed"
         )
         fail("below_noise", message)
-    at = law_points(
+    points = law_points(
         law.knots, law.compliance, law.compliance_covariance, np.array([entry.at]), scale_error=0.0
     )
     value, error = (
-        (at.secant, at.secant_error) if entry.kind == "secant" else (at.tangent, at.tangent_error)
+        (points.secant, points.secant_error)
+        if entry.kind == "secant"
+        else (points.tangent, points.tangent_error)
     )
     return Estimate(float(value[0]), float(error[0]), law.n_frames)
 

@@ -73,13 +73,13 @@ class PullCurve:
     Parameters
     ----------
     d, f : shape (n,), m, N, samples or means of neighbours, without NaN, evenly spaced
-    most : samples of the longest drop
+    longest : samples of the longest drop
     blurred : 1 for means, as a drop may be inside of one; 0 for samples
     """
 
     d: Floats
     f: Floats
-    most: int
+    longest: int
     blurred: int
 
     def without(self, drops: Sequence[LoadDrop]) -> PullCurve:
@@ -138,36 +138,36 @@ def _fit_within(
     # A possible drop exceeds the smallest sum of squares by at most this many variances: chi-
     # squared with one degree of freedom, 95 %.
     max_excess_variances = 3.84
-    (side, degree), most = reach, pull.most
-    low, high = max(0, place - most - side), min(len(pull.f), place + most + side + 1)
+    (side, degree), longest = reach, pull.longest
+    low, high = max(0, place - longest - side), min(len(pull.f), place + longest + side + 1)
     if place - low < _MIN_SIDE_SAMPLES or high - place < _MIN_SIDE_SAMPLES + 1:
         return None
     window = _Window(low, high, degree, factor)
-    drops = _candidate_drops(window, place, most)
+    drops = _candidate_drops(window, place, longest)
     costs, variance, without = _costs(pull, window, drops)
     # All drops between the same two samples have the same cost.
     best = drops[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
-    if best[1] > most:
+    if best[1] > longest:
         return None  # longer than the longest slip
     allowed = drops[costs <= costs.min() + max_excess_variances * variance]
-    whole = np.all(drops % 1.0 == 0.0, axis=1)
-    around = drops[whole & (costs <= costs[whole].min() + max_excess_variances * variance)]
+    is_whole = np.all(drops % 1.0 == 0.0, axis=1)
+    whole = drops[is_whole & (costs <= costs[is_whole].min() + max_excess_variances * variance)]
     explained = without - float(costs.min())
     if explained <= 0.0:
         return None  # a step of a converter
     t = float(np.sqrt(explained / variance)) if variance > 0.0 else np.inf
     if not stdtr(window.freedom, -t) <= _false_alarm_rate(pull):
         return None
-    drop = _measure_drop(pull, window, (best, allowed, around))
+    drop = _measure_drop(pull, window, (best, allowed, whole))
     return drop if drop is not None and _is_rare(pull, window, drop) else None
 
 
-def _candidate_drops(window: _Window, place: int, most: int) -> Floats:
+def _candidate_drops(window: _Window, place: int, longest: int) -> Floats:
     """Return starts and lengths of possible drops near a place, in samples."""
     start_step = 0.25  # samples
-    first, last = max(window.low + 4, place - most), min(window.high - 5, place + most)
+    first, last = max(window.low + 4, place - longest), min(window.high - 5, place + longest)
     begins = np.arange(first, last, start_step)
-    lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, most + 2.0))
+    lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, longest + 2.0))
     drops = np.array(np.meshgrid(begins, lengths)).reshape(2, -1).T
     near: Floats = drops[drops.sum(axis=1) <= window.high - 5]
     return near
@@ -189,17 +189,17 @@ class _Window:
 
 def _false_alarm_rate(pull: PullCurve) -> float:
     """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
-    return 1e-3 / (len(pull.f) * (pull.most + 1))
+    return 1e-3 / (len(pull.f) * (pull.longest + 1))
 
 
 def _is_rare(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
     """Test a drop against the same step at all other places, by its robust deviation."""
     kernel = _step_kernel(window, drop)
-    here = -float(kernel @ pull.f[window.low : window.high])
+    own_step = -float(kernel @ pull.f[window.low : window.high])
     elsewhere = np.convolve(pull.without([drop]).f, kernel[::-1], mode="valid")
     spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
     freedom = int(MAD_FREEDOM_SHARE * len(elsewhere) / _places_per_freedom(kernel, window.factor))
-    return bool(stdtr(max(freedom, 1), -here / spread) <= _false_alarm_rate(pull))
+    return bool(stdtr(max(freedom, 1), -own_step / spread) <= _false_alarm_rate(pull))
 
 
 def _step_kernel(window: _Window, drop: LoadDrop) -> Floats:
@@ -233,9 +233,9 @@ def _correlation(f: Floats) -> float:
     basis = cubic_basis(width).T
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
     pieces = np.array([f[start : start + width] for start in starts])
-    left = pieces - (pieces @ basis) @ basis.T
-    power = np.maximum(np.sum(left**2, axis=1), np.finfo(float).tiny)
-    seen = float(np.median(np.sum(left[:, 1:] * left[:, :-1], axis=1) / power))
+    residuals = pieces - (pieces @ basis) @ basis.T
+    power = np.maximum(np.sum(residuals**2, axis=1), np.finfo(float).tiny)
+    seen = float(np.median(np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1) / power))
     factors, expected = _seen_correlations(width)
     return float(np.interp(seen, expected, factors))
 
@@ -253,8 +253,8 @@ def _seen_correlations(width: int) -> tuple[Floats, Floats]:
     for factor in factors:
         noise = factor**lags
         half = noise - basis @ (basis.T @ noise)
-        left = half - (half @ basis) @ basis.T
-        expected.append(float(np.trace(left, offset=1) / np.trace(left)))
+        residuals = half - (half @ basis) @ basis.T
+        expected.append(float(np.trace(residuals, offset=1) / np.trace(residuals)))
     return factors, np.array(expected)
 
 
@@ -276,7 +276,7 @@ def _costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, flo
 def _measure_drop(
     pull: PullCurve, window: _Window, drops: tuple[Floats, Floats, Floats]
 ) -> LoadDrop | None:
-    (best, allowed, around), blurred = drops, pull.blurred
+    (best, allowed, whole_drops), blurred = drops, pull.blurred
     start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
     first = int(np.floor(allowed[:, 0].min())) + 1 - blurred
     last = int(np.ceil(allowed.sum(axis=1).max())) + blurred
@@ -310,8 +310,8 @@ def _measure_drop(
         middle=float(best[0] + 0.5 * best[1]),
         drop=-drop.value,
         drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
-        earliest=int(around[:, 0].min()),
-        latest=int(around.sum(axis=1).max()),
+        earliest=int(whole_drops[:, 0].min()),
+        latest=int(whole_drops.sum(axis=1).max()),
         slope_before=before,
         slope_behind=before + change,
         slope_error=float(np.sqrt(both.covariance[3, 3])),
@@ -375,9 +375,9 @@ def find_slips(
     if len(finite) < _MIN_BRANCH_SAMPLES:
         message = f"{len(finite)} samples in the branch, {_MIN_BRANCH_SAMPLES} are needed"
         return Failure("too_few_samples", message)
-    size, most = _block_size(displacement[finite], longest)
+    size, longest_samples = _block_size(displacement[finite], longest)
     d, f = (_blocks(values[finite], size) for values in (displacement, force))
-    drops = _confirmed(PullCurve(d, f, most, int(size > 1)), min_drop)
+    drops = _confirmed(PullCurve(d, f, longest_samples, int(size > 1)), min_drop)
     kept_drops = [
         drop
         for drop in drops
@@ -422,25 +422,25 @@ def _is_outlier(f: Floats) -> Flags:
     if not is_off.any():
         return is_off
     pairs = 0.5 * (f[1:] + f[:-1])
-    apart = np.full(len(f), np.inf)
-    apart[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual)
-    return is_off & (apart < 0.5 * off)
+    neighbour_change = np.full(len(f), np.inf)
+    neighbour_change[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual)
+    return is_off & (neighbour_change < 0.5 * off)
 
 
 def _confirmed(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     """Return the drops in order that remain distinct with all others added back."""
     drops = _drops(pull, min_drop)
     while len(drops) > 1:
-        again = [
+        refits = [
             fit_load_drop(pull.without([other for other in drops if other is not drop]), drop.start)
             for drop in drops
         ]
-        confirmed = [fit for fit in again if fit is not None]
+        confirmed = [fit for fit in refits if fit is not None]
         if len(confirmed) == len(drops):
             drops = confirmed
             break
         # The last one is the least distinct: it may have been an artefact of another.
-        lost = max(number for number, fit in enumerate(again) if fit is None)
+        lost = max(number for number, fit in enumerate(refits) if fit is None)
         drops = [*drops[:lost], *drops[lost + 1 :]]
     return sorted(drops, key=lambda drop: drop.start)
 
@@ -451,16 +451,16 @@ def _drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     is_open = np.ones(len(pull.f), dtype=np.bool_)
     while True:
         distinct = np.where(is_open, _distinctness(pull.f, min_drop), 0.0)
-        at = int(np.argmax(distinct))
-        if distinct[at] <= 1.0:
+        place = int(np.argmax(distinct))
+        if distinct[place] <= 1.0:
             return drops
-        drop = fit_load_drop(pull, at)
+        drop = fit_load_drop(pull, place)
         if drop is None or not is_open[drop.start : drop.stop].any():
-            is_open[max(at - _MIN_SIDE_SAMPLES, 0) : at + _MIN_SIDE_SAMPLES + 1] = False
+            is_open[max(place - _MIN_SIDE_SAMPLES, 0) : place + _MIN_SIDE_SAMPLES + 1] = False
             continue
         drops.append(drop)
         pull = pull.without([drop])
-        is_open[max(min(at, drop.start) - 1, 0) : max(at, drop.stop) + 1] = False
+        is_open[max(min(place, drop.start) - 1, 0) : max(place, drop.stop) + 1] = False
 
 
 def _distinctness(f: Floats, min_drop: float) -> Floats:
@@ -535,8 +535,8 @@ class SlipResults(Kind):
         numbers = []
         for count, slip in enumerate(test.slips, start=1):
             method = f"two parallel lines around a sudden fall of the force; {slip.decision}"
-            time, at, drop = test.known_curve.time, slip.position_interval, slip.drop_interval
-            place = Estimate(slip.position, at.standard_error, 1, at)
+            time, position, drop = test.known_curve.time, slip.position_interval, slip.drop_interval
+            place = Estimate(slip.position, position.standard_error, 1, position)
             lost = Estimate(slip.drop, drop.standard_error, 1, drop)
             during = (float(time[slip.start]), float(time[slip.stop]))
             part, scale = f".{count}", force_scale(test, lost)
@@ -550,9 +550,6 @@ class SlipResults(Kind):
                 self.number(test, lost, scale, output=1, method=method, during=during, part=part),
             ]
         return Computed(tuple(numbers))
-
-
-_MIN_REGION_SAMPLES = 8
 
 
 def toe_line(
@@ -592,9 +589,10 @@ def toe_line(
     >>> round(1e3 * float(zero_of_line(d[region], force[region])), 9)
     2.0
     """
+    min_region_samples = 8
     finite = finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    require_samples(len(d), _MIN_REGION_SAMPLES, "")
+    require_samples(len(d), min_region_samples, "")
     top = int(np.argmax(f))
     first, last = (
         _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
@@ -602,9 +600,9 @@ def toe_line(
     if first == 0:
         message = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
         fail("not_reached", message)
-    if last - first < _MIN_REGION_SAMPLES:
+    if last - first < min_region_samples:
         message = (
-            f"{max(last - first, 0)} samples in the linear region, {_MIN_REGION_SAMPLES} are needed"
+            f"{max(last - first, 0)} samples in the linear region, {min_region_samples} are needed"
         )
         fail("too_few_samples", message)
     region = slice(first, last)
@@ -668,8 +666,10 @@ def counted_from_taut(
     it does to the curve. So a zero of the displacement that is in both is in no number behind.
     What makes the slack doubtful goes with it.
     """
-    alone = measured(replace(replicates, inputs=()), slack)
-    draws = np.where(np.isnan(alone[0].off), np.nanmean(alone[0].off), alone[0].off)
+    without_inputs = measured(replace(replicates, inputs=()), slack)
+    draws = np.where(
+        np.isnan(without_inputs[0].off), np.nanmean(without_inputs[0].off), without_inputs[0].off
+    )
     error = float(np.std(draws))
     inputs = tuple(
         _with_slack(replicate, replicates.smooth, slack) for replicate in replicates.inputs
@@ -683,7 +683,7 @@ def counted_from_taut(
 
 
 def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
-    """An input with what it does to the slack."""
+    """Return an input with its effect on the slack."""
     base = or_failure(slack)(smooth)
     if isinstance(base, Failure):
         return quantity

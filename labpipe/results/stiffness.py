@@ -53,10 +53,6 @@ from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine, on_part
 from labpipe.uncertainty.intervals import Measured
 
-_NOISE_DEVIATIONS = 4.0
-"""Standard deviations of noise above which a force is not zero."""
-
-
 _FOOT_LIMITS = 5.0
 """The foot of the force, below this multiple of the limit, is taken as straight."""
 
@@ -122,11 +118,11 @@ class TakeUp:
         numbers = numbers[: part.stop - low]
         foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
         middle, level, slope = line_in(foot, d, f)
-        at = middle - level / np.where(slope > 0.0, slope, np.nan)
+        zero = middle - level / np.where(slope > 0.0, slope, np.nan)
         begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
         finite = self.samples
         numbers = first + finite.start if isinstance(finite, slice) else finite[first]
-        return np.where(np.isnan(at), begins, at), numbers
+        return np.where(np.isnan(zero), begins, zero), numbers
 
 
 def take_up(
@@ -167,11 +163,12 @@ def take_up(
     >>> round(1e3 * float(found.of(d, force)), 6)
     2.0
     """
+    noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
     max_extrapolation = 0.02  # share of the branch
     finite = finite_samples(displacement, force)
     require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
     d, f = displacement[finite], force[finite]
-    limit = _NOISE_DEVIATIONS * float(fast_noise(f)) if limit is None else limit
+    limit = noise_deviations * float(fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
         fail("no_force", f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N")
@@ -180,9 +177,9 @@ def take_up(
     beyond = np.flatnonzero(f[first:] > _FOOT_LIMITS * limit)
     least = steps * _MIN_FOOT_SAMPLES
     last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
-    at = float(zero_of_line(d[first:last], f[first:last]))
-    is_line = not np.isnan(at)
-    if not len(within) and not (is_line and at >= d[0] - max_extrapolation * float(np.ptp(d))):
+    zero = float(zero_of_line(d[first:last], f[first:last]))
+    is_line = not np.isnan(zero)
+    if not len(within) and not (is_line and zero >= d[0] - max_extrapolation * float(np.ptp(d))):
         fail("not_unloaded", f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N")
     foot = samples_of(finite[first:last])
     return TakeUp(samples_of(finite), top, int(finite[first]), foot, is_line, limit)
@@ -246,13 +243,13 @@ class WindowSlope:
 
     @property
     def window(self) -> Samples:
-        """Samples of the branch within the window."""
+        """Return the samples of the branch within the window."""
         stretch, inside = self.inside()
         return samples_of(self._numbers(stretch)[inside])
 
     @property
     def n(self) -> int:
-        """Samples of the window."""
+        """Return the samples of the window."""
         return int(self.inside()[1].sum())
 
     def of(
@@ -320,14 +317,14 @@ def window_slope(
 
 
 def turn_at(
-    time: Floats, values: Floats, *, at: float, first: int, stop: int
+    time: Floats, values: Floats, *, turn_time: float, first: int, stop: int
 ) -> Callable[[Floats], Floats]:
     """Choose the samples for the value at the turn at the start of a branch.
 
     Parameters
     ----------
     time, values : shape (n,), s, and any unit; NaN are ignored
-    at : s, of the turn: a branch may contain a part of the wait before it
+    turn_time : s, of the turn: a branch may contain a part of the wait before it
     first, stop : samples of the branch
 
     Returns
@@ -336,12 +333,12 @@ def turn_at(
     parabola through the first tenth of the branch after the turn, at most 50 samples; the first
     sample of the branch if that has fewer than 8.
     """
-    start = max(first, int(np.searchsorted(time, at)))
+    start = max(first, int(np.searchsorted(time, turn_time)))
     begin = np.arange(start, start + min(50, (stop - start) // 10))
     begin = begin[~np.isnan(values[begin])]
     if len(begin) < _MIN_WINDOW_SAMPLES:
         return lambda values: np.asarray(values[..., first])
-    samples, weights = samples_of(begin), polynomial_weights(time[begin] - at, degree=2)[0]
+    samples, weights = samples_of(begin), polynomial_weights(time[begin] - turn_time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
 
@@ -374,7 +371,7 @@ class LoadingSlope:
 
     @property
     def share_at_rest(self) -> float:
-        """Share of the samples of the window in its first fiftieth.
+        """Return the share of the samples of the window in its first fiftieth.
 
         It is large if the motion rests there, with a force above its noise.
         """
@@ -406,7 +403,7 @@ def loading_slope(
     displacement: Floats,
     force: Floats,
     *,
-    over: float,
+    length: float,
     like: LoadingSlope | None = None,
     steps: int = 1,
 ) -> LoadingSlope:
@@ -415,7 +412,7 @@ def loading_slope(
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
-    over : m, the length after the take-up
+    length : m, the length after the take-up
     like : the choice on the measured branch, for a curve without noise
     steps : parts that each sampling step has been divided into
 
@@ -439,26 +436,26 @@ def loading_slope(
     begin = take_up(displacement, force, limit=limit, steps=steps)
     start, first = float(begin.of(displacement, force)), begin.sample
     if like is not None and begin.is_line:
-        at = float(zero_of_line(time[begin.foot], force[begin.foot]))
-        first = min(int(np.searchsorted(time, at)), first)
+        zero_time = float(zero_of_line(time[begin.foot], force[begin.foot]))
+        first = min(int(np.searchsorted(time, zero_time)), first)
     if steps > 1:
-        first = max(first, _start_of_motion(time, displacement, start, over))
+        first = max(first, _start_of_motion(time, displacement, start, length))
     taut = slice(first, None)
     path = displacement[taut]
-    slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + over)
+    slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + length)
     return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
 
 
-def _start_of_motion(time: Floats, displacement: Floats, start: float, over: float) -> int:
+def _start_of_motion(time: Floats, displacement: Floats, start: float, length: float) -> int:
     """Return the sample at which a machine of constant speed passed a place; 0 if unknown."""
     ahead = displacement - start
-    part = np.flatnonzero((ahead >= _START_SHARE * over) & (ahead <= _STEADY_SHARE * over))
-    at = float(zero_of_line(time[part], ahead[part])) if len(part) > 1 else np.nan
-    return 0 if np.isnan(at) else int(np.searchsorted(time, at))
+    part = np.flatnonzero((ahead >= _START_SHARE * length) & (ahead <= _STEADY_SHARE * length))
+    start_time = float(zero_of_line(time[part], ahead[part])) if len(part) > 1 else np.nan
+    return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
 def unloading_slope(
-    time: Floats, displacement: Floats, force: Floats, part: Branch, *, over: float, sense: float
+    time: Floats, displacement: Floats, force: Floats, part: Branch, *, length: float, sense: float
 ) -> tuple[Callable[[Floats, Floats], Floats], int]:
     """Choose the samples for the stiffness after a turn.
 
@@ -466,7 +463,7 @@ def unloading_slope(
     ----------
     time, displacement, force : shape (n,), s, m, N, of the curve; NaN where unknown
     part : the branch that begins with the turn
-    over : m, the length after the turn; its first tenth, where the motion turns, is excluded
+    length : m, the length after the turn; its first tenth, where the motion turns, is excluded
     sense : 1 if loading increases the displacement, else -1
 
     Returns
@@ -479,10 +476,12 @@ def unloading_slope(
     UnavailableError
         As `window_slope`.
     """
-    at_turn = turn_at(time, displacement, at=part.start_time, first=part.start, stop=part.stop)
+    at_turn = turn_at(
+        time, displacement, turn_time=part.start_time, first=part.start, stop=part.stop
+    )
     start, branch = float(at_turn(displacement)), slice(part.start, part.stop)
     d, f = displacement[branch], force[branch]
-    slope = window_slope(time[branch], d, f, sense * (start - d), low=0.1 * over, high=over)
+    slope = window_slope(time[branch], d, f, sense * (start - d), low=0.1 * length, high=length)
     ahead = float(d[slope.window].mean()) - start
 
     def stiffness(displacement: Floats, force: Floats) -> Floats:
@@ -514,8 +513,8 @@ def compliance_window(displacement: Floats, force: Floats, *, start: float, stop
     finite = finite_samples(displacement, force)
     f = force[finite]
     if len(f) == 0 or float(f.max()) < stop:
-        most = float(f.max()) if len(f) else 0.0
-        fail("not_reached", f"the force reaches {most:.4g} N, the window ends at {stop:.4g} N")
+        max_force = float(f.max()) if len(f) else 0.0
+        fail("not_reached", f"the force reaches {max_force:.4g} N, the window ends at {stop:.4g} N")
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
     inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
@@ -537,7 +536,7 @@ class UnloadingStiffness(OfCycle):
 
     @property
     def method(self) -> str:
-        """With its range."""
+        """Describe the method with its range."""
         return (
             f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
         )
@@ -550,7 +549,7 @@ class UnloadingStiffness(OfCycle):
     def _read(self, trace: Trace, number: int) -> Reading:
         part, d = unloading_of(cycle_of(trace, number)), trace.displacement
         sense = sense_of(trace, d)
-        slope, n = unloading_slope(trace.time, d, trace.force, part, over=self.over, sense=sense)
+        slope, n = unloading_slope(trace.time, d, trace.force, part, length=self.over, sense=sense)
         return Reading(on_part(slope, slice(None)), n)
 
 
@@ -565,7 +564,7 @@ class LoadingStiffness(OfCycle):
 
     @property
     def method(self) -> str:
-        """With its range."""
+        """Describe the method with its range."""
         return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
@@ -591,13 +590,13 @@ class LoadingStiffness(OfCycle):
     def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
         curve = traced(test)
         parts = on_branch(curve, cycle_of(curve, number)[0])
-        fit = or_failure(loading_slope)(*parts, over=self.over)
+        fit = or_failure(loading_slope)(*parts, length=self.over)
         return None if isinstance(fit, Failure) else fit
 
     def _read(self, trace: Trace, number: int, like: LoadingSlope | None) -> Reading:
         part = cycle_of(trace, number)[0]
         parts, steps = on_branch(trace, part), trace.steps
-        fit = loading_slope(*parts, over=self.over, like=like, steps=steps)
+        fit = loading_slope(*parts, length=self.over, like=like, steps=steps)
         branch = slice(part.start, part.stop)
         numbers, in_noise = on_part(fit.of, branch), on_part(fit.of_each, branch)
         return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
@@ -677,11 +676,11 @@ class Window(Kind):
     """A kind of result from a range of displacement."""
 
     start: Annotated[Distance, Key("from")]
-    stop: Annotated[Distance, Key("to"), LargerThan("start")]
+    stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
 
     @property
     def in_words(self) -> str:
-        """The range in millimetres."""
+        """Return the range in millimetres."""
         return f"from {1e3 * self.start:g} mm to {1e3 * self.stop:g} mm"
 
     def inside(self, displacement: Floats) -> slice:
@@ -967,16 +966,16 @@ differ: a modulus has to state which one it refers to.
 """
 
 
-def _area(kind: str, given: Mapping[str, float]) -> float:
+def _area(section_kind: str, given: Mapping[str, float]) -> float:
     """Compute an area from its sizes."""
-    needs, area_of = _AREAS[kind]
+    needs, area_of = _AREAS[section_kind]
     sizes = [given[name] for name in needs if name in given]
     if len(sizes) < len(needs):
         missing = " and ".join(f"specimen.section.{name}" for name in needs)
         fail("no_area", f"{missing} not given")
     area = area_of(*sizes)
     if not area > 0.0:
-        fail("no_area", f"the {kind} area comes out as {area:.4g} m^2")
+        fail("no_area", f"the {section_kind} area comes out as {area:.4g} m^2")
     return area
 
 
@@ -987,7 +986,7 @@ class ComplianceResult(Kind):
     result: ClassVar = "compliance"
     outputs: ClassVar = (Output("compliance", "m/N", "Compliance of frame and grips"),)
     start: Annotated[Force, Key("from")]
-    stop: Annotated[Force, Key("to"), LargerThan("start")]
+    stop: Annotated[Force, Key("to"), LargerThan("start", "from")]
 
     @property
     def method(self) -> str:

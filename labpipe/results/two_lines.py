@@ -25,7 +25,7 @@ from labpipe.uncertainty.intervals import Measured
 _Place = TypeVar("_Place", float, Floats)
 
 
-_MIN_SIDE_SAMPLES = 4
+_MIN_SEGMENT_SAMPLES = 4
 
 
 def _sort_samples(displacement: Floats, finite: Ints) -> Ints:
@@ -66,55 +66,55 @@ class _Scan:
         first, last = float(self.d[0]), float(self.d[-1])
         return 0.5 * (first + last) + 0.5 * (last - first) * x
 
-    def squares_at(self, at: Floats) -> Floats:
-        """Return the smallest sum of squares for given breaks, shape of `at`."""
-        _, _, _, sr, sxr = self._above(at)
-        _, _, left = self.hinges(at)
-        shr = sxr - at * sr
-        gain = np.where(left > 0.0, shr * shr / np.where(left > 0.0, left, 1.0), 0.0)
+    def squares_at(self, breaks: Floats) -> Floats:
+        """Return the smallest sum of squares for given breaks, shape of `breaks`."""
+        _, _, _, sr, sxr = self._above(breaks)
+        _, _, norms = self.hinges(breaks)
+        shr = sxr - breaks * sr
+        gain = np.where(norms > 0.0, shr * shr / np.where(norms > 0.0, norms, 1.0), 0.0)
         rest: Floats = float(self.r @ self.r) - gain
         return rest
 
-    def _above(self, at: Floats) -> Floats:
+    def _above(self, places: Floats) -> Floats:
         """Return sums over the samples beyond each place, shape (5, ...)."""
-        above: Floats = self.sums[:, -1:] - self.sums[:, np.searchsorted(self.x, at, "right")]
+        above: Floats = self.sums[:, -1:] - self.sums[:, np.searchsorted(self.x, places, "right")]
         return above
 
-    def hinges(self, at: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return sums of h = max(x - at, 0) at each place.
+    def hinges(self, c: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return sums of h = max(x - c, 0) for each place c.
 
         Returns
         -------
         Sum of h; sum of h (x - mean x); sum of squares of h less its straight line, 0 within
         rounding.
         """
-        n, sx, sxx, _, _ = self._above(at)
+        n, sx, sxx, _, _ = self._above(c)
         count, mx, mxx = self.sums[0, -1], *self.spread
-        sh, sxh, shh = sx - at * n, sxx - at * sx, sxx - 2.0 * at * sx + at * at * n
+        sh, sxh, shh = sx - c * n, sxx - c * sx, sxx - 2.0 * c * sx + c * c * n
         cross = sxh - mx * sh
-        left = shh - sh * sh / count - cross * cross / mxx
-        return sh, cross, np.where(left > 1e-14 * count, left, 0.0)
+        norms = shh - sh * sh / count - cross * cross / mxx
+        return sh, cross, np.where(norms > 1e-14 * count, norms, 0.0)
 
     @property
     def spread(self) -> tuple[float, float]:
-        """Mean of x, and sum of squares about it."""
+        """Return the mean of x, and sum of squares about it."""
         count, sx, sxx = self.sums[:3, -1]
         return float(sx / count), float(sxx - sx * sx / count)
 
     def crossings(self) -> Floats:
         """Return where separate lines before and after a gap between samples meet inside it."""
-        below = self.sums[:, _MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        below = self.sums[:, _MIN_SEGMENT_SAMPLES : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
         first, second = _lines(below), _lines(self.sums[:, -1:] - below)
         with np.errstate(divide="ignore", invalid="ignore"):
             meet = (second[0] - first[0]) / (first[1] - second[1])
-        low = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES]
-        high = self.x[_MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        low = self.x[_MIN_SEGMENT_SAMPLES - 1 : len(self.x) - _MIN_SEGMENT_SAMPLES]
+        high = self.x[_MIN_SEGMENT_SAMPLES : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
         crossings: Floats = meet[(meet >= low) & (meet <= high)]
         return crossings
 
     def best(self) -> float:
         """Return the break of the global optimum."""
-        inside = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES + 1]
+        inside = self.x[_MIN_SEGMENT_SAMPLES - 1 : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
         places = np.concatenate([inside, self.crossings()])
         return float(places[int(np.argmin(self.squares_at(places)))])
 
@@ -182,14 +182,14 @@ class Hinges:
         """
         order = _sort_samples(displacement, finite_samples(displacement, force))
         scan = _Scan.of(displacement[order], force[order])
-        beside = min(8, max(_MIN_SIDE_SAMPLES, len(order) // 8)) - 1
-        places = np.linspace(scan.x[beside], scan.x[-1 - beside], 300)
+        margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(order) // 8)) - 1
+        places = np.linspace(scan.x[margin], scan.x[-1 - margin], 300)
         hinges = cls(CommonPath.of(displacement, force, order), scan, places)
         return replace(hinges, moved=scan.best() - float(hinges._best(scan.y[None])[0]))
 
     @property
     def ends(self) -> tuple[float, float]:
-        """First and last sample of the stretch, m."""
+        """Return the first and last sample of the stretch, m."""
         return float(self.scan.d[0]), float(self.scan.d[-1])
 
     def fitted(self, force: Floats, displacement: Floats | None = None) -> Segments:
@@ -218,27 +218,27 @@ class Hinges:
         y = self.path.force(force, displacement)
         shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
         scan, (mean, spread) = self.scan, self.scan.spread
-        inside = scan.x[_MIN_SIDE_SAMPLES - 1], scan.x[-_MIN_SIDE_SAMPLES]
-        at = np.clip(self._best(y) + self.moved, *inside)
-        sh, cross, left = scan.hinges(at)
+        inside = scan.x[_MIN_SEGMENT_SAMPLES - 1], scan.x[-_MIN_SEGMENT_SAMPLES]
+        breaks = np.clip(self._best(y) + self.moved, *inside)
+        sh, cross, norms = scan.hinges(breaks)
         level, along = y.mean(axis=1), y @ (scan.x - mean)
-        product = np.einsum("rn,rn->r", y, np.maximum(scan.x - at[:, None], 0.0))
-        left = np.where(left > 0.0, left, np.nan)
-        bend = (product - sh * level - cross * along / spread) / left
+        product = np.einsum("rn,rn->r", y, np.maximum(scan.x - breaks[:, None], 0.0))
+        norms = np.where(norms > 0.0, norms, np.nan)
+        bend = (product - sh * level - cross * along / spread) / norms
         slope = (along - bend * cross) / spread
-        level += slope * (at - mean) - bend * sh / y.shape[1]
+        level += slope * (breaks - mean) - bend * sh / y.shape[1]
         scale = 2.0 / (scan.d[-1] - scan.d[0])
-        numbers = (scan.d_of(at), scale * slope, scale * (slope + bend), level)
+        numbers = (scan.d_of(breaks), scale * slope, scale * (slope + bend), level)
         return Segments(*(number.reshape(shape) for number in numbers))
 
     @property
     def straight_line(self) -> str:
-        """Residual of one straight line for the reference curve, in words."""
-        left = float(np.sqrt(self.scan.r @ self.scan.r / (len(self.scan.r) - 2)))
+        """Return the residual of one straight line for the reference curve, in words."""
+        rms_residual = float(np.sqrt(self.scan.r @ self.scan.r / (len(self.scan.r) - 2)))
         start, stop = self.ends
         return (
-            f"one straight line does as well, to within {left:.3g} N from {1e3 * start:.4g} to "
-            f"{1e3 * stop:.4g} mm"
+            f"one straight line does as well, to within {rms_residual:.3g} N from "
+            f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm"
         )
 
     def _best(self, y: Floats) -> Floats:
@@ -248,17 +248,19 @@ class Hinges:
         is_empty = np.diff(starts, append=len(x)) == 0
         beyond = []
         for values in (y, y * x):
-            between = np.add.reduceat(values, starts, axis=1)
-            between[:, is_empty] = 0.0  # `reduceat` returns the first sample of an empty stretch
-            beyond.append(np.cumsum(between[:, :0:-1], axis=1)[:, ::-1])
-        sh, cross, left = self.scan.hinges(places)
+            sums = np.add.reduceat(values, starts, axis=1)
+            sums[:, is_empty] = 0.0  # `reduceat` returns the first sample of an empty stretch
+            beyond.append(np.cumsum(sums[:, :0:-1], axis=1)[:, ::-1])
+        sh, cross, norms = self.scan.hinges(places)
         product = beyond[1] - places * beyond[0]
         product -= np.outer(y.mean(axis=1), sh) + np.outer(y @ (x - mean), cross / spread)
-        gain = product**2 / np.where(left > 0.0, left, np.inf)
+        gain = product**2 / np.where(norms > 0.0, norms, np.inf)
         top = np.clip(np.argmax(gain, axis=1), 1, len(places) - 2)
-        before, at, behind = np.take_along_axis(gain, top[:, None] + [-1, 0, 1], axis=1).T
-        bent = 2.0 * at - before - behind
-        off = 0.5 * (behind - before) / np.where(bent > 0.0, bent, np.inf)
+        gain_before, top_gain, gain_behind = np.take_along_axis(
+            gain, top[:, None] + [-1, 0, 1], axis=1
+        ).T
+        bent = 2.0 * top_gain - gain_before - gain_behind
+        off = 0.5 * (gain_behind - gain_before) / np.where(bent > 0.0, bent, np.inf)
         best: Floats = places[top] + np.clip(off, -1.0, 1.0) * (places[1] - places[0])
         return best
 
@@ -299,9 +301,9 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
             f"{min_bend_errors} standard errors of {error:.3g} N/m are needed",
         )
     low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
-    at = drawn.break_point[~np.isnan(drawn.break_point)]
-    likely = fit.break_point - (at - smooth.break_point)
-    for breaks in (at, likely):
+    drawn_breaks = drawn.break_point[~np.isnan(drawn.break_point)]
+    likely = fit.break_point - (drawn_breaks - smooth.break_point)
+    for breaks in (drawn_breaks, likely):
         if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
             start, stop = hinges.ends
             ends = f"{start:.6g} to {stop:.6g} m"
@@ -313,7 +315,7 @@ def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
 
     Parameters
     ----------
-    fit, smooth, drawn, hinges : as `require_bend` takes them
+    fit, smooth, drawn, hinges : as for `require_bend`
 
     Raises
     ------
@@ -324,15 +326,18 @@ def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
     straight = or_failure(require_bend)(fit, smooth, drawn, hinges)
     if straight is not None:
         fail("no_kink", f"{hinges.straight_line}: {straight.message}")
-    first, second, at = float(fit.first), float(fit.second), float(fit.break_point)
+    first, second, break_point = float(fit.first), float(fit.second), float(fit.break_point)
     if second >= first:
         rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
-        fail("no_kink", f"{rises} at {1e3 * at:.4g} mm")
+        fail("no_kink", f"{rises} at {1e3 * break_point:.4g} mm")
     start, stop = hinges.ends
     margin = 0.05 * (stop - start)
-    if not start + margin <= at <= stop - margin:
+    if not start + margin <= break_point <= stop - margin:
         stretch = f"the stretch from {1e3 * start:.4g} to {1e3 * stop:.4g} mm"
-        fail("kink_at_end", f"the slope falls at {1e3 * at:.4g} mm, next to an end of {stretch}")
+        fail(
+            "kink_at_end",
+            f"the slope falls at {1e3 * break_point:.4g} mm, next to an end of {stretch}",
+        )
 
 
 def doubts_of_break(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
@@ -363,16 +368,16 @@ class _TwoLineFit:
 
     @property
     def doubts_of_break(self) -> tuple[Reason, ...]:
-        """Doubts about the break."""
+        """Return the doubts about the break."""
         return doubts_of_break(self.numbers[0].interval, self.hinges)
 
     def lines(self, before: str, behind: str) -> tuple[FittedLine, ...]:
         """Return both lines with their names."""
-        at, first, second, level = (number.value for number in self.numbers)
+        break_point, first, second, level = (number.value for number in self.numbers)
         start, stop = self.hinges.ends
         return (
-            FittedLine(before, first, level - first * (at - start), start, at),
-            FittedLine(behind, second, level, at, stop),
+            FittedLine(before, first, level - first * (break_point - start), start, break_point),
+            FittedLine(behind, second, level, break_point, stop),
         )
 
 
@@ -382,7 +387,7 @@ class _TwoLines(Window):
 
     @property
     def method(self) -> str:
-        """With the range."""
+        """Describe the method with its range."""
         return f"two segments that meet, {self.in_words}, all breaks tried"
 
     def fit(
@@ -402,7 +407,9 @@ class _TwoLines(Window):
             reading = or_failure(self.decide)(test.replicates.smooth)
             if isinstance(reading, Reading):
                 smooth = Segments(*reading.numbers(test.replicates.smooth))
-        drawn = Segments(*(at + number.off for at, number in zip(smooth, numbers, strict=True)))
+        drawn = Segments(
+            *(value + number.off for value, number in zip(smooth, numbers, strict=True))
+        )
         require(measured, smooth, drawn, hinges)
         return _TwoLineFit(numbers, hinges)
 
@@ -460,11 +467,11 @@ class TwoSegments(_TwoLines):
         fit = self.fit(test, require_bend)
         place, first, second, _ = fit.numbers
         start, stop = read = fit.hinges.ends
-        at, during = place.value, test.while_loading(*read)
+        bend, during = place.value, test.while_loading(*read)
         slips = marked_slips(test, read)  # one bends both
         one, other = (output.name for output in self.outputs[:2])
         numbers = ((first, slips), (second, slips), (place, slips + fit.doubts_of_break))
-        sides = ((one, 1, (max(start, 0.0), at)), (other, 2, (max(at, 0.0), stop)))
+        sides = ((one, 1, (max(start, 0.0), bend)), (other, 2, (max(bend, 0.0), stop)))
         return Computed(
             tuple(
                 self.number(test, number, output=output, during=during, doubts=doubts)

@@ -328,9 +328,9 @@ class Assembly:
         self, right: Floats, elements: Ints, others: Ints, across: Floats, clamps: Floats
     ) -> None:
         """Subtract the effect of turning clamps on the elements joined to them."""
-        at = np.flatnonzero(others < 0)
-        push = np.matvec(across[at], clamps[-1 - others[at]])
-        np.subtract.at(right, _three_each(self.places.turns[elements[at]]), push.ravel())
+        clamped = np.flatnonzero(others < 0)
+        push = np.matvec(across[clamped], clamps[-1 - others[clamped]])
+        np.subtract.at(right, _three_each(self.places.turns[elements[clamped]]), push.ravel())
 
     def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
         """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
@@ -339,9 +339,9 @@ class Assembly:
         moments = added_at(s.lent[:, 1], balance.directions.lent_moments, len(s.clamps))
         turned = matrices(demands.clamps)
         for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
-            at = np.flatnonzero(elements < 0)
-            clamp = -1 - elements[at]
-            np.add.at(moments, clamp, np.matvec(turned[clamp], feel[at]))
+            clamped = np.flatnonzero(elements < 0)
+            clamp = -1 - elements[clamped]
+            np.add.at(moments, clamp, np.matvec(turned[clamp], feel[clamped]))
         return balance.residual[at_places].reshape(-1, 3), moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
@@ -369,7 +369,7 @@ class Assembly:
             self.line.section,
             self._frames(shape, demands),
             s.lengths,
-            s.natural,
+            s.rest_curvature,
             rests=memory.rests,
             torques=torques,
             drag=None if drag is None else (drag.size, drag.turns),
@@ -426,8 +426,8 @@ class Assembly:
             return []
         beside = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
         for threaded in threads:
-            at = slice(threaded.first, threaded.first + 3)
-            residual[at] -= threaded.weights[:, None] * threaded.force
+            places = slice(threaded.first, threaded.first + 3)
+            residual[places] -= threaded.weights[:, None] * threaded.force
             for i in range(3):
                 tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
                 for step in range(1, 3 - i):
@@ -447,16 +447,16 @@ class Assembly:
         residual -= lengths * np.vecdot(shape.forces, way.along)
         if self._is_coupled:
             for side, free in enumerate(self._free):
-                at = self._sides[free, side]
-                residual[at] += self._shares[free, side] * cells.curvatures[free, 2]
+                places = self._sides[free, side]
+                residual[places] += self._shares[free, side] * cells.curvatures[free, 2]
         by_force = -lengths[:, None] * way.along
         return residual, (stiffness, by_force, by_force)
 
     def _coupled_values(self, cells: BentCells) -> list[Floats]:
         values: list[Floats] = []
-        for stretch, turn, at in self._coupled:
-            rows = cells.tangents[at, 2, :] if turn else -cells.tangents[at, :, 2]
-            rows = rows * (self._shares[at, stretch] / self.supports.lengths[at])[:, None]
+        for stretch, turn, coupled in self._coupled:
+            rows = cells.tangents[coupled, 2, :] if turn else -cells.tangents[coupled, :, 2]
+            rows = rows * (self._shares[coupled, stretch] / self.supports.lengths[coupled])[:, None]
             values += [rows.ravel(), rows.ravel()]
         return values
 
@@ -482,9 +482,9 @@ class Assembly:
             entries(b, 3, a, 3),
             entries(a, 3, b, 3),
         ]
-        for stretch, turn, at in self._coupled:
-            first = p.stretches[self._sides[at, stretch]]
-            second = p.turns[self._sides[at, turn]]
+        for stretch, turn, coupled in self._coupled:
+            first = p.stretches[self._sides[coupled, stretch]]
+            second = p.turns[self._sides[coupled, turn]]
             blocks += [entries(first, 1, second, 3), entries(second, 3, first, 1)]
         for step in (1, 2) if self._has_rings else ():
             first, second = p.positions[:-step], p.positions[step:]
@@ -526,8 +526,8 @@ class Assembly:
             return np.zeros((len(s.nodes), 2))
         for stretch in (0, 1):
             for turn in (0, 1):
-                at = np.flatnonzero(self._free[stretch] & self._free[turn])
-                self._coupled.append((stretch, turn, at))
+                coupled = np.flatnonzero(self._free[stretch] & self._free[turn])
+                self._coupled.append((stretch, turn, coupled))
         count = added_at(s.before[free_a], np.ones(int(free_a.sum())), self.n)
         count += added_at(s.behind[free_b], np.ones(int(free_b.sum())), self.n)
         coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)

@@ -75,7 +75,7 @@ def bands_of(
     solve: Solve | Sequence[Solve],
     distributions: Sequence[InputDistribution],
     *,
-    at: Sequence[int] = (-1,),
+    steps: Sequence[int] = (-1,),
     tested_curvature: float = np.inf,
 ) -> LineBands | None:
     """Predict a line with pointwise 95 % bands.
@@ -87,7 +87,7 @@ def bands_of(
         all distributions, or one for each: a law keeps slip curvatures that were chosen for its
         solution
     distributions : of its inputs: one for each solution of a calibration, the best first
-    at : steps of the bands; negative ones count from the last
+    steps : steps of the bands; negative ones count from the last
     tested_curvature : 1/m, largest that the tests of the calibration reached
 
     Returns
@@ -103,10 +103,10 @@ def bands_of(
         If there is no distribution.
     """
     if not distributions:
-        message = "distributions: allowed is at least one"
+        message = "distributions: expected at least one"
         raise ValueError(message)
     solves = [solve] * len(distributions) if callable(solve) else solve
-    solvers = [_Solver(solve, at) for solve, _ in zip(solves, distributions, strict=True)]
+    solvers = [_Solver(solve, steps) for solve, _ in zip(solves, distributions, strict=True)]
     responses = [
         respond(look, distribution)
         for look, distribution in zip(solvers, distributions, strict=True)
@@ -116,16 +116,16 @@ def bands_of(
         return None
     best = solvers[0].paths[0]
     notes = [*_range_notes(best, tested_curvature), *_side_notes(solved), *_jump_notes(solvers)]
-    steps = [range(len(best.states))[step] for step in at]
-    states = tuple(_bands(solved, number, step) for number, step in enumerate(steps))
+    step_numbers = [range(len(best.states))[step] for step in steps]
+    states = tuple(_bands(solved, number, step) for number, step in enumerate(step_numbers))
     return LineBands(best, states, tuple(notes))
 
 
 class _Solver:
     """Solver that keeps the fields of each path, and the first path."""
 
-    def __init__(self, solve: Solve, at: Sequence[int]) -> None:
-        self.solve, self.at = solve, tuple(at)
+    def __init__(self, solve: Solve, steps: Sequence[int]) -> None:
+        self.solve, self.steps = solve, tuple(steps)
         self.paths: list[RodPath] = []
         self.snapped: list[tuple[int, ...]] = []
 
@@ -135,11 +135,11 @@ class _Solver:
             return None
         self.paths = self.paths or [path]
         self.snapped.append(tuple(step for step in path.snapped if step > 0))
-        return dict(_fields(path, self.at))
+        return dict(_fields(path, self.steps))
 
 
-def _fields(path: RodPath, at: Sequence[int]) -> Iterator[tuple[str, Floats]]:
-    for number, step in enumerate(at):
+def _fields(path: RodPath, steps: Sequence[int]) -> Iterator[tuple[str, Floats]]:
+    for number, step in enumerate(steps):
         state = path.states[step]
         for name in _PLAIN_FIELDS:
             yield f"{name} {number}", np.asarray(getattr(state, name))
@@ -233,9 +233,9 @@ def _jump_notes(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
     differing = [jumps for look in solvers for jumps in look.snapped if jumps != look.snapped[0]]
     if differing:
         steps = solvers[0].snapped[0], differing[0]
-        at, other = (", ".join(map(str, step)) or "none" for step in steps)
+        step_text, other = (", ".join(map(str, step)) or "none" for step in steps)
         message = (
-            f"steps in which the line jumps: {at} at the best inputs, {other} to one side of a "
-            "cause; near a jump the smooth response and the band are not valid"
+            f"steps in which the line jumps: {step_text} at the best inputs, {other} to one side "
+            "of a cause; near a jump the smooth response and the band are not valid"
         )
         yield QualityNote("jumps", Severity.WARNING, "", message)

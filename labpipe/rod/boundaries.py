@@ -24,11 +24,11 @@ def _rows(name: str, values: object, width: int) -> Floats:
     path: Floats = np.array(values, dtype=np.float64)
     path = path[None] if path.ndim == 1 else path
     if path.ndim != 2 or path.shape[1] != width or not len(path):
-        message = f"{name} of shape {path.shape}: allowed is (steps + 1, {width}) or ({width},)"
+        message = f"{name} of shape {path.shape}: expected (steps + 1, {width}) or ({width},)"
         raise ValueError(message)
     if not np.all(np.isfinite(path)):
         row = int(np.argmin(np.all(np.isfinite(path), axis=1)))
-        message = f"{name}, row {row}: allowed are finite numbers"
+        message = f"{name}, row {row}: must be finite"
         raise ValueError(message)
     path.flags.writeable = False
     return path
@@ -38,7 +38,7 @@ def _direction(name: str, values: object) -> Floats:
     vector = _rows(name, values, 3)
     size = float(np.linalg.norm(vector[0]))
     if len(vector) != 1 or not size > 0.0:
-        message = f"{name}={np.asarray(values).tolist()}: allowed is one direction, not zero"
+        message = f"{name}={np.asarray(values).tolist()}: must be a direction, not zero"
         raise ValueError(message)
     unit: Floats = vector[0] / size
     unit.flags.writeable = False
@@ -81,11 +81,11 @@ class Held:
         if self.frame is not None:
             frame = _rows("frame", self.frame, 4)
             if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > 1e-6:
-                message = "frame: allowed are quaternions of length 1"
+                message = "frame: must be unit quaternions"
                 raise ValueError(message)
             _set(self, frame=frame)
         if self.release is not None and self.release < 1:
-            message = f"release={self.release}: allowed are steps from 1"
+            message = f"release={self.release}: must be >= 1"
             raise ValueError(message)
 
 
@@ -141,7 +141,7 @@ class String:
     def __post_init__(self) -> None:
         _set(self, anchor=_rows("anchor", self.anchor, 3))
         if not (np.isfinite(self.length) and self.length > 0.0):
-            message = f"length={self.length!r}: allowed are finite numbers > 0"
+            message = f"length={self.length!r}: must be finite and > 0"
             raise ValueError(message)
 
 
@@ -200,7 +200,7 @@ class Plane:
         point = _rows("point", self.point, 3)[0]
         _set(self, point=point, normal=_direction("normal", self.normal))
         if not (np.isfinite(self.friction) and self.friction >= 0.0):
-            message = f"friction={self.friction!r}: allowed are finite numbers >= 0"
+            message = f"friction={self.friction!r}: must be finite and >= 0"
             raise ValueError(message)
 
     def raised(self, height: float) -> Plane:

@@ -66,7 +66,7 @@ def bend_cells(
     section: Section,
     frames: tuple[Floats, Floats],
     lengths: Floats,
-    natural: Floats,
+    rest_curvature: Floats,
     *,
     rests: Floats,
     torques: Floats,
@@ -79,13 +79,13 @@ def bend_cells(
     section : of the line
     frames : before and behind, each of shape (cells, 4)
     lengths : shape (cells,), m
-    natural : shape (cells, 3), 1/m, curvatures at rest
+    rest_curvature : shape (cells, 3), 1/m, curvatures at rest
     rests : shape (cells, sliders, 2), 1/m, history before the step
     torques : shape (cells,), N m, from stretch
     drag : share of the first stiffness with which cells resist turning from a psi, and that psi
     """
     psi = rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
-    curvatures = psi / lengths[:, None] - natural
+    curvatures = psi / lengths[:, None] - rest_curvature
     response = slide_vector(section.law, curvatures[:, :2], rests)
     moments = np.empty_like(psi)
     moments[:, :2] = response.moment

@@ -58,23 +58,23 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
     by_clamp = np.zeros((len(supports.ends), 3, 3))
     lent_moments = np.zeros_like(lent)
     if len(supports.ends):
-        at, own_share = supports.ends, supports.own[:, None, None]
+        ends, own_share = supports.ends, supports.own[:, None, None]
         row = supports.lent[:, 0]
-        mixed = own_share[:, 0] * along[at]
+        mixed = own_share[:, 0] * along[ends]
         np.add.at(mixed, row, lent)
         size = np.linalg.norm(mixed, axis=1)[:, None]
-        along[at] = mixed / size
-        flat = (_EYE - along[at, :, None] * along[at, None, :]) / size[:, :, None]
-        g = pulls[at]
+        along[ends] = mixed / size
+        flat = (_EYE - along[ends, :, None] * along[ends, None, :]) / size[:, :, None]
+        g = pulls[ends]
         p = np.matvec(flat, g)
-        second = along[at, :, None] * p[:, None, :]
+        second = along[ends, :, None] * p[:, None, :]
         second = second + np.swapaxes(second, 1, 2)
-        second += np.vecdot(g, along[at])[:, None, None] * flat
+        second += np.vecdot(g, along[ends])[:, None, None] * flat
         second /= size[:, :, None]
-        turn = own_share * by_turn[at]
-        stiff[at] = own_share * _bend(np.vecmat(p, frames[at]))
-        stiff[at] += np.swapaxes(turn, 1, 2) @ second @ turn
-        by_turn[at] = flat @ turn
+        turn = own_share * by_turn[ends]
+        stiff[ends] = own_share * _bend(np.vecmat(p, frames[ends]))
+        stiff[ends] += np.swapaxes(turn, 1, 2) @ second @ turn
+        by_turn[ends] = flat @ turn
         by_clamp = flat
         lent_moments = -cross(lent, p[row])
     pull = -np.vecmat(pulls, by_turn)

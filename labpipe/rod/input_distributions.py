@@ -79,9 +79,7 @@ def stated_distribution(
         need different seeds; the name is part of the seed, so that different names suffice
     """
     if not (np.isfinite(deviation) and deviation > 0.0 and freedom > 0.0):
-        message = (
-            f"{name}: deviation={deviation!r}, freedom={freedom!r}: allowed are numbers above zero"
-        )
+        message = f"{name}: deviation={deviation!r}, freedom={freedom!r}: must be > 0"
         raise ValueError(message)
     chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
     uniform = (chance.permutation(draws) + 0.5) / draws

@@ -1,4 +1,4 @@
-"""A line to be laid: section, elements, start shape and shape at rest.
+"""Line before it is laid: section, elements, start shape and shape at rest.
 
 n elements join n + 1 nodes. Each element is straight and carries a frame whose third axis d3 points
 along it; the first two are material directions across. The law of bending acts at the nodes, over
@@ -60,12 +60,12 @@ class Section:
             raise ValueError(message)
         _require("torsional_stiffness", self.torsional_stiffness, self.torsional_stiffness > 0.0)
         if not self.axial_stiffness > 0.0:
-            message = f"axial_stiffness={self.axial_stiffness!r}: allowed are numbers > 0"
+            message = f"axial_stiffness={self.axial_stiffness!r}: must be > 0"
             raise ValueError(message)
         _require("mass_per_length", self.mass_per_length, self.mass_per_length >= 0.0)
         _require("diameter", self.diameter, self.diameter >= 0.0)
-        most = np.sqrt(self.axial_stiffness * self.torsional_stiffness)
-        _require("coupling", self.coupling, abs(self.coupling) < most)
+        max_coupling = np.sqrt(self.axial_stiffness * self.torsional_stiffness)
+        _require("coupling", self.coupling, abs(self.coupling) < max_coupling)
 
 
 def _require(name: str, value: float, is_allowed: bool) -> None:
@@ -74,7 +74,7 @@ def _require(name: str, value: float, is_allowed: bool) -> None:
             "torsional_stiffness": "> 0",
             "coupling": "of magnitude below sqrt(axial_stiffness * torsional_stiffness)",
         }
-        message = f"{name}={value!r}: allowed are finite numbers {bounds.get(name, '>= 0')}"
+        message = f"{name}={value!r}: must be finite and {bounds.get(name, '>= 0')}"
         raise ValueError(message)
 
 
@@ -88,8 +88,8 @@ class Line(ArrayRecord):
     section : of the line
     positions : shape (n + 1, 3), m, of the nodes to start from
     frames : shape (n, 4), unit quaternions (w, x, y, z) to start from; d3 is the direction
-    natural : shape (n - 1, 3), 1/m, the curvature at rest of the inner nodes: two bendings and the
-        twist, in the mean of the frames on both sides
+    rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bendings and the twist, in the
+        mean of the frames on both sides
 
     Raises
     ------
@@ -102,26 +102,26 @@ class Line(ArrayRecord):
     section: Section
     positions: Annotated[Floats, "nodes", 3]
     frames: Annotated[Floats, "elements", 4]
-    natural: Annotated[Floats, "joints", 3]
+    rest_curvature: Annotated[Floats, "joints", 3]
 
     def __post_init__(self) -> None:
         ArrayRecord.__post_init__(self)
         n = len(self.lengths)
-        if n < 1 or len(self.positions) != n + 1 or len(self.natural) != n - 1:
+        if n < 1 or len(self.positions) != n + 1 or len(self.rest_curvature) != n - 1:
             message = (
-                f"{n} elements, {len(self.positions)} nodes, {len(self.natural)} curvatures at "
-                "rest: allowed are n >= 1 elements, n + 1 nodes, n - 1 curvatures"
+                f"{n} elements, {len(self.positions)} nodes, {len(self.rest_curvature)} rest "
+                "curvatures: expected n >= 1 elements, n + 1 nodes and n - 1 curvatures"
             )
             raise ValueError(message)
-        for name in ("lengths", "positions", "frames", "natural"):
+        for name in ("lengths", "positions", "frames", "rest_curvature"):
             if not np.all(np.isfinite(getattr(self, name))):
-                message = f"{name}: allowed are finite numbers"
+                message = f"{name}: must be finite"
                 raise ValueError(message)
         if not np.all(self.lengths > 0.0):
-            message = f"lengths={self.lengths.tolist()}: allowed are numbers > 0"
+            message = f"lengths={self.lengths.tolist()}: must be > 0"
             raise ValueError(message)
         if np.max(np.abs(np.linalg.norm(self.frames, axis=1) - 1.0)) > 1e-6:
-            message = "frames: allowed are quaternions of length 1"
+            message = "frames: must be unit quaternions"
             raise ValueError(message)
 
     @property
@@ -130,11 +130,13 @@ class Line(ArrayRecord):
         return float(np.sum(self.lengths))
 
     @property
-    def natural_at_nodes(self) -> Floats:
+    def rest_curvature_at_nodes(self) -> Floats:
         """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3); ends as neighbours."""
-        if not len(self.natural):
+        if not len(self.rest_curvature):
             return np.zeros((len(self.positions), 3))
-        return np.concatenate([self.natural[:1], self.natural, self.natural[-1:]])
+        return np.concatenate(
+            [self.rest_curvature[:1], self.rest_curvature, self.rest_curvature[-1:]]
+        )
 
     def frame_at(self, node: int) -> Floats:
         """Return the frame, shape (4,), of a clamp at a node that leaves the line undeformed.
@@ -144,18 +146,20 @@ class Line(ArrayRecord):
         node : from 0, or negative from the end
         """
         n = len(self.lengths)
-        at = node % (n + 1)
-        if at == 0:
-            back = -0.5 * self.lengths[0] * self.natural_at_nodes[0]
-            return multiply(self.frames[0], from_rotation_vectors(back))
-        lower = 0.5 * self.lengths[at - 1]
-        if at == n:
-            turn = lower * self.natural_at_nodes[n]
+        index = node % (n + 1)
+        if index == 0:
+            backward_rotation = -0.5 * self.lengths[0] * self.rest_curvature_at_nodes[0]
+            return multiply(self.frames[0], from_rotation_vectors(backward_rotation))
+        half_length = 0.5 * self.lengths[index - 1]
+        if index == n:
+            rotation = half_length * self.rest_curvature_at_nodes[n]
         else:
-            both = lower + 0.5 * self.lengths[at]
-            whole = rotation_vectors(multiply(conjugate(self.frames[at - 1]), self.frames[at]))
-            turn = lower / both * whole
-        return multiply(self.frames[at - 1], from_rotation_vectors(turn))
+            centre_distance = half_length + 0.5 * self.lengths[index]
+            frame_rotation = rotation_vectors(
+                multiply(conjugate(self.frames[index - 1]), self.frames[index])
+            )
+            rotation = half_length / centre_distance * frame_rotation
+        return multiply(self.frames[index - 1], from_rotation_vectors(rotation))
 
     @property
     def stations(self) -> Floats:
@@ -176,30 +180,30 @@ def line_along(
     ----------
     positions : shape (n + 1, 3), m
     section : of the line
-    up : d1 of the first frame is as near to it as possible; the others follow without twist
-    is_formed : whether this is the shape at rest, as of a line with a set from its spool; else the
-        line is straight at rest and must be bent to these points
+    up : direction to which d1 of the first frame is as close as possible
+    is_formed : True if the points are the shape at rest, as for a line with spool set; False for a
+        line that is straight at rest and is bent to these points
 
     Raises
     ------
     ValueError
-        As `Line`; if two points that follow one another are the same, or `up` is along the first
-        element.
+        As `Line`; if successive points coincide, or `up` is along the first element.
 
     Notes
     -----
     Each frame follows from the one before by the smallest rotation. On a closed curve in
-    space, d1 of the last frame therefore differs from d1 of the first by the holonomy angle.
+    space, d1 of the last frame therefore differs from d1 of the first by the holonomy angle
+    of the curve.
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:
-        message = f"positions of shape {points.shape}: allowed is (n + 1, 3), n >= 1"
+        message = f"positions of shape {points.shape}: expected (n + 1, 3) with n >= 1"
         raise ValueError(message)
     steps = np.diff(points, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     if not np.all(lengths > 0.0):
-        at = int(np.argmin(lengths > 0.0))
-        message = f"positions {at} and {at + 1}: allowed are different points"
+        index = int(np.argmin(lengths > 0.0))
+        message = f"positions {index} and {index + 1} coincide: successive points must differ"
         raise ValueError(message)
     directions = steps / lengths[:, None]
     turns = shortest_turns(directions[:-1], directions[1:])
@@ -207,9 +211,9 @@ def line_along(
     for turn in turns:
         frames.append(unit(multiply(turn, frames[-1])))
     quaternions = np.array(frames)
-    natural = np.zeros((len(lengths) - 1, 3))
+    rest_curvature = np.zeros((len(lengths) - 1, 3))
     if is_formed:
-        between = 0.5 * (lengths[1:] + lengths[:-1])
-        turned = multiply(conjugate(quaternions[:-1]), quaternions[1:])
-        natural = rotation_vectors(turned) / between[:, None]
-    return Line(lengths, section, points, quaternions, natural)
+        centre_distances = 0.5 * (lengths[1:] + lengths[:-1])
+        frame_rotations = multiply(conjugate(quaternions[:-1]), quaternions[1:])
+        rest_curvature = rotation_vectors(frame_rotations) / centre_distances[:, None]
+    return Line(lengths, section, points, quaternions, rest_curvature)

@@ -95,8 +95,8 @@ def frame_from_axes(direction: Floats, up: Floats) -> Floats:
     across = cross(d3, np.asarray(up, dtype=np.float64))
     if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
         message = (
-            f"direction={np.asarray(direction).tolist()}, up={np.asarray(up).tolist()}: allowed "
-            "are two directions that are not parallel"
+            f"direction={np.asarray(direction).tolist()}, up={np.asarray(up).tolist()}: must be "
+            "two directions that are not parallel"
         )
         raise ValueError(message)
     d3, d2 = unit(d3), unit(across)

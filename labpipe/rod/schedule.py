@@ -54,13 +54,15 @@ class Schedule:
             self.node(boundaries[k])
         self.start_places = np.array([self._ring_start(self._get(Ring, k)) for k in self.rings])
         self._require_one_each()
-        here = replace(line, positions=start.positions, frames=start.frames)
-        self._start_frames = {k: here.frame_at(node) for k, node in self.held_nodes.items()}
+        start_line = replace(line, positions=start.positions, frames=start.frames)
+        self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 
-    def _of(self, kind: type) -> tuple[int, ...]:
-        return tuple(k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, kind))
+    def _of(self, boundary_type: type) -> tuple[int, ...]:
+        return tuple(
+            k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, boundary_type)
+        )
 
     def node(self, boundary: Boundary) -> int:
         """Return the node of a boundary, from 0."""
@@ -68,7 +70,7 @@ class Schedule:
         if not -self.n - 1 <= node <= self.n:
             message = (
                 f"{boundary_name(self.boundaries, boundary)}: node={node}: "
-                f"allowed are 0 to {self.n}, or -1 to {-self.n - 1} from the end"
+                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
             )
             raise ValueError(message)
         return int(node % (self.n + 1))
@@ -86,7 +88,7 @@ class Schedule:
         if not -self.n - 1 <= ring.near <= self.n:
             message = (
                 f"{boundary_name(self.boundaries, ring)}: near={ring.near}: "
-                f"allowed are 0 to {self.n}, or -1 to {-self.n - 1} from the end"
+                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
             )
             raise ValueError(message)
         return nearest_place(
@@ -98,9 +100,7 @@ class Schedule:
             nodes = [self.held_nodes[k] for k in self.grips(step)]
             held_twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
             if held_twice:
-                message = (
-                    f"step {step}: node {held_twice[0]} is held twice; allowed is once at a time"
-                )
+                message = f"step {step}: node {held_twice[0]} is held twice; once is allowed"
                 raise ValueError(message)
 
     def grips(self, step: int) -> tuple[int, ...]:
@@ -171,15 +171,15 @@ class Schedule:
                 clamps.append(frame)
         return held, np.array(clamps).reshape(-1, 4)
 
-    def _get(self, kind: type[T], k: int) -> T:
+    def _get(self, boundary_type: type[T], k: int) -> T:
         boundary = self.boundaries[k]
-        assert isinstance(boundary, kind)
+        assert isinstance(boundary, boundary_type)
         return boundary
 
     def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
         """Add a moment to the elements at a node."""
-        at = [k for k in (node - 1, node) if 0 <= k < self.n]
-        moments[at] += moment / len(at)
+        elements = [k for k in (node - 1, node) if 0 <= k < self.n]
+        moments[elements] += moment / len(elements)
 
 
 def boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
@@ -221,6 +221,6 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
                 continue
             message = (
                 f"{boundary_name(boundaries, boundary)}: {name} has {len(path)} rows; "
-                f"allowed are 1 or steps + 1 = {steps + 1}"
+                f"expected 1 or steps + 1 = {steps + 1}"
             )
             raise ValueError(message)

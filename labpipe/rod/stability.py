@@ -131,9 +131,9 @@ class StabilityCheck:
     def _shifted_tangent(self, balance: Balance) -> Floats:
         """Return the entries of the tangent with a drag of `_SHIFT_DRAG`."""
         rows, columns = self._assembly.pattern
-        at, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
+        places, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
         values = balance.even.copy()
-        values[first[1:]] += _SHIFT_DRAG * self._assembly.drag[at[1:]]
+        values[first[1:]] += _SHIFT_DRAG * self._assembly.drag[places[1:]]
         return values
 
     def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:

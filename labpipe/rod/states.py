@@ -20,15 +20,15 @@ class BalancedShape(Protocol):
 
     @property
     def shape(self) -> Shape:
-        """Shape of the line."""
+        """Return the shape of the line."""
 
     @property
     def balance(self) -> Balance:
-        """Its balance."""
+        """Return its balance."""
 
     @property
     def demands(self) -> Demands:
-        """Its demands."""
+        """Return its demands."""
 
 
 def merge_rests(supports: Supports, rests: Floats) -> Floats:
@@ -47,8 +47,8 @@ def split_rests(supports: Supports, rests: Floats) -> Floats:
 def _at_sides(supports: Supports, values: Floats) -> Floats:
     out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
     for side in (0, 1):
-        at = supports.sides[:, side] > 0.0
-        out[supports.nodes[at], side] = values[at]
+        is_held = supports.sides[:, side] > 0.0
+        out[supports.nodes[is_held], side] = values[is_held]
     return out
 
 
@@ -100,12 +100,12 @@ def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     `END_SHARE` of its element.
     """
     clamps, lengths = curvatures.copy(), supports.lengths
-    for end, way in ((supports.behind, -1), (supports.before, 1)):
-        at = np.flatnonzero(end < 0)
-        at = at[(at + way >= 0) & (at + way < len(end))]
-        place = END_SHARE * 2.0 * lengths[at]
-        share = place / (lengths[at] + 0.5 * lengths[at + way] - place)
-        clamps[at] += share[:, None] * (curvatures[at] - curvatures[at + way])
+    for end, side in ((supports.behind, -1), (supports.before, 1)):
+        nodes = np.flatnonzero(end < 0)
+        nodes = nodes[(nodes + side >= 0) & (nodes + side < len(end))]
+        place = END_SHARE * 2.0 * lengths[nodes]
+        share = place / (lengths[nodes] + 0.5 * lengths[nodes + side] - place)
+        clamps[nodes] += share[:, None] * (curvatures[nodes] - curvatures[nodes + side])
     return clamps
 
 

@@ -258,7 +258,7 @@ class _Walk:
 
     @property
     def _is_doubtful(self) -> bool:
-        """Whether an unstable equilibrium was accepted: smaller parts do not help."""
+        """Return whether an unstable equilibrium was accepted: smaller parts do not help."""
         return self._has_reason("unstable") or self._has_reason("whirls")
 
     def _find_equilibrium(self, time: float) -> Equilibrium | None:
@@ -501,7 +501,7 @@ def _start_state(
     if start.rests.shape != (n + 1, 2, sliders, 2):
         message = (
             f"start: a state of {start.rests.shape[0] - 1} elements and {start.rests.shape[2]} "
-            f"sliders; allowed is one of this line, {n} and {sliders}"
+            f"sliders; expected a state of this line, {n} and {sliders}"
         )
         raise ValueError(message)
     shape = Shape(start.positions, start.frames, start.stretches, start.forces)

@@ -40,7 +40,7 @@ class Supports:
     nodes : shape (cells,), node of each cell
     sides : shape (cells, 2), weight of the node's two sides in it: (1, 0), (0, 1), or both
     lengths : shape (cells,), m
-    natural : shape (cells, 3), 1/m
+    rest_curvature : shape (cells, 3), 1/m
     ends : shape (clamped elements,), elements beside a clamp
     own : shape (clamped elements,), weight of their frame in the direction
     lent : shape (pairs, 2), row in `ends` and clamp of each contribution
@@ -55,7 +55,7 @@ class Supports:
     nodes: Ints
     sides: Floats
     lengths: Floats
-    natural: Floats
+    rest_curvature: Floats
     ends: Ints
     own: Floats
     lent: Ints
@@ -75,14 +75,14 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
     clamp_at = {int(held[k]): number for number, k in enumerate(clamps)}
     rows = [row for node in range(len(line.positions)) for row in _cells_at(line, node, clamp_at)]
     before, behind, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
-    at = np.array(nodes, dtype=np.int64)
-    natural = line.natural_at_nodes
+    node_numbers = np.array(nodes, dtype=np.int64)
+    rest_curvature = line.rest_curvature_at_nodes
     lent, turns = [], []
     for node, number in clamp_at.items():
-        for element, way in ((node - 1, -0.5), (node, 0.5)):
+        for element, sign in ((node - 1, -0.5), (node, 0.5)):
             if 0 <= element < len(line.lengths):
                 lent.append((element, number))
-                turns.append(way * line.lengths[element] * natural[node])
+                turns.append(sign * line.lengths[element] * rest_curvature[node])
     pairs = np.array(lent, dtype=np.int64).reshape(-1, 2)
     ends, row = np.unique(pairs[:, 0], return_inverse=True)
     return Supports(
@@ -91,10 +91,10 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
         clamps=clamps,
         before=np.array(before, dtype=np.int64),
         behind=np.array(behind, dtype=np.int64),
-        nodes=at,
+        nodes=node_numbers,
         sides=np.array(sides, dtype=np.float64).reshape(-1, 2),
         lengths=np.array(lengths, dtype=np.float64),
-        natural=natural[at],
+        rest_curvature=rest_curvature[node_numbers],
         ends=ends,
         own=np.asarray(1.0 - END_SHARE * np.bincount(row, minlength=len(ends)), dtype=np.float64),
         lent=np.stack([row, pairs[:, 1]], axis=1),
@@ -105,16 +105,16 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
 def _cells_at(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
     """Return the cells of a node: elements or clamps on both sides, node, weights, length."""
     n = len(line.lengths)
-    lower = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
+    half_length = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
     upper = 0.5 * float(line.lengths[node]) if node < n else 0.0
     if node in clamp_at:
         mark = -1 - clamp_at[node]
         cells: list[_Cell] = [
-            (node - 1, mark, node, (1.0, 0.0), lower),
+            (node - 1, mark, node, (1.0, 0.0), half_length),
             (mark, node, node, (0.0, 1.0), upper),
         ]
         return [cell for cell in cells if cell[4] > 0.0]
     if not 0 < node < n:
         return []
-    length = lower + upper
-    return [(node - 1, node, node, (lower / length, upper / length), length)]
+    length = half_length + upper
+    return [(node - 1, node, node, (half_length / length, upper / length), length)]

@@ -36,15 +36,17 @@ def out_of_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> Reaso
     for first, second, distance, length in zip(
         nodes[:-1], nodes[1:], distances, lengths, strict=True
     ):
-        between = f"step {step}: between nodes {first} and {second} the line is"
+        place_text = f"step {step}: between nodes {first} and {second} the line is"
         if distance > length * (1.0 + _LENGTH_ROUNDING):
-            sentence = f"{between} {length:.6g} m long, and these are held {distance:.6g} m apart"
+            sentence = (
+                f"{place_text} {length:.6g} m long, and these are held {distance:.6g} m apart"
+            )
             return Reason("too_short", sentence, step, int(second))
         if distance > length * (1.0 - min_slack) and np.any(pulls[first + 1 : second]):
             sentence = (
-                f"{between} taut, {length:.6g} m long and held as far apart, so that its tension "
-                "is not determined: apply weight and loads while the grips approach, make the line "
-                "longer, or give it an axial stiffness"
+                f"{place_text} taut, {length:.6g} m long and held as far apart, so that its "
+                "tension is not determined: apply weight and loads while the grips approach, make "
+                "the line longer, or give it an axial stiffness"
             )
             return Reason("taut", sentence, step, int(second))
     return None
@@ -93,7 +95,7 @@ def torn_or_folded(
     if shape.stretches[element] > most_stretch:
         sentence = (
             f"step {step}: the line is stretched by {100.0 * shape.stretches[element]:.3g} % "
-            f"behind node {element}, allowed is {100.0 * most_stretch:.3g} %"
+            f"behind node {element}; expected at most {100.0 * most_stretch:.3g} %"
         )
         return Reason("torn", sentence, step, element)
     turns = np.linalg.norm(balance.cells.turns, axis=1)

@@ -8,11 +8,9 @@ from math import log, pi, sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, median, stretches_of
+from labpipe.records.arrays import Flags, Floats, Ints, median
 from labpipe.signal.turning_points import noise_level, noise_of_differences
 
-_MIN_RUN = 3
-"""Equal samples: any corner may have two."""
 _UNUSUAL_RUN_FACTOR = 4.0
 """Times the usual run length of the channel."""
 _JUMP_FACTOR = 5.0
@@ -66,12 +64,16 @@ def stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> lis
     rest, a round top, a plateau, creep under constant force, slack, and a coarse resolution are not
     reported.
     """
+    min_run = 3  # equal samples: any corner may have two
+    same = values[1:] == values[:-1]
+    if not (same[1:] & same[:-1]).any():
+        return []
     lengths, starts = _runs(values)
     channel = _Channel(time, values, other, lengths)
     if not len(starts) or not channel.high > channel.low:
         return []
-    long = np.flatnonzero(lengths >= max(_MIN_RUN, _UNUSUAL_RUN_FACTOR * channel.usual))
-    several = np.flatnonzero(lengths >= _MIN_RUN)
+    long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
+    several = np.flatnonzero(lengths >= min_run)
     ends = several[channel.is_extreme(starts[several])]
     stuck_runs = []
     for run in np.union1d(long, ends).tolist():
@@ -109,29 +111,29 @@ class _Channel:
 
     @cached_property
     def usual(self) -> float:
-        """95 % quantile of the run lengths, in samples."""
+        """Return the 95 % quantile of the run lengths, in samples."""
         return float(np.quantile(self.lengths, 0.95))
 
     @cached_property
     def low(self) -> float:
-        """Minimum."""
+        """Return the minimum."""
         return float(np.nanmin(self.values))
 
     @cached_property
     def high(self) -> float:
-        """Maximum."""
+        """Return the maximum."""
         return float(np.nanmax(self.values))
 
     @cached_property
     def rounding(self) -> float:
-        """Largest step that is rounding only."""
+        """Return the largest step that is rounding only."""
         # Share of the range below which values differ by rounding only.
         rounding_share = 1e-7
         return min(rounding_share, 0.1 / len(self.values)) * (self.high - self.low)
 
     @cached_property
     def steps(self) -> tuple[Floats, Floats]:
-        """Sizes of the steps of the channel, and their durations in s."""
+        """Return the sizes of the steps of the channel, and their durations in s."""
         steps = np.abs(np.diff(self.values))
         moving = steps > self.rounding  # False for NaN
         sizes = steps[moving]
@@ -141,27 +143,27 @@ class _Channel:
 
     @cached_property
     def resolution(self) -> float:
-        """Quantisation step."""
+        """Return the quantisation step."""
         return _resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
     def speed(self) -> float:
-        """95 % quantile of the speeds of the steps."""
+        """Return the 95 % quantile of the speeds of the steps."""
         sizes, durations = self.steps
         return float(np.quantile(sizes / durations, 0.95))
 
     @cached_property
     def other_noise(self) -> float:
-        """Noise of the other quantity."""
+        """Return the noise of the other quantity."""
         return 0.0 if self.other is None else noise_level(self.other)
 
     @cached_property
     def longest_by_chance(self) -> float:
-        """Longest run that noise produces, in samples; inf in a quiet channel."""
+        """Return the longest run that noise produces, in samples; inf in a quiet channel."""
         return _longest_by_chance(self.values, self.lengths, self.usual, self.resolution)
 
-    def is_extreme(self, at: Ints) -> Flags:
-        return np.asarray((self.values[at] == self.low) | (self.values[at] == self.high))
+    def is_extreme(self, samples: Ints) -> Flags:
+        return np.asarray((self.values[samples] == self.low) | (self.values[samples] == self.high))
 
     def is_stuck(self, start: int, stop: int, *, is_clipped: bool) -> bool:
         # Samples.
@@ -175,10 +177,14 @@ class _Channel:
             return False
         return (is_clipped or stop == len(self.values)) and self._interrupts_motion(start, stop)
 
-    def _is_at_rest(self, at: int) -> bool:
-        level, far = float(self.values[at]), _SMALL_SHARE * (self.high - self.low)
-        first = self.values[~np.isnan(self.values)][0]
-        return abs(level) <= far or abs(level - float(first)) <= far
+    @cached_property
+    def first(self) -> float:
+        """First valid value."""
+        return float(self.values[np.argmin(np.isnan(self.values))])
+
+    def _is_at_rest(self, sample: int) -> bool:
+        level, far = float(self.values[sample]), _SMALL_SHARE * (self.high - self.low)
+        return abs(level) <= far or abs(level - self.first) <= far
 
     def _jumps_after(self, start: int, stop: int) -> bool:
         """Return whether a jump follows while the other quantity moves on smoothly."""
@@ -192,10 +198,10 @@ class _Channel:
         smooth = steps[stop - 1] <= _JUMP_FACTOR * float(np.nanquantile(steps, 0.95))
         return bool(smooth) and self._other_travel(start, stop) > _SMALL_SHARE
 
-    def _is_jump(self, at: int) -> bool:
+    def _is_jump(self, sample: int) -> bool:
         """Return whether the step to this sample is far faster than the usual ones."""
-        jump = abs(float(self.values[at] - self.values[at - 1]))
-        lasts = max(float(self.time[at] - self.time[at - 1]), 1e-12)
+        jump = abs(float(self.values[sample] - self.values[sample - 1]))
+        lasts = max(float(self.time[sample] - self.time[sample - 1]), 1e-12)
         small = _SMALL_SHARE * (self.high - self.low)
         return jump > small and jump > _JUMP_FACTOR * self.speed * lasts
 
@@ -206,8 +212,8 @@ class _Channel:
         part = self.other[start:stop]
         if np.isnan(part).all():
             return 0.0
-        whole = float(np.nanmax(self.other) - np.nanmin(self.other))
-        return float(np.nanmax(part) - np.nanmin(part)) / whole if whole > 0.0 else 0.0
+        full_range = float(np.nanmax(self.other) - np.nanmin(self.other))
+        return float(np.nanmax(part) - np.nanmin(part)) / full_range if full_range > 0.0 else 0.0
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
@@ -219,13 +225,13 @@ class _Channel:
         sides += [(stop - 1, 1)] if stop + 1 < len(self.values) else []
         if self.other is None or not sides:
             return False
-        going = [self._other_keeps_speed(at, stop - start) for at, _ in sides]
+        going = [self._other_keeps_speed(sample, stop - start) for sample, _ in sides]
         enough = any(going) if stop - start < 2 * 4 else all(going)
         is_long = stop - start >= plateau_factor * max(self.usual, self._previous_run(start))
         travels = self._other_travel(start, stop) > min_other_travel
         if is_long and travels and self._other_keeps_direction(start, stop):
             return True
-        steep = (self._leaves_steeply(at, away, stop - start) for at, away in sides)
+        steep = (self._leaves_steeply(sample, away, stop - start) for sample, away in sides)
         return enough and (is_long or all(steep))
 
     def _previous_run(self, start: int) -> int:
@@ -242,7 +248,7 @@ class _Channel:
         before = float(other[start] - other[max(0, start - (stop - start))])
         return before * float(other[start + (stop - start) // 4] - other[start]) > 0.0
 
-    def _leaves_steeply(self, at: int, away: int, length: int) -> bool:
+    def _leaves_steeply(self, sample: int, away: int, length: int) -> bool:
         """Return whether the channel leaves a sample, forwards (1) or backwards (-1), steeply."""
         # Resolution steps within half the run length; a round top has 3.
         min_rise_in_steps = 5.0
@@ -252,9 +258,9 @@ class _Channel:
         min_moving_share = 0.8
         # Share of the range below which missing values do not matter.
         min_lost_share = 0.005
-        room = at if away < 0 else len(self.values) - 1 - at
+        room = sample if away < 0 else len(self.values) - 1 - sample
         reach = min(max(2, length // 2), room)
-        off = np.abs(self.values[at + away * np.arange(reach + 1)] - self.values[at])
+        off = np.abs(self.values[sample + away * np.arange(reach + 1)] - self.values[sample])
         off = off[: int(np.argmax(off)) + 1] if np.isfinite(off).all() else off[:0]
         if not len(off) > 2:
             return False
@@ -271,7 +277,7 @@ class _Channel:
         far = max(min_rise_in_steps * float(step), min_lost_share * (self.high - self.low))
         return bool(off[-1] > far) and is_abrupt
 
-    def _other_keeps_speed(self, at: int, length: int) -> bool:
+    def _other_keeps_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""
         # Speed after an end of the run over the speed before it.
         speed_ratio_limits = (0.4, 2.5)
@@ -281,12 +287,12 @@ class _Channel:
             return False
         least = noise_factor * self.other_noise
         size = max(1, min(length // 4, max(8, len(other) // 50)))
-        low, high = max(0, at - size), min(len(other) - 1, at + size)
-        before, after = float(other[at] - other[low]), float(other[high] - other[at])
+        low, high = max(0, sample - size), min(len(other) - 1, sample + size)
+        before, after = float(other[sample] - other[low]), float(other[high] - other[sample])
         if not (abs(before) > least and abs(after) > least):  # NaN, too
             return False
-        lasts = max(float(self.time[at] - self.time[low]), 1e-12)
-        behind = max(float(self.time[high] - self.time[at]), 1e-12)
+        lasts = max(float(self.time[sample] - self.time[low]), 1e-12)
+        behind = max(float(self.time[high] - self.time[sample]), 1e-12)
         return speed_ratio_limits[0] <= (after / behind) / (before / lasts) <= speed_ratio_limits[1]
 
 
@@ -342,21 +348,41 @@ def find_spikes(force: Floats) -> Ints:
     or end, which has neighbours on one side only.
     """
     mad_factor = 8.0
-    valid = np.flatnonzero(~np.isnan(force)).astype(np.int64)
-    f = force[valid]
-    if len(f) < 2 * _SPIKE_WINDOW or _has_small_steps(f):
+    max_medians = 20_000  # evenly chosen, for range and deviation
+    is_valid = ~np.isnan(force)
+    f = force if is_valid.all() else force[is_valid]
+    if len(f) < 2 * _SPIKE_WINDOW:
         return np.zeros(0, dtype=np.int64)
-    from scipy.ndimage import median_filter
-
-    level = median_filter(f, _SPIKE_WINDOW, mode="nearest")
-    off = f - level
-    away = np.abs(off)
+    half = _SPIKE_WINDOW // 2
+    windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
+    windows = windows[:: max(1, len(windows) // max_medians)]
+    levels = np.median(windows, axis=1)
     # np.median, as `records.arrays.median` is slow for few distinct values.
-    far = max(mad_factor * 1.4826 * float(np.median(away)), _MIN_SPIKE * float(np.ptp(level)))
-    runs = [_peak_of_run(np.arange(*run), off) for run in stretches_of(away > far)]
-    spikes = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
-    numbers: Ints = valid[np.concatenate(spikes).astype(np.int64)] if spikes else valid[:0]
-    return numbers
+    mad = float(np.median(np.abs(windows[:, half] - levels)))
+    far = max(mad_factor * 1.4826 * mad, _MIN_SPIKE * float(np.ptp(levels)))
+    uneven = np.flatnonzero(_is_uneven(f, far))
+    around = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
+    off = f[uneven] - np.partition(f[around], half, axis=1)[:, half]
+    numbers, size = uneven[np.abs(off) > far], np.abs(off[np.abs(off) > far])
+    spikes = [numbers[:0]]
+    for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
+        # Without neighbours whose median the spike has shifted.
+        core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
+        if len(core) and _returns(f, numbers[core], float(size[core].min())):
+            spikes.append(numbers[core])
+    found = np.concatenate(spikes)
+    return found if is_valid.all() else np.flatnonzero(is_valid)[found]
+
+
+def _is_uneven(f: Floats, far: float) -> Flags:
+    """Return flags of the samples that may deviate by more than `far` from their neighbours."""
+    block = 8  # more than half a window
+    starts = np.arange(0, len(f), block)
+    high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
+    low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
+    highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
+    lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
+    return np.repeat(highest - lowest > far, block)[: len(f)]
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
@@ -377,28 +403,6 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     return bridged
 
 
-def _has_small_steps(f: Floats) -> bool:
-    """Return whether all steps are too small for a spike; true for most long records.
-
-    A sample is at most three steps away from any median of seven that contains it; the range of
-    some of these medians is at most that of all.
-    """
-    # Medians from which the range of the signal is estimated.
-    max_medians = 200
-    steps = np.diff(f)
-    largest = max(float(steps.max()), -float(steps.min()))
-    windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
-    medians = np.median(windows[:: max(1, len(windows) // max_medians)], axis=1)
-    return _MAX_SPIKE * largest <= _MIN_SPIKE * float(np.ptp(medians))
-
-
-def _peak_of_run(run: Ints, off: Floats) -> Ints:
-    """Return the samples of a run without neighbours whose median the spike has shifted."""
-    away = np.abs(off[run])
-    core: Ints = run[away > 0.3 * away.max()]
-    return core
-
-
 def _returns(f: Floats, run: Ints, off: float) -> bool:
     # Times the largest step of the neighbours, so that a sharp turn is not a spike.
     spike_step_factor = 4.0
@@ -407,5 +411,5 @@ def _returns(f: Floats, run: Ints, off: float) -> bool:
     if last - first >= _MAX_SPIKE or min(len(before), len(after)) < _MAX_SPIKE:
         return False
     step = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
-    apart = abs(median(after) - median(before))
-    return off > spike_step_factor * step and apart < 0.5 * off
+    level_change = abs(median(after) - median(before))
+    return off > spike_step_factor * step and level_change < 0.5 * off

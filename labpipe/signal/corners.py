@@ -59,9 +59,9 @@ def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> C
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
     coarse = block_means(t, y, len(t) // 200)
-    costs = [_joint_fit(*coarse, at)[1] for at in grid]
-    at = float(grid[int(np.argmin(costs))])
-    parameters = np.append(_joint_fit(t, y, at)[0], at)
+    costs = [_joint_fit(*coarse, corner_time)[1] for corner_time in grid]
+    corner_time = float(grid[int(np.argmin(costs))])
+    parameters = np.append(_joint_fit(t, y, corner_time)[0], corner_time)
     for _ in range(6):
         jacobian, misfit = _linearise(t, y, parameters)
         step = np.linalg.lstsq(jacobian, misfit, rcond=None)[0]
@@ -108,11 +108,11 @@ def fit_stop(
         if np.array_equal(parts, assigned):
             break
         assigned = parts
-        before, between, after = (parts == number for number in range(3))
-        if min(before.sum(), after.sum()) < min_line_samples or between.sum() < min_level_samples:
+        before, inner, after = (parts == number for number in range(3))
+        if min(before.sum(), after.sum()) < min_line_samples or inner.sum() < min_level_samples:
             return None
         first, second = (np.polyfit(t[part], y[part], 1) for part in (before, after))
-        slopes, level = (float(first[0]), float(second[0])), float(y[between].mean())
+        slopes, level = (float(first[0]), float(second[0])), float(y[inner].mean())
         if 0.0 in slopes:
             return None
         ends = (level - float(first[1])) / slopes[0], (level - float(second[1])) / slopes[1]
@@ -167,14 +167,14 @@ def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats
     return time.mean(axis=1), values.mean(axis=1)
 
 
-def _design(time: Floats, at: float) -> Floats:
+def _design(time: Floats, corner: float) -> Floats:
     return np.column_stack(
-        [np.ones_like(time), np.minimum(time - at, 0.0), np.maximum(time - at, 0.0)]
+        [np.ones_like(time), np.minimum(time - corner, 0.0), np.maximum(time - corner, 0.0)]
     )
 
 
-def _joint_fit(time: Floats, values: Floats, at: float) -> tuple[Floats, float]:
-    design = _design(time, at)
+def _joint_fit(time: Floats, values: Floats, corner: float) -> tuple[Floats, float]:
+    design = _design(time, corner)
     coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
     misfit = values - design @ coefficients
     return coefficients, float(misfit @ misfit)
@@ -182,7 +182,7 @@ def _joint_fit(time: Floats, values: Floats, at: float) -> tuple[Floats, float]:
 
 def _linearise(time: Floats, values: Floats, parameters: Floats) -> tuple[Floats, Floats]:
     """Return Jacobian and misfit of the model; the last parameter is the time of the corner."""
-    coefficients, at = parameters[:-1], float(parameters[-1])
-    design = _design(time, at)
-    slope = -np.where(time < at, coefficients[1], coefficients[2])
+    coefficients, corner_time = parameters[:-1], float(parameters[-1])
+    design = _design(time, corner_time)
+    slope = -np.where(time < corner_time, coefficients[1], coefficients[2])
     return np.column_stack([design, slope]), values - design @ coefficients

@@ -49,7 +49,7 @@ def window_length(span: float, count: int) -> int:
 
 
 def moving_average(values: Floats, *, window: int) -> Floats:
-    """Centred moving average whose window shrinks symmetrically near the ends.
+    """Average over a centred window that shrinks symmetrically near the ends.
 
     Parameters
     ----------
@@ -161,11 +161,11 @@ class Smoothing:
         return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
-def _line_through(rows: Floats, number: Floats, at: Floats) -> Floats:
+def _line_through(rows: Floats, number: Floats, places: Floats) -> Floats:
     """Return a straight line through each row, clipped to its values: shape (rows, at)."""
     slope, level = np.polyfit(number, rows.T, 1)[:, :, np.newaxis]
-    least, most = rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis]
-    line: Floats = np.clip(level + slope * at, least, most)
+    lowest, highest = rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis]
+    line: Floats = np.clip(level + slope * places, lowest, highest)
     return line
 
 

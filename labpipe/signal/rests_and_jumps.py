@@ -19,28 +19,27 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
 
     Returns
     -------
-    Whether a straight line through the last fiftieth of the stretch (more where its noise requires
-    it, up to a third; at least three samples) runs in the direction of the whole stretch, at
-    half its mean speed or more. False without motion.
+    Whether a straight line through the last samples of the stretch (as few as its noise and its
+    resolution allow, at least three, at most a third) runs in the direction of the whole stretch,
+    at half its mean speed or more. False without motion.
     """
     # Share of the mean speed.
     min_end_speed = 0.5
     # Share of the mean speed.
     max_error = 0.15
-    # Share of the samples; more are used where noise requires it.
-    end_share = 0.02
-    way = float(values[-1] - values[0])
+    travel = float(values[-1] - values[0])
     lasts = float(time[-1] - time[0])
-    if len(values) < 3 or way == 0.0 or not lasts > 0.0:
+    if len(values) < 3 or travel == 0.0 or not lasts > 0.0:
         return False
-    speed, noise = abs(way) / lasts, noise_level(values)
-    apart = median(np.diff(time))
-    size = max(3, int(end_share * len(values)))
-    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / apart > max_error * speed:
+    speed, steps = abs(travel) / lasts, np.abs(np.diff(values))
+    resolution = float(steps[steps > 1e-9 * abs(travel)].min())
+    noise = max(noise_level(values), resolution / sqrt(12.0))
+    time_step, size = median(np.diff(time)), 3
+    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / time_step > max_error * speed:
         size += max(1, size // 4)
     late, high = time[-size:] - time[-size:].mean(), values[-size:]
     slope = float(late @ high) / float(late @ late)
-    return slope * float(np.sign(way)) >= min_end_speed * speed
+    return slope * float(np.sign(travel)) >= min_end_speed * speed
 
 
 def standing_stretches(
@@ -75,9 +74,9 @@ def standing_stretches(
     count = len(values) // size
     if count <= min_steps_at_turn:
         return []
-    at = time[: count * size].reshape(count, size).mean(axis=1)
+    mean_times = time[: count * size].reshape(count, size).mean(axis=1)
     means = values[: count * size].reshape(count, size).mean(axis=1)
-    speeds = np.abs(np.diff(means)) / np.diff(at)
+    speeds = np.abs(np.diff(means)) / np.diff(mean_times)
     noise = noise_factor * sqrt(2.0 / size) * noise_level(values) / (size * median(np.diff(time)))
     if not speed > 3.0 * noise:
         return []
@@ -121,10 +120,10 @@ def samples_at_rest(values: Floats) -> int:
     ramps = np.clip(number - corners[:, None], 0.0, None)
     ramps -= ramps.mean(axis=1, keepdims=True)
     along = ramps @ centred
-    left = float(centred @ centred) - along**2 / np.sum(ramps**2, axis=1)
-    best = int(np.argmin(left))
-    variance = max(float(left[best]), 0.0) / (count - 3)
-    gain = line - float(left[best])
+    residual_squares = float(centred @ centred) - along**2 / np.sum(ramps**2, axis=1)
+    best = int(np.argmin(residual_squares))
+    variance = max(float(residual_squares[best]), 0.0) / (count - 3)
+    gain = line - float(residual_squares[best])
     return int(corners[best]) if gain > max(min_variances * variance, min_share * line) else 0
 
 
@@ -160,10 +159,11 @@ def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
     speeds = np.abs(steps) / np.diff(time[valid])
     least = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * noise_level(v))
     level_jumps = []
-    for at in np.flatnonzero(np.abs(steps) > least).tolist():
-        before, after = speeds[max(at - neighbours, 0) : at], speeds[at + 1 : at + 1 + neighbours]
+    for sample in np.flatnonzero(np.abs(steps) > least).tolist():
+        before = speeds[max(sample - neighbours, 0) : sample]
+        after = speeds[sample + 1 : sample + 1 + neighbours]
         if min(len(before), len(after)) < neighbours:
             continue
-        if speeds[at] > jump_speed_factor * float(np.concatenate([before, after]).max()):
-            level_jumps.append((int(valid[at + 1]), float(steps[at])))
+        if speeds[sample] > jump_speed_factor * float(np.concatenate([before, after]).max()):
+            level_jumps.append((int(valid[sample + 1]), float(steps[sample])))
     return tuple(level_jumps)

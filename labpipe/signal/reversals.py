@@ -130,8 +130,8 @@ def fit_reversal(
     if corner is None:
         return None
     shape_error = window * corner.time_error * float(np.sqrt(_shape_share(t, grid, wait)))
-    at, error = near + window * corner.time, window * corner.time_error
-    return Reversal(replace(corner, time=at, time_error=error, n=count), shape_error)
+    corner_time, error = near + window * corner.time, window * corner.time_error
+    return Reversal(replace(corner, time=corner_time, time_error=error, n=count), shape_error)
 
 
 def _white_noise(y: Floats) -> float:
@@ -196,12 +196,12 @@ def _evaluate_grid(t: Floats, y: Floats, places: Floats, variance: float, wait: 
     solved = np.linalg.solve(gram[:, :fixed, :fixed], right)
     bends = gram[:, fixed:, fixed:] - mixed.transpose(0, 2, 1) @ solved[..., :-1]
     pulls = moments[:, fixed:, None] - mixed.transpose(0, 2, 1) @ solved[..., -1:]
-    left = float(y @ y) - np.sum(moments[:, :fixed] * solved[..., -1], axis=1)
+    residual_squares = float(y @ y) - np.sum(moments[:, :fixed] * solved[..., -1], axis=1)
     sizes, axes = np.linalg.eigh(bends)
     along = (axes.transpose(0, 2, 1) @ pulls)[..., 0] ** 2
     ratios = (_ROUGHNESS**2 * 24.0 / len(t))[:, None]
     spread = 1.0 + ratios * np.maximum(sizes, 0.0)[:, None, :]
-    squares = left[:, None] - np.sum(ratios * along[:, None, :] / spread, axis=2)
+    squares = residual_squares[:, None] - np.sum(ratios * along[:, None, :] / spread, axis=2)
     likelihood = -0.5 * (np.sum(np.log(spread), axis=2) + squares / variance)
     precision = 1.0 / ratios[:, 0]
     penalties = np.stack([_penalty(ratio, fixed, design.shape[1]) for ratio in precision.tolist()])
@@ -243,9 +243,9 @@ def _fall_weights(
         contrasts.append(early - min_early_slope * early_share * late)
     relaxation = np.zeros(curves.shape[:-1])
     if wait > 0.0:
-        first, half, whole = (_wait_change(part * wait, columns, wait) for part in (0.25, 0.5, 1.0))
+        first, half, full = (_wait_change(part * wait, columns, wait) for part in (0.25, 0.5, 1.0))
         back = _fall_change(after_wait_span, columns, wait) / after_wait_span
-        waiting = (whole - half) / (0.5 * wait)
+        waiting = (full - half) / (0.5 * wait)
         contrasts += [back - waiting, first / (0.25 * wait) - rises]
         is_slower = ndtr(score(back - 2.0 * waiting))
         relaxation = np.log(fast_relaxation_share + (1.0 - fast_relaxation_share) * is_slower)

@@ -122,8 +122,11 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
         return ()
     tolerance = 5.0 * noise_level(motion)
     stays = [
-        (_stay(time, motion, (at, before), tolerance), _stay(time, motion, (at, after), tolerance))
-        for before, at, after in zip(
+        (
+            _stay(time, motion, (turn, before), tolerance),
+            _stay(time, motion, (turn, after), tolerance),
+        )
+        for before, turn, after in zip(
             [None, *extremes[:-1]], extremes, [*extremes[1:], None], strict=True
         )
     ]
@@ -164,9 +167,9 @@ def _next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int 
     while True:
         ahead = values[start : start + length]
         back = np.maximum.accumulate(ahead) - ahead >= min_stroke
-        at = int(np.argmax(back))
-        if back[at]:
-            return start + int(np.argmax(ahead[: at + 1])), start + at
+        turn = int(np.argmax(back))
+        if back[turn]:
+            return start + int(np.argmax(ahead[: turn + 1])), start + turn
         if start + length >= len(values):
             return start + int(np.argmax(ahead)), None
         length *= 2
@@ -202,7 +205,7 @@ class _Dwell:
 
     @property
     def dwell(self) -> float:
-        """Time at the extreme itself, s."""
+        """Return the time at the extreme itself, s."""
         return max(0.0, (4.0 * self.near - self.wide) / 3.0)
 
 
@@ -210,16 +213,16 @@ def _stay(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
 ) -> _Dwell | None:
     """Return the time near an extreme, on the side of the next one; None at an end."""
-    at, other = ends
+    turn, other = ends
     if other is None:
         return None
-    part = slice(at, other + 1) if other > at else slice(at, other - 1 if other else None, -1)
-    since, travel = np.abs(time[part] - time[at]), np.abs(motion[part] - motion[at])
+    part = slice(turn, other + 1) if other > turn else slice(turn, other - 1 if other else None, -1)
+    since, travel = np.abs(time[part] - time[turn]), np.abs(motion[part] - motion[turn])
     tolerance = max(tolerance, 1e-4 * float(travel[-1]))
     near, wide = (
         float(since[np.flatnonzero(travel <= factor * tolerance)[-1]]) for factor in (1.0, 4.0)
     )
-    return _Dwell(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - at)))
+    return _Dwell(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - turn)))
 
 
 def _dwell(before: _Dwell | None, after: _Dwell | None) -> tuple[float, float]:
@@ -327,8 +330,8 @@ def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None
     if np.ptp(level) < range_noise_factor * noise_level(level):
         return None
     bend, after = _slope_drops(level)
-    here = level[_BLOCKS:-_BLOCKS] - level.min()
-    drop = np.where((after < 0.0) & (here > min_height_share * np.ptp(level)), bend, 0.0)
+    inner = level[_BLOCKS:-_BLOCKS] - level.min()
+    drop = np.where((after < 0.0) & (inner > min_height_share * np.ptp(level)), bend, 0.0)
     best = int(np.argmax(drop))
     return float(middles[best + _BLOCKS]) if drop[best] > 0.0 else None
 

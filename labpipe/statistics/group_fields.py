@@ -15,7 +15,7 @@ TYPE, SPOOL = "type", "spool"
 BORE = "conduit_bore"
 OF_SECTION = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
 """Sizes of the cross-section; of a conduit they come with its name."""
-NOT_SAID = "not said"
+NOT_SAID = "not stated"
 """Text for a field that the test sheets of a group do not state."""
 
 
@@ -190,10 +190,6 @@ def natural_order(text: str) -> tuple[tuple[int, str], ...]:
     return tuple((int(part), "") if part.isdecimal() else (0, part) for part in parts)
 
 
-MIN_SIZE_STEP = 0.05
-"""Smallest step between sizes, as a share. Nominal sizes differ by more (6 % in R 40 of ISO 3, the
-finest series in use); measured sizes of single specimens by less."""
-
 _OF_BUNDLES = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
 """In order: a field that divides no further than those before it is not named."""
 
@@ -222,7 +218,7 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
     Returns
     -------
     In their first order. A dimension divides between adjacent sizes that differ by more than
-    `MIN_SIZE_STEP`, so that individually measured specimens stay together. A field divides unless
+    5 %, so that individually measured specimens stay together. A field divides unless
     each test has its own value: such a label names specimens and is not a treatment. Spools do not
     divide; means are nested in them. A field that only repeats the division of others is not named.
 
@@ -270,10 +266,13 @@ def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
 
 def _size_texts(sizes: Sequence[float | None]) -> list[str]:
     """Return the text of each size: the mean of its cluster, in mm."""
+    # Smallest step between sizes, as a share. Nominal sizes differ by more (6 % in R 40 of ISO 3,
+    # the finest series in use); measured sizes of single specimens by less.
+    min_size_step = 0.05
     distinct = sorted({size for size in sizes if size is not None})
     together: list[list[float]] = []
     for size in distinct:
-        if together and size <= (1.0 + MIN_SIZE_STEP) * together[-1][-1]:
+        if together and size <= (1.0 + min_size_step) * together[-1][-1]:
             together[-1].append(size)
         else:
             together.append([size])

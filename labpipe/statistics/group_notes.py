@@ -316,10 +316,10 @@ def parted(tests: Mapping[str, Sequence[str]]) -> str:
     """
     max_named_tests = 4
     rarest_first = sorted(tests.items(), key=lambda test: len(test[1]))
-    parts = [f"{text or 'not said'} ({', '.join(names)})" for text, names in rarest_first]
-    text, most = rarest_first[-1]
-    if len(most) > max_named_tests:
-        parts[-1] = f"{text or 'not said'} (the other {len(most)})"
+    parts = [f"{text or 'not stated'} ({', '.join(names)})" for text, names in rarest_first]
+    text, count = rarest_first[-1]
+    if len(count) > max_named_tests:
+        parts[-1] = f"{text or 'not stated'} (the other {len(count)})"
     return f"{'; '.join(parts[:-1])} and {parts[-1]}"
 
 

@@ -17,8 +17,6 @@ from labpipe.statistics.means import DEFAULT_LIMITS, LEVEL, PoolingLimits, neste
 _CURVE_POINTS = 500
 """Points of a curve before averaging, each the mean of its samples: faster noise has no information
 on the sample and widens the band of the whole curve."""
-MIN_BAND_CURVES = 6
-"""Curves needed for a band: over fewer, c of the band of the whole curve is 4 to 60."""
 N_DISPLACEMENTS = 201
 """Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
@@ -66,7 +64,7 @@ def loading_band(
         notes.append(group_note("curve_pooling", f"{by} {decision.decision}"))
     if decision.is_pooled:
         return without_band(mean_band(shared)), notes
-    band = mean_band(_spool_curves(shared, spools), over="spool means")
+    band = mean_band(_spool_curves(shared, spools), members="spool means")
     return without_band(band), notes
 
 
@@ -79,23 +77,25 @@ def without_band(band: Band) -> Band:
 
     Returns
     -------
-    Unchanged over `MIN_BAND_CURVES` curves or more. Over three to five (``few_curves``) the
+    Unchanged over six curves or more. Over three to five (``few_curves``) the
     pointwise interval is kept at a quarter, at half and at the end of the displacements, and is NaN
     elsewhere: an area of intervals looks like a simultaneous band, which would hide the curves.
     Over two (``two_curves``) there is none, as t is 12.7.
     """
-    if not 2 <= band.n < MIN_BAND_CURVES or not len(band.displacement):
+    # Curves needed for a band: over fewer, c of the band of the whole curve is 4 to 60.
+    min_band_curves = 6
+    if not 2 <= band.n < min_band_curves or not len(band.displacement):
         return band
     nothing = np.full(len(band.displacement), np.nan)
     lower, upper = nothing.copy(), nothing.copy()
-    code, why = "two_curves", f"two {band.over} are too few for any band; the samples are shown"
+    code, why = "two_curves", f"two {band.members} are too few for any band; the samples are shown"
     if band.n > 2:
-        at = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
-        lower[at], upper[at] = band.lower[at], band.upper[at]
+        marks = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
+        lower[marks], upper[marks] = band.lower[marks], band.upper[marks]
         code = "few_curves"
         why = (
-            f"{band.n} {band.over} are too few for a band, which needs {MIN_BAND_CURVES}; the mean "
-            "has its interval at three displacements"
+            f"{band.n} {band.members} are too few for a band, which needs {min_band_curves}; the "
+            "mean has its interval at three displacements"
         )
     return replace(
         band,
@@ -183,7 +183,7 @@ def _gaps(displacement: Floats) -> list[str]:
     if not len(steps):
         return []
     wide = np.flatnonzero(steps > 1.5 * steps.min())
-    ends = [(1e3 * displacement[at], 1e3 * displacement[at + 1]) for at in wide]
+    ends = [(1e3 * displacement[index], 1e3 * displacement[index + 1]) for index in wide]
     return [f"{start:.4g} mm to {stop:.4g} mm" for start, stop in ends]
 
 
@@ -247,9 +247,9 @@ def _in_order(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
     if not is_finite.any():
         return np.zeros(0), np.zeros(0)
     number = np.arange(len(displacement), dtype=np.float64)
-    at = np.interp(number, number[is_finite], displacement[is_finite])
-    order = np.argsort(at, kind="stable")
-    return at[order], np.where(is_finite, force, np.nan)[order]
+    places = np.interp(number, number[is_finite], displacement[is_finite])
+    order = np.argsort(places, kind="stable")
+    return places[order], np.where(is_finite, force, np.nan)[order]
 
 
 def _span(displacement: Floats, force: Floats) -> tuple[float, float]:
@@ -269,13 +269,13 @@ def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> R
     )
 
 
-def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
+def mean_band(curves: CommonCurves, members: str = "samples") -> Band:
     """Compute the mean of curves with a pointwise and a simultaneous 95 % band.
 
     Parameters
     ----------
     curves : independent curves at common displacements
-    over : ``samples`` or ``spool means``
+    members : ``samples`` or ``spool means``
 
     Returns
     -------
@@ -293,14 +293,16 @@ def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
         reason = curves.reason or Reason(
             "no_overlap", "every displacement lies in a gap of some curve"
         )
-        return _bare(np.zeros(0), np.zeros(0), n, over, reason)
+        return _bare(np.zeros(0), np.zeros(0), n, members, reason)
     mean = curves.force.mean(axis=0)
     if n == 1:
         reason = Reason("one_curve", "a band needs the scatter of two curves, there is one")
-        return _bare(curves.displacement, mean, n, over, reason)
+        return _bare(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
     half, half_all = t_quantile(n - 1) * error, simultaneous_quantile(curves.force) * error
-    why = f"no simultaneous band over two {over}, which may cross and then show no scatter at all"
+    why = (
+        f"no simultaneous band over two {members}, which may cross and then show no scatter at all"
+    )
     return Band(
         curves.displacement,
         mean,
@@ -309,14 +311,14 @@ def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
         mean - half_all,
         mean + half_all,
         n,
-        over,
+        members,
         None if n > 2 else Reason("two_curves", why),
     )
 
 
-def _bare(displacement: Floats, mean: Floats, n: int, over: str, reason: Reason) -> Band:
+def _bare(displacement: Floats, mean: Floats, n: int, members: str, reason: Reason) -> Band:
     nothing = np.full(len(displacement), np.nan)
-    return Band(displacement, mean, nothing, nothing, nothing, nothing, n, over, reason)
+    return Band(displacement, mean, nothing, nothing, nothing, nothing, n, members, reason)
 
 
 def simultaneous_quantile(curves: Floats) -> float:

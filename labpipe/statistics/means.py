@@ -88,7 +88,7 @@ def nested_mean(
         decision=_decision(values, scatter, p, limits, is_pooled=is_pooled),
         spool_means=means,
         within=scatter.within,
-        between=scatter.between,
+        between_spools=scatter.between_spools,
         spool_p=p,
     )
 
@@ -115,7 +115,7 @@ def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) ->
         decision=decision,
         spool_means=means,
         within=over_samples.deviation,
-        between=nan,
+        between_spools=nan,
         spool_p=nan,
     )
 
@@ -136,7 +136,7 @@ def _decision(
         else f"Over {len(counts)} spool means, not pooled over {sum(counts)} samples"
     )
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
-        why = "all values are equal, so there is no scatter to tell spools apart by"
+        why = "all values are equal, so the spools cannot be distinguished by their scatter"
         return Decision(done, (why,))
     return Decision(done, (*_share_words(scatter, limits), _test_words(p, counts, limits)))
 
@@ -146,7 +146,7 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...
     if np.isnan(scatter.within):
         return ("no spool has two samples, so the scatter within spools is not known",)
     upper = f"{100.0 * scatter.share_upper:.3g} %"
-    if scatter.between == 0.0:
+    if scatter.between_spools == 0.0:
         text = (
             "the spools differ no more than their samples explain, "
             f"yet up to {upper} of the variance may lie between them"
@@ -164,7 +164,9 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...
 def _ratio(scatter: SpoolScatter) -> str:
     if scatter.within == 0.0:
         return ""
-    return f" (spools scatter {scatter.between / scatter.within:.3g} times as much as samples)"
+    return (
+        f" (spools scatter {scatter.between_spools / scatter.within:.3g} times as much as samples)"
+    )
 
 
 def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
@@ -177,7 +179,7 @@ def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str
             f"with {sizes} samples the Anderson-Darling test of equal spools cannot tell, "
             f"as its p is never below {least:.2g}"
         )
-    verdict = "does not tell them apart" if p >= limits.min_p else "tells them apart"
+    verdict = "does not distinguish them" if p >= limits.min_p else "distinguishes them"
     return (
         f"the Anderson-Darling test of equal spools {verdict} "
         f"(p = {p:.2g}, pooling needs {limits.min_p:.2g})"
@@ -195,7 +197,7 @@ def t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
     Notes
     -----
     12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, which is n = 2, 3, 5, 6.
-    Equation (2.1) of the source prints another quantile; this one has the stated coverage.
+    Equation (2.1) of the dissertation prints another quantile; this one has the stated coverage.
     """
     return float(special.stdtrit(degrees, 1.0 - 0.5 * outside))
 
@@ -235,14 +237,14 @@ class SpoolScatter:
     Parameters
     ----------
     within : standard deviation of samples of one spool; NaN if no spool has two samples
-    between : standard deviation of the true means of spools; 0 if the scatter of the spool means is
-        explained by that of their samples; NaN if `within` is
-    share : between^2 / (between^2 + within^2)
+    between_spools : standard deviation of the true means of spools; 0 if the scatter of the spool
+        means is explained by that of their samples; NaN if `within` is
+    share : between_spools^2 / (between^2 + within^2)
     share_upper : upper confidence limit of the share; 1 if not available
     """
 
     within: float
-    between: float
+    between_spools: float
     share: float
     share_upper: float
 
@@ -262,9 +264,9 @@ def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
     Notes
     -----
     One-way analysis of variance on unweighted spool means, with the harmonic mean h of the numbers
-    of samples: between^2 = S^2 - within^2 / h, S^2 the variance of the spool means. The limit of
-    the share inverts the F distribution of h S^2 / within^2 (Thomas and Hultquist, Annals of
-    Statistics 6 (1978) 582); for equal numbers of samples it is exact.
+    of samples: between_spools^2 = S^2 - within^2 / h, S^2 the variance of the spool means. The
+    limit of the share inverts the F distribution of h S^2 / within^2 (Thomas and Hultquist, Annals
+    of Statistics 6 (1978) 582); for equal numbers of samples it is exact.
     """
     counts = np.array([len(values) for values in spools])
     free = int(np.sum(counts - 1))
@@ -273,13 +275,13 @@ def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
     within = float(sum(np.sum((values - values.mean()) ** 2) for values in spools)) / free
     harmonic = len(spools) / float(np.sum(1.0 / counts))
     means = float(np.var([values.mean() for values in spools], ddof=1))
-    between = max(means - within / harmonic, 0.0)
-    total = between + within
+    variance_between = max(means - within / harmonic, 0.0)
+    total = variance_between + within
     low = float(special.fdtri(len(spools) - 1, free, 1.0 - confidence))
     return SpoolScatter(
         float(np.sqrt(within)),
-        float(np.sqrt(between)),
-        between / total if total > 0 else np.nan,
+        float(np.sqrt(variance_between)),
+        variance_between / total if total > 0 else np.nan,
         _share_at(harmonic * means, within * low, harmonic),
     )
 

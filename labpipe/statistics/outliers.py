@@ -53,7 +53,7 @@ class Suspects:
 
     @property
     def p(self) -> float:
-        """Smallest p-value, or NaN without a test."""
+        """Return the smallest p-value, or NaN without a test."""
         return min((step.p for step in self.steps), default=float("nan"))
 
     def below(self, level: float) -> tuple[Outlier, ...]:
@@ -64,10 +64,10 @@ class Suspects:
         level : false-alarm rate for this number
         """
         # A value has the smallest p-value of its step and all later ones.
-        chances = [min(step.p for step in self.steps[at:]) for at in range(len(self.steps))]
+        chances = [min(step.p for step in self.steps[number:]) for number in range(len(self.steps))]
         pairs = zip(self.steps, chances, strict=True)
         marked = [(step, chance) for step, chance in pairs if chance < level]
-        alone = {step.where for step, _ in marked}
+        single_places = {step.where for step, _ in marked}
         return tuple(
             Outlier(
                 self.names[where],
@@ -76,12 +76,12 @@ class Suspects:
                 chance,
             )
             for step, chance in marked
-            for where, others in _shared(step, alone)
+            for where, others in _shared(step, single_places)
         )
 
 
 def find_suspects(
-    values: Mapping[str, float], spools: Mapping[str, str], *, most: int | None = None
+    values: Mapping[str, float], spools: Mapping[str, str], *, max_suspects: int | None = None
 ) -> Suspects:
     """Test whether values lie further from the mean of their spool than chance explains.
 
@@ -89,7 +89,7 @@ def find_suspects(
     ----------
     values : by sample; NaN are ignored
     spools : spool of each sample
-    most : largest number of outliers; a tenth of the samples, and at least one, if None
+    max_suspects : largest number of outliers; a tenth of the samples, and at least one, if None
 
     Returns
     -------
@@ -108,7 +108,7 @@ def find_suspects(
     names = [name for name, value in values.items() if not np.isnan(value)]
     number = np.array([values[name] for name in names])
     spool = np.unique([spools[name] for name in names], return_inverse=True)[1]
-    allowed = max(1, len(names) // 10) if most is None else most
+    allowed = max(1, len(names) // 10) if max_suspects is None else max_suspects
     method = _METHODS[allowed > 1, len(set(spool.tolist())) > 1]
     return Suspects(names, number.tolist(), _steps(number, spool, allowed), method)
 
@@ -159,9 +159,9 @@ def _suspects(group: Group, number: GroupNumber) -> Suspects:
     return find_suspects(values, spools)
 
 
-def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
+def _shared(step: _Step, single_places: set[int]) -> list[tuple[int, list[int]]]:
     """Return the value of a step and equally suspect ones, each with the others."""
-    every = [step.where, *(twin for twin in step.twins if twin not in alone)]
+    every = [step.where, *(twin for twin in step.twins if twin not in single_places)]
     return [(where, [other for other in every if other != where]) for where in every]
 
 
@@ -170,20 +170,20 @@ def _equally_suspect(others: Sequence[int], names: Sequence[str]) -> str:
     return f", which cannot tell it from {other_tests}" if other_tests else ""
 
 
-def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
+def _steps(values: Floats, spool: NDArray[np.intp], max_suspects: int) -> list[_Step]:
     """Return the furthest value, its p-value, then the same without it, and so on."""
     equal_p_ratio = 1.001  # within rounding
-    left = np.arange(len(values))
+    remaining = np.arange(len(values))
     steps: list[_Step] = []
-    for _ in range(most):
-        chance = _chances(values[left], spool[left])
+    for _ in range(max_suspects):
+        chance = _chances(values[remaining], spool[remaining])
         if chance is None:
             break
         furthest = int(np.argmin(chance))
         alike = np.flatnonzero(chance <= equal_p_ratio * chance[furthest])
-        twins = tuple(int(left[twin]) for twin in alike if twin != furthest)
-        steps.append(_Step(int(left[furthest]), float(chance[furthest]), twins))
-        left = np.delete(left, furthest)
+        twins = tuple(int(remaining[twin]) for twin in alike if twin != furthest)
+        steps.append(_Step(int(remaining[furthest]), float(chance[furthest]), twins))
+        remaining = np.delete(remaining, furthest)
     return steps
 
 

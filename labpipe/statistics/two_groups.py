@@ -77,7 +77,7 @@ def contrast_of(
     if margin is not None:
         room = log1p(margin) if is_log else margin * abs(first.mean)
     return Contrast(
-        between=log(two / one) if is_log else second.middle - first.middle,
+        difference=log(two / one) if is_log else second.middle - first.middle,
         errors=(_error(first) / one, _error(second) / two),
         counts=(first.n, second.n),
         shared=standard_uncertainty(difference_of(*common)),
@@ -119,7 +119,7 @@ def difference_p(contrast: Contrast) -> float:
     ----------
     contrast : of two means
     """
-    return min(1.0, 2.0 * _tail(abs(contrast.between), contrast))
+    return min(1.0, 2.0 * _tail(abs(contrast.difference), contrast))
 
 
 def equivalence_p(contrast: Contrast) -> float:
@@ -142,7 +142,7 @@ def equivalence_p(contrast: Contrast) -> float:
     """
     if contrast.margin is None:
         return float("nan")
-    room = contrast.margin - abs(contrast.between)
+    room = contrast.margin - abs(contrast.difference)
     p = _tail(abs(room), contrast)
     return p if room > 0 else 1.0 - p
 
@@ -218,15 +218,15 @@ def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
       or not;
     - ``cannot tell`` otherwise.
     """
-    apart = holm([difference.p for difference in differences])
+    unlike = holm([difference.p for difference in differences])
     alike = holm([difference.p_equivalent for difference in differences])
     return [
         _judged(family, difference, *corrected)
-        for difference, *corrected in zip(differences, apart, alike, strict=True)
+        for difference, *corrected in zip(differences, unlike, alike, strict=True)
     ]
 
 
-def _judged(family: str, difference: Difference, apart: Corrected, alike: Corrected) -> Difference:
+def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corrected) -> Difference:
     """Return a comparison with its verdict."""
     max_log_ratio = 20.0  # keeps the ends of an interval finite
     contrast = difference.contrast
@@ -234,14 +234,14 @@ def _judged(family: str, difference: Difference, apart: Corrected, alike: Correc
         reason = difference.difference.reason
         why = reason.message if reason else "there is no interval"
         return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, why=why)
-    outside = (1.0 - LEVEL) / apart.divisor
+    outside = (1.0 - LEVEL) / unlike.divisor
     half = half_of(contrast, outside)
-    ends = Interval(contrast.between - half, contrast.between + half, 1.0 - outside)
+    ends = Interval(contrast.difference - half, contrast.difference + half, 1.0 - outside)
     if contrast.is_log:
         ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
-    is_different, is_alike = apart.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
+    is_different, is_alike = unlike.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
-    why = f"p = {_shortly(apart.p)}{_corrected(apart.tests)}"
+    why = f"p = {_shortly(unlike.p)}{_corrected(unlike.tests)}"
     if is_alike:
         verdict, p = Verdict.EQUIVALENT, _shortly(alike.p)
         real = "a real difference, but " if is_different else ""
@@ -252,7 +252,7 @@ def _judged(family: str, difference: Difference, apart: Corrected, alike: Correc
             beyond = f"not shown to be within {_relative(difference)}"
             why = f"the interval holds zero, {beyond}{_needed(contrast, outside)}"
     return replace(
-        difference, family=family, tests=apart.tests, interval=ends, verdict=verdict, why=why
+        difference, family=family, tests=unlike.tests, interval=ends, verdict=verdict, why=why
     )
 
 
@@ -277,10 +277,6 @@ def _needed(contrast: Contrast, outside: float) -> str:
     return f"; with this scatter n = {n} in each group would tell" if n else ""
 
 
-MAX_ADVISED_SAMPLES = 50
-"""Samples per group beyond which more tests are not advised."""
-
-
 def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
     """Find how many values per group are enough to distinguish different from equivalent.
 
@@ -292,12 +288,13 @@ def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | No
     Returns
     -------
     Smallest number at which the interval is no wider than the margin: it then excludes zero, or is
-    within the margin. None beyond `MAX_ADVISED_SAMPLES`, without a margin, or without scatter.
+    within the margin. None beyond 50 samples per group, without a margin, or without scatter.
     """
+    max_advised_samples = 50  # samples per group beyond which more tests are not advised
     if contrast.margin is None or not contrast.error:
         return None
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
-    for n in range(max(contrast.counts) + 1, MAX_ADVISED_SAMPLES + 1):
+    for n in range(max(contrast.counts) + 1, max_advised_samples + 1):
         more = replace(contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n))
         if half_of(more, outside) <= 0.5 * contrast.margin:
             return n
@@ -361,13 +358,13 @@ def holm(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
     >>> [each.p for each in holm([0.04, 0.01, 0.03])]
     [0.06, 0.03, 0.06]
     """
-    tested = sorted((at for at, p in enumerate(chances) if not isnan(p)), key=chances.__getitem__)
+    tested = sorted((i for i, p in enumerate(chances) if not isnan(p)), key=chances.__getitem__)
     corrected = [Corrected(nan, max(1, len(tested)), len(tested))] * len(chances)
     largest, divisor, goes_on = 0.0, max(1, len(tested)), True
-    for rank, at in enumerate(tested):
+    for rank, i in enumerate(tested):
         remaining = len(tested) - rank
-        largest = max(largest, min(1.0, remaining * chances[at]))
+        largest = max(largest, min(1.0, remaining * chances[i]))
         divisor = remaining if goes_on else divisor
         goes_on = goes_on and largest < level
-        corrected[at] = Corrected(largest, divisor, len(tested))
+        corrected[i] = Corrected(largest, divisor, len(tested))
     return corrected

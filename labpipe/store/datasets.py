@@ -26,7 +26,7 @@ from labpipe.errors import StoreError, error_text
 from labpipe.records.arrays import AXIS_LABELS, Ints
 from labpipe.store import layout
 from labpipe.store.hdf5_objects import (
-    LEVEL,
+    COMPRESSION_LEVEL,
     get_text,
     has_attribute,
     is_empty,
@@ -90,7 +90,7 @@ def _pack_chunk(block: NDArray[Any], rows: int) -> bytes:
     missing = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
     block = np.concatenate([block, missing]) if len(missing) else np.ascontiguousarray(block)
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
-    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, LEVEL)
+    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, COMPRESSION_LEVEL)
     return deflated + fletcher32(deflated).to_bytes(4, "little")
 
 
@@ -150,7 +150,7 @@ class Target:
         return Target(self.group.require_group(name), self.pool, self.written, self.packed)
 
     def array(
-        self, name: str, values: NDArray[Any] | tuple[str, ...], kind: Field, unit: str = ""
+        self, name: str, values: NDArray[Any] | tuple[str, ...], spec: Field, unit: str = ""
     ) -> Any:
         """Write numbers or texts as a chunked dataset with its unit and axes.
 
@@ -158,7 +158,7 @@ class Target:
         ----------
         name : of the dataset, unused in this group
         values : texts, or any shape and number type; axis 0 is divided into chunks
-        kind : axes and unit, which become attributes
+        spec : axes and unit, which become attributes
         unit : used if the layout does not define the unit
 
         Returns
@@ -178,19 +178,19 @@ class Target:
         rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(rest)), 1)  # at most all rows
         chunk = (max(min(rows, len(values)), 1), *rest)
         dataset = make_dataset(self.group, name, values, chunk)
-        set_text(dataset, "unit", kind.unit or unit)
-        set_text(dataset, "axes", ", ".join(kind.axes))
+        set_text(dataset, "unit", spec.unit or unit)
+        set_text(dataset, "axes", ", ".join(spec.axes))
         for number, deflated in enumerate(_chunks_of(values, chunk[0], self.pool, self.packed)):
             corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
             dataset.id.write_direct_chunk(corner, deflated)
         self.written[dataset.name] = values
-        self.datasets[name] = dataset, kind
+        self.datasets[name] = dataset, spec
         return dataset
 
-    def link(self, name: str, dataset: Any, kind: Field) -> None:
+    def link(self, name: str, dataset: Any, spec: Field) -> None:
         """Add a dataset of another group to this one."""
         self.group[name] = dataset
-        self.datasets[name] = self.group[name], kind
+        self.datasets[name] = self.group[name], spec
 
     def scaled(self) -> None:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
@@ -198,15 +198,16 @@ class Target:
         An axis without a dataset of its own (`layout.scales_of`) gets one of its name, with the
         labels of `AXIS_LABELS` or numbers from 0.
         """
-        scales = scales_of({name: kind for name, (_, kind) in self.datasets.items()})
+        scales = scales_of({name: spec for name, (_, spec) in self.datasets.items()})
         opened_scales: dict[str, Any] = {}
-        for name, (dataset, kind) in list(self.datasets.items()):
+        for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
                 continue  # a scale has no scales
-            for place, axis in enumerate(kind.axes):
+            for place, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                again = kind.axes[:place].count(axis)
-                unique = f"{scale}_{again + 1}" if again else scale  # xarray requires unique names
+                n_before = spec.axes[:place].count(axis)
+                # xarray requires unique names
+                unique = f"{scale}_{n_before + 1}" if n_before else scale
                 if unique not in opened_scales:
                     opened_scales[unique] = self._scale(unique, scale, axis, dataset.shape[place])
                 self.attach(dataset, place, opened_scales[unique])
@@ -216,8 +217,8 @@ class Target:
         if name in self.group:
             return self.group[name]
         if name != scale:
-            same, kind = self.datasets[scale]
-            return self.array(name, self.written[same.name], kind)
+            same, spec = self.datasets[scale]
+            return self.array(name, self.written[same.name], spec)
         if axis in AXIS_LABELS:
             return self.array(name, AXIS_LABELS[axis], Field((axis,), layout.TEXT))
         return self.array(name, np.arange(size), Field((axis,), "1"))
@@ -336,35 +337,35 @@ def _utf8_text(value: object) -> str:
     return string
 
 
-def array(group: Any, name: str, kind: Field) -> Any:
+def array(group: Any, name: str, spec: Field) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
-    dataset = _checked_dataset(group, name, kind)
+    dataset = _checked_dataset(group, name, spec)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
-    return tuple(text.decode() for text in values.tolist()) if kind.dtype == layout.TEXT else values
+    return tuple(text.decode() for text in values.tolist()) if spec.dtype == layout.TEXT else values
 
 
-def array_rows(group: Any, name: str, kind: Field, chosen: Ints) -> NDArray[Any]:
+def array_rows(group: Any, name: str, spec: Field, chosen: Ints) -> NDArray[Any]:
     """Read rows of a dataset, as `array`.
 
     Parameters
     ----------
-    group, name, kind : as for `array`
+    group, name, spec : as for `array`
     chosen : indices of rows of the first axis, strictly increasing
     """
-    values: NDArray[Any] = _checked_dataset(group, name, kind)[chosen]
+    values: NDArray[Any] = _checked_dataset(group, name, spec)[chosen]
     return values
 
 
-def _checked_dataset(group: Any, name: str, kind: Field) -> Any:
+def _checked_dataset(group: Any, name: str, spec: Field) -> Any:
     """Return a dataset after checking unit, axes, number type and storage."""
     dataset = group[name]
-    for label, expected in (("axes", ", ".join(kind.axes)), ("unit", kind.unit)):
+    for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
             _check(dataset, label, expected, _label(dataset, label))
-    if kind.dtype != layout.TEXT:
-        _check(dataset, "number type", kind.dtype, str(dataset.dtype))
+    if spec.dtype != layout.TEXT:
+        _check(dataset, "number type", spec.dtype, str(dataset.dtype))
     _check_storage(dataset)
     return dataset
 

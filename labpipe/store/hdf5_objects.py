@@ -15,7 +15,7 @@ import numpy as np
 from h5py import h5a, h5d, h5p, h5s, h5t
 from numpy.typing import NDArray
 
-LEVEL: Final = 3
+COMPRESSION_LEVEL: Final = 3
 """At levels 1 and 2 ISA-L (isal 1.9) sometimes compresses equal bytes differently in a thread."""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
@@ -39,8 +39,8 @@ def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, 
     """
     max_shape = tuple(size or h5s.UNLIMITED for size in values.shape)
     space = h5s.create_simple(values.shape, max_shape)
-    kind, properties = _type(values.dtype.str), _properties(chunk)
-    return h5py.Dataset(h5d.create(group.id, name.encode(), kind, space, properties))
+    data_type, properties = _type(values.dtype.str), _properties(chunk)
+    return h5py.Dataset(h5d.create(group.id, name.encode(), data_type, space, properties))
 
 
 def open_dataset(group: Any, name: str) -> Any:
@@ -55,8 +55,8 @@ def open_dataset(group: Any, name: str) -> Any:
 
 
 @lru_cache(maxsize=256)
-def _type(kind: str) -> Any:
-    hdf5_type = h5t.py_create(np.dtype(kind), logical=True)
+def _type(dtype_text: str) -> Any:
+    hdf5_type = h5t.py_create(np.dtype(dtype_text), logical=True)
     if isinstance(hdf5_type, h5t.TypeStringID):
         hdf5_type.set_strpad(h5t.STR_NULLTERM)
     return hdf5_type
@@ -68,7 +68,7 @@ def _properties(chunk: tuple[int, ...]) -> Any:
     properties.set_obj_track_times(False)
     properties.set_chunk(chunk)
     properties.set_shuffle()
-    properties.set_deflate(LEVEL)
+    properties.set_deflate(COMPRESSION_LEVEL)
     properties.set_fletcher32()
     return properties
 
@@ -105,8 +105,8 @@ def get_text(owner: Any, name: str) -> Any:
         If it is not UTF-8.
     """
     attribute = h5a.open(owner.id, name.encode())
-    kind = attribute.get_type()
-    is_variable = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
+    data_type = attribute.get_type()
+    is_variable = isinstance(data_type, h5t.TypeStringID) and data_type.is_variable_str()
     if not is_variable or attribute.shape != ():
         return owner.attrs[name]
     text = np.array("", dtype=_STRING)

@@ -106,7 +106,9 @@ def _bundle(group: Any) -> Bundle:
     )
     positions = array(group, "positions", _WIRE_POSITION) if "positions" in group else ()
     bundle = Bundle(
-        wires=tuple(BundleWire(kind, int(number), _optional(wide)) for kind, number, wide in wires),
+        wires=tuple(
+            BundleWire(wire_type, int(number), _optional(wide)) for wire_type, number, wide in wires
+        ),
         positions=tuple((float(x), float(y)) for x, y in positions),
         conduit_bore=_optional(group.attrs["conduit_bore"]),
         **read_attributes(group, Bundle, skip=("conduit_bore",)),

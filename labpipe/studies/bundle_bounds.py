@@ -21,7 +21,8 @@ from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleM
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, save_bundle_figure, save_loop_figure
+from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, bundle_figure, loop_figure
+from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.studies.bundle_loops import bundle_loop, friction_as_json, processed_test
 from labpipe.studies.wire_specs import read_wire_sheet
@@ -353,10 +354,11 @@ def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBun
             (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
         written = [stage / BUNDLE_FILE]
         if figures:
-            written += save_bundle_figure(modelled.model, stage / FIGURES_FOLDER, png=png)
+            pages = [FigureToSave(FIGURE, partial(bundle_figure, modelled.model))]
             if modelled.friction is not None:
-                drawn = modelled.name, modelled.friction
-                written += save_loop_figure(*drawn, stage / FIGURES_FOLDER, png=png)
+                loop = partial(loop_figure, modelled.name, modelled.friction)
+                pages.append(FigureToSave(LOOP_FIGURE, loop))
+            written += save_pages(pages, stage / FIGURES_FOLDER, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
 

@@ -30,10 +30,10 @@ from labpipe.records.wire_calibration import (
     Separability,
     Solution,
 )
-from labpipe.report.calibration_figures import calibration_drawings, save_calibration_figures
+from labpipe.report.calibration_figures import calibration_drawings
 from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.saving import pngs_of
+from labpipe.report.saving import pngs_of, save_pages
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import finite_or_none
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
@@ -93,7 +93,7 @@ def _match_json(match: CurveMatch) -> dict[str, object]:
         "left_out": match.left_out,
         **_errors_json(errors),
         "force": _numbers(match.reference),
-        "reason": match.words,
+        "reason": match.explanation,
     }
 
 
@@ -168,7 +168,7 @@ def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
         "level": None if interval is None else interval.level,
         "intervals": _intervals(parameter),
         "verdict": str(parameter.verdict),
-        "words": parameter.words,
+        "words": parameter.explanation,
         "profiles": [
             {
                 "value": _numbers(profile.value),
@@ -230,7 +230,7 @@ def _separability_json(separability: Separability) -> dict[str, object]:
         "singular_values": _numbers(separability.singular_values),
         "combinations": [_numbers(row) for row in separability.combinations],
         "identified": dict(separability.are_identified),
-        "words": separability.words,
+        "words": separability.explanation,
     }
 
 
@@ -472,7 +472,8 @@ def _write(
         written = [model, workbook]
         written += write_decks([wire_table(spec) for spec in calibrated], stage)
         if figures:
-            written += save_calibration_figures(report, stage / FIGURES_FOLDER, say=say, png=png)
+            drawings = calibration_drawings(report)
+            written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
         return tuple(folder / path.relative_to(stage) for path in written)
 
 

@@ -183,13 +183,13 @@ def _load_notes(
     if pulled is None or prediction is None:
         return
     ends = (curve.deflection, pulled.deflection, prediction.deflection)
-    at = min(float(end[-1]) for end in ends)
-    as_tested = float(np.interp(at, pulled.deflection, pulled.force))
-    normal = float(np.interp(at, prediction.deflection, prediction.force))
+    end_deflection = min(float(end[-1]) for end in ends)
+    as_tested = float(np.interp(end_deflection, pulled.deflection, pulled.force))
+    normal = float(np.interp(end_deflection, prediction.deflection, prediction.force))
     message = (
-        f"its load is normal to the axis, unlike that of the tests: at {1e3 * at:.4g} mm the force "
-        f"of the model is {1e3 * as_tested:.4g} mN as tested and {1e3 * normal:.4g} mN normal to "
-        f"the axis"
+        f"its load is normal to the axis, unlike that of the tests: at {1e3 * end_deflection:.4g} "
+        f"mm the force of the model is {1e3 * as_tested:.4g} mN as tested and {1e3 * normal:.4g} "
+        f"mN normal to the axis"
     )
     yield QualityNote("external_curve_load", Severity.INFO, curve.name, message)
 
@@ -203,10 +203,12 @@ def _notes(
         )
         yield QualityNote("external_curve_untested", Severity.INFO, curve.name, message)
     for agreement in (tests, model):
-        if agreement is None or not agreement.words:
+        if agreement is None or not agreement.explanation:
             continue
         if agreement.errors is None:
-            message = agreement.words
+            message = agreement.explanation
             yield QualityNote("external_curve_not_compared", Severity.WARNING, curve.name, message)
         else:
-            yield QualityNote("external_curve_cut", Severity.INFO, curve.name, agreement.words)
+            yield QualityNote(
+                "external_curve_cut", Severity.INFO, curve.name, agreement.explanation
+            )

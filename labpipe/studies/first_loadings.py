@@ -50,8 +50,8 @@ def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
     """
     rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
     zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
-    over = next((step.over for step in zeroed), None)  # duration of the mean, s
-    return zero_error(curve.time[rest], curve.force[rest], over)
+    duration = next((step.over for step in zeroed), None)  # duration of the mean, s
+    return zero_error(curve.time[rest], curve.force[rest], duration)
 
 
 def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Branch) -> float:
@@ -69,8 +69,8 @@ def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Bra
     """
     rest = slice(0, first.start)
     frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
-    over = next((step.over for step in frames), None)  # duration of the reference, s
-    zero = zero_error(curve.time[rest], curve.displacement[rest], over)
+    duration = next((step.over for step in frames), None)  # duration of the reference, s
+    zero = zero_error(curve.time[rest], curve.displacement[rest], duration)
     fit = None if result.aligned is None else result.aligned.clock_fit
     clock = 0.0 if fit is None else fit.offset_interval.standard_error
     return float(np.hypot(zero, (clock if np.isfinite(clock) else 0.0) * _speed(curve, first)))
@@ -108,14 +108,14 @@ def scale_errors(result: TestResult) -> tuple[float, float]:
     return common, test_error
 
 
-def zero_error(time: Floats, values: Floats, over: float | None) -> float:
+def zero_error(time: Floats, values: Floats, duration: float | None) -> float:
     """Return the standard error of a zero, the mean over part of a rest, in the unit of values.
 
     Parameters
     ----------
     time : shape (n,), s, evenly sampled
     values : shape (n,), at rest; NaN are ignored
-    over : s, of the part; None for all of it
+    duration : s, of the part; None for all of it
 
     Returns
     -------
@@ -130,7 +130,7 @@ def zero_error(time: Floats, values: Floats, over: float | None) -> float:
     if np.isnan(variance):
         return 0.0
     lasts = float(time[-1] - time[0])
-    share = 1.0 if over is None else min(over / lasts, 1.0)
+    share = 1.0 if duration is None else min(duration / lasts, 1.0)
     return float(np.sqrt(variance / (share * len(valid))))
 
 

@@ -34,7 +34,7 @@ from labpipe.studies.harness_section import Material
 Followed = tuple[RodPath, PreparedLine]
 FollowLine = Callable[[int, Inputs], Followed]
 """Prepare and solve a line: number of the distribution, and inputs."""
-_ROUNDING = 1e-6
+_ROUNDING_SHARE = 1e-6
 """Rounding error of the solver, over a number or its `reference_size`."""
 _SHAPE = "shape"
 
@@ -75,7 +75,10 @@ def harness_bands(
         return None
     limit = material.limit
     line = bands_of(
-        [solve.path for solve in solves], material.distributions, at=steps, tested_curvature=limit
+        [solve.path for solve in solves],
+        material.distributions,
+        steps=steps,
+        tested_curvature=limit,
     )
     if line is None:
         return None
@@ -112,7 +115,7 @@ class _Solver:
         self.solutions: dict[tuple[tuple[str, float], ...], Followed] = {}
 
     def solve(self, inputs: Inputs) -> Followed:
-        """Path and line."""
+        """Return the path and line."""
         key = tuple(sorted(inputs.items()))
         if key not in self.solutions:
             self.solutions[key] = self.follow_line(self.number, inputs)
@@ -120,15 +123,15 @@ class _Solver:
 
     @property
     def first(self) -> Followed:
-        """Path and line at the best inputs, which are solved first."""
+        """Return the path and line at the best inputs, which are solved first."""
         return next(iter(self.solutions.values()))
 
     def path(self, inputs: Inputs) -> RodPath:
-        """Path alone."""
+        """Return the path alone."""
         return self.solve(inputs)[0]
 
     def fields(self, inputs: Inputs) -> Fields | None:
-        """Fields of all numbers; None of a line that cannot be solved."""
+        """Return the fields of all numbers; None of a line that cannot be solved."""
         path, prepared = self.solve(inputs)
         return None if path.status == "failed" else fields_of(path, prepared)
 
@@ -147,7 +150,7 @@ class _DrawnNumbers:
         self.drawn = self.numbers(response.drawn)
 
     def numbers(self, field: Callable[[str], Floats]) -> dict[str, Floats]:
-        """All numbers of fields, and the shape."""
+        """Return all numbers of fields, and the shape."""
         path, prepared = self.solve.first
         steps = len(path.states) - 1
         numbers = {name: evaluate_number(name, field, prepared, steps) for name in self.names}
@@ -192,14 +195,14 @@ def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason 
                 times = _relative_error(number, draw.drawn[name], row, bands[name], scales[name])
                 squares.setdefault(name, []).append(times**2)
     off = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
-    most = max(off, key=lambda name: off[name], default=_SHAPE)
-    if not lost and off.get(most, 0.0) <= max_cause_error:
+    largest = max(off, key=lambda name: off[name], default=_SHAPE)
+    if not lost and off.get(largest, 0.0) <= max_cause_error:
         return None
     faults = [f"{lost} have no equilibrium"] if lost else []
-    if off.get(most, 0.0) > max_cause_error:
+    if off.get(largest, 0.0) > max_cause_error:
         faults.append(
-            f"{most} differs by {off[most]:.2g} times half the width of its band, "
-            f"root mean square (allowed is {max_cause_error:g})"
+            f"{largest} differs by {off[largest]:.2g} times half the width of its band, "
+            f"root mean square (expected at most {max_cause_error:g})"
         )
     message = (
         f"the causes of the bands do not add up: of {count} draws with all causes "
@@ -212,7 +215,9 @@ def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:
     """Return the rounding error of each number and of the shape."""
     units = {number.name: number.unit for number in numbers_of(path, prepared)} | {_SHAPE: "m"}
     units |= dict.fromkeys((RADIUS, RADIUS_ON_PATH), "1/m")
-    return {name: _ROUNDING * reference_size(unit, prepared.line) for name, unit in units.items()}
+    return {
+        name: _ROUNDING_SHARE * reference_size(unit, prepared.line) for name, unit in units.items()
+    }
 
 
 def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
@@ -222,5 +227,5 @@ def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: 
     """
     middle = np.median(drawn, axis=0)
     distances = np.where(number > middle, band.upper - middle, middle - band.lower)
-    least = scale + _ROUNDING * float(np.max(np.abs(number)))
+    least = scale + _ROUNDING_SHARE * float(np.max(np.abs(number)))
     return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(distances)), least))

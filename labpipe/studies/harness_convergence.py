@@ -48,12 +48,12 @@ class ConvergenceWalk:
 
     @property
     def steps_text(self) -> str:
-        """Number of steps, as text."""
+        """Return the number of steps, as text."""
         return "twice as many" if np.any(self.times % 1.0 > 0.0) else "half as many"
 
 
 def depends_on_history(prepared: PreparedLine) -> bool:
-    """Whether a line depends on its history: by sliders, or friction of a plane.
+    """Return whether a line depends on its history: by sliders, or friction of a plane.
 
     Parameters
     ----------
@@ -94,8 +94,10 @@ def _corners(path: Floats | None, *, is_frame: bool) -> Iterator[int]:
     moves = np.diff(path, axis=0)
     if is_frame:
         moves = rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
-    most = min_corner_share * float(np.max(np.linalg.norm(moves, axis=1)))
-    yield from (np.flatnonzero(np.linalg.norm(np.diff(moves, axis=0), axis=1) > most) + 1).tolist()
+    max_move = min_corner_share * float(np.max(np.linalg.norm(moves, axis=1)))
+    yield from (
+        np.flatnonzero(np.linalg.norm(np.diff(moves, axis=0), axis=1) > max_move) + 1
+    ).tolist()
 
 
 def walk_with_other_steps(prepared: PreparedLine, steps: int) -> ConvergenceWalk:
@@ -121,8 +123,8 @@ def _resampled(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
     for name in _PATHS:
         path = getattr(boundary, name, None)
         if path is not None and path.ndim == 2 and len(path) > 1:
-            between = 0.5 * (path[low] + path[high])
-            changes[name] = unit(between) if name == "frame" else between
+            midpoints = 0.5 * (path[low] + path[high])
+            changes[name] = unit(midpoints) if name == "frame" else midpoints
     release = getattr(boundary, "release", None)
     if release is not None:
         changes["release"] = int(np.searchsorted(times, release - 1, side="right"))
@@ -179,8 +181,8 @@ def few_elements_doubt(
         return None
     wanted = max(2 * count, math.ceil(count * math.sqrt(max(too_far.values()))))
     changed = _change_text("half as many elements", "a number", 1.0 / error_share)
-    most = max(too_far, key=lambda name: too_far[name])
-    message = f"{changed}, most {most}: {count} elements are too few; take {wanted}"
+    worst = max(too_far, key=lambda name: too_far[name])
+    message = f"{changed}, most {worst}: {count} elements are too few; take {wanted}"
     # another number may be unchanged by chance
     return Doubt(Reason("coarse_elements", message), tuple(number.name for number in numbers))
 
@@ -243,11 +245,11 @@ def _allowed_change(
 
 def _worst_place(path: RodPath, prepared: PreparedLine, other: ConvergenceWalk) -> str:
     """Return step and place where the bending moments of both solutions begin to differ most."""
-    at = np.flatnonzero(other.times % 1.0 == 0.0)
-    steps = other.times[at].astype(int)
+    whole_steps = np.flatnonzero(other.times % 1.0 == 0.0)
+    steps = other.times[whole_steps].astype(int)
     first = np.array([path.states[step].moments for step in steps])
-    second = np.array([other.path.states[row].moments for row in at])
-    apart = np.linalg.norm(second - first, axis=3).max(axis=2)
-    row, node = divmod(int(np.argmax(np.diff(apart, axis=0, prepend=0.0))), apart.shape[1])
+    second = np.array([other.path.states[row].moments for row in whole_steps])
+    distance = np.linalg.norm(second - first, axis=3).max(axis=2)
+    row, node = divmod(int(np.argmax(np.diff(distance, axis=0, prepend=0.0))), distance.shape[1])
     place = 1e3 * prepared.line.stations[node]
     return f"step {steps[row]}, {place:.4g} mm from the start"

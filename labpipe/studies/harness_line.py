@@ -1,4 +1,4 @@
-"""Rod and boundaries of a harness YAML: nodes, natural shape, and paths of all boundaries.
+"""Rod and boundaries of a harness YAML: nodes, rest shape, and paths of all boundaries.
 
 Paths have a row per step and one for the start, where all boundaries are at the places of the
 line at rest, bent by its weight alone. Every place that the file names is a node. Boundaries move
@@ -29,8 +29,10 @@ from labpipe.protocol.harness_file import (
     String,
     Vector3,
     Waypoint,
+    first_anchor,
+    legs_of,
+    start_of,
 )
-from labpipe.protocol.harness_reach import first_anchor, legs_of, start_of
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line, Section, line_along
@@ -47,7 +49,7 @@ from labpipe.rod.rotations import (
 LENGTH_FACTOR = "length_factor"
 """Logarithm of the factor on the length of the line."""
 FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
-"""Additions to the natural curvature, 1/m: towards the side of the spool, and across it."""
+"""Additions to the rest curvature, 1/m: towards the side of the spool, and across it."""
 Inputs = Mapping[str, float]
 
 
@@ -94,9 +96,9 @@ def prepare_line(
     line = _line(harness, section, stations)
     free = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
     if np.any(free):
-        natural = line.natural.copy()
-        natural[:, :2] += free @ _bend_axes(line, harness.line.spool)
-        line = Line(line.lengths, section, line.positions, line.frames, natural)
+        rest_curvature = line.rest_curvature.copy()
+        rest_curvature[:, :2] += free @ _bend_axes(line, harness.line.spool)
+        line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
     return PreparedLine(line, tuple(_boundaries(harness, line, places)), places)
 
 
@@ -146,7 +148,7 @@ def _towards(spool: Spool, direction: Floats) -> Floats:
     towards = np.array(spool.towards)
     across = towards - (towards @ direction) * direction
     if np.linalg.norm(across) < 1e-6:
-        message = f"towards={spool.towards}: allowed is a side of the line, not its direction"
+        message = f"towards={spool.towards}: must be a side of the line, not its direction"
         raise ValueError(message)
     return np.asarray(unit(across))
 
@@ -222,9 +224,9 @@ def _ramp(by: int, steps: int) -> Floats:
 
 def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
     legs = legs_of(boundary, line.positions[node].tolist(), steps)
-    at, rows = [leg.step for leg in legs], np.arange(steps + 1)
+    leg_steps, rows = [leg.step for leg in legs], np.arange(steps + 1)
     corners = np.array([leg.position for leg in legs])
-    position = np.column_stack([np.interp(rows, at, axis) for axis in corners.T])
+    position = np.column_stack([np.interp(rows, leg_steps, axis) for axis in corners.T])
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
         frame = _frames(boundary, line.frame_at(node), steps)
@@ -238,9 +240,9 @@ def _frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
     for point in points:
         step = point.step if isinstance(point, Waypoint) else point.by or steps
         span = step - len(frames) + 1
-        here = matrices(frames[-1])[:, 2]
-        there = here if point.direction is None else np.array(point.direction)
-        full = rotation_vectors(shortest_turns(here, there))
+        start_direction = matrices(frames[-1])[:, 2]
+        direction = start_direction if point.direction is None else np.array(point.direction)
+        full = rotation_vectors(shortest_turns(start_direction, direction))
         shares = np.arange(1, span + 1) / span
         moved = from_rotation_vectors(shares[:, None] * full)
         frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))

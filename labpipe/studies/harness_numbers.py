@@ -90,7 +90,7 @@ def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
 
 
 def curvature_of(state: RodState, line: Line) -> Floats:
-    """Return the curvature of the line, 1/m, shape (n + 1,), natural curvature included.
+    """Return the curvature of the line, 1/m, shape (n + 1,), rest curvature included.
 
     Parameters
     ----------
@@ -224,10 +224,11 @@ def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
     if share <= 0.1:  # of the energy lost
         return None
     fell = np.diff(path.lost_in_jumps, prepend=0.0)
-    at = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
+    step_text = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
     message = (
-        f"step {at}: the line jumped (it snapped or was released) and lost {100.0 * share:.0f} % "
-        "of the energy; history-dependent results depend on its motion, which is unknown"
+        f"step {step_text}: the line jumped (it snapped or was released) and lost "
+        f"{100.0 * share:.0f} % of the energy; history-dependent results depend on its motion, "
+        "which is unknown"
     )
     names = (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
     return Doubt(Reason("jumped", message), names)
@@ -319,7 +320,7 @@ class Number:
 
     @property
     def is_signed(self) -> bool:
-        """Whether it may be negative: a coordinate, not a size."""
+        """Return whether it may be negative: a coordinate, not a size."""
         return self.name == LOWEST_POINT
 
 
@@ -413,8 +414,8 @@ def _force_numbers(
     for number, boundary in enumerate(prepared.boundaries):
         if not isinstance(boundary, HOLDS):
             continue
-        most = int(np.argmax(sizes[:, number]))
-        remark = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
+        largest = int(np.argmax(sizes[:, number]))
+        remark = f"largest on the way: {sizes[largest, number]:.4g} N at step {largest}"
         yield Number(f"{FORCE}{boundary.name}", value(f"{FORCE}{boundary.name}"), "N", remark)
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
             yield Number(f"{MOMENT}{boundary.name}", value(f"{MOMENT}{boundary.name}"), "N*m", "")

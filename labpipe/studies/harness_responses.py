@@ -39,7 +39,7 @@ def curvature_vectors(state: RodState, line: Line) -> Floats:
     state : of the line
     line : in this state
     """
-    return np.asarray(state.node_curvatures[:, :, :2] + line.natural_at_nodes[:, None, :2])
+    return np.asarray(state.node_curvatures[:, :, :2] + line.rest_curvature_at_nodes[:, None, :2])
 
 
 def largest_of_sides(bent: Floats) -> Floats:

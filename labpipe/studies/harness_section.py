@@ -15,8 +15,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, ReadError, UsageError, error_text, nearest
 from labpipe.law.sliders import SliderLaw, linear_moment_law
-from labpipe.protocol.harness_file import HarnessFile, SectionBlock
-from labpipe.protocol.harness_reach import file_beside
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
@@ -75,12 +74,12 @@ class Material:
 
     @property
     def diameter(self) -> float:
-        """Outer diameter, m."""
+        """Return the outer diameter, m."""
         return self.sections[0](self.best).diameter
 
     @property
     def best(self) -> Mapping[str, float]:
-        """The best inputs."""
+        """Return the best inputs."""
         return self.distributions[0].inputs() if self.distributions else {}
 
 

@@ -65,17 +65,17 @@ class SweepRun:
 
     @property
     def status(self) -> str:
-        """`ok`, `doubtful` or `failed`."""
+        """Return `ok`, `doubtful` or `failed`."""
         return self.path.status if self.path.status == FAILED or not self.reasons else "doubtful"
 
     @property
     def bend(self) -> Bend:
-        """The sharpest bend at the last step; NaN for a failed line."""
+        """Return the sharpest bend at the last step; NaN for a failed line."""
         return self._sharpest([len(self.path.states) - 1])
 
     @property
     def bend_on_path(self) -> Bend:
-        """The sharpest bend of all steps; NaN for a failed line."""
+        """Return the sharpest bend of all steps; NaN for a failed line."""
         return self._sharpest(range(len(self.path.states)))
 
     def _sharpest(self, steps: Sequence[int]) -> Bend:
@@ -122,23 +122,23 @@ class FollowedHarness:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """Steps that are shown: those of the file, and the last."""
+        """Return the steps that are shown: those of the file, and the last."""
         return shown_steps(self.harness)
 
     @property
     def bands_by_step(self) -> Mapping[int, StateBands]:
-        """Bands of the steps that are shown."""
+        """Return the bands of the steps that are shown."""
         states = () if self.bands is None else self.bands.line.states
         return {state.step: state for state in states}
 
     @property
     def sharpest(self) -> Bend:
-        """The sharpest bend of all steps."""
+        """Return the sharpest bend of all steps."""
         return sharpest(self.path, self.prepared.line, range(len(self.path.states)))
 
     @property
     def is_bend_doubtful(self) -> bool:
-        """Whether the sharpest bend of all steps is doubtful."""
+        """Return whether the sharpest bend of all steps is doubtful."""
         numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
         return any(result.status is Status.DOUBTFUL for result in numbers)
 

@@ -14,7 +14,8 @@ from labpipe import __version__
 from labpipe.decks.mujoco_line import line_deck
 from labpipe.protocol.load import load_harness
 from labpipe.records.result import Status
-from labpipe.report.harness_figure import FIGURE, SWEEP_FIGURE, save_harness_figure
+from labpipe.report.harness_figure import FIGURE, SWEEP_FIGURE, harness_drawings
+from labpipe.report.saving import save_pages
 from labpipe.store.replace import locked, replacing, replacing_together, storing
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, finite_or_none, result_entry
 from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
@@ -141,7 +142,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
         if figures:
             drawn = drawn_harness(solution)
             into = stage / FIGURES_FOLDER
-            written += save_harness_figure(drawn, drawn_sweep(solution), into, png=png)
+            written += save_pages(harness_drawings(drawn, drawn_sweep(solution)), into, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(solution, files=files)
 

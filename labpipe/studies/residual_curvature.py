@@ -57,7 +57,7 @@ def residual_curvature(state: RodState, law: SliderLaw) -> Floats:
 
     Notes
     -----
-    Without natural curvature. See `curvature_after_release`; the larger one where both sides of a
+    Without rest curvature. See `curvature_after_release`; the larger one where both sides of a
     node differ at a clip.
     """
     return np.asarray(np.linalg.norm(curvature_after_release(law, state.rests), axis=2).max(axis=1))
@@ -92,8 +92,8 @@ def largest_unbending(path: RodPath) -> float:
     path : of the line
     """
     bent = np.array([state.bendings for state in path.states])
-    most = bent.max(axis=0)
-    return float(np.max(most - bent[-1]) / max(float(most.max()), _MIN_CURVATURE))
+    largest = bent.max(axis=0)
+    return float(np.max(largest - bent[-1]) / max(float(largest.max()), _MIN_CURVATURE))
 
 
 def unloading_reason(path: RodPath, line: Line) -> Reason | None:

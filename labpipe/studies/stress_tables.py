@@ -16,8 +16,16 @@ import numpy as np
 from labpipe.errors import Fault, ReadError, error_text, nearest
 from labpipe.law.thinning import thin
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
-from labpipe.protocol.wire_rows import Column, Curve, column_name, parse_row
+from labpipe.protocol.wire_rows import (
+    FIRST_SLOPES,
+    Column,
+    Curve,
+    StressPoint,
+    column_name,
+    curve_fault,
+    curve_of,
+    parse_row,
+)
 from labpipe.readers.sheet_cells import Cell, Table, as_table, csv_cells, sheets_of, workbook_cells
 from labpipe.readers.workbooks import is_workbook
 from labpipe.wire.materials import RambergOsgood
@@ -72,7 +80,7 @@ class StatedCurve:
 
     @property
     def description(self) -> str:
-        """The origin of the curve, in one line."""
+        """Return the origin of the curve, in one line."""
         strains, _ = self.curve
         numbers, conditions = self.numbers, self.conditions
         form = f"{len(strains)} point{'s' * (len(strains) > 1)}"
@@ -82,8 +90,8 @@ class StatedCurve:
                 f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
             )
         stated = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
-        at = [f"{value:.6g} {unit}" for value, unit in stated if value is not None]
-        measured = f", at {' and '.join(at)}" if at else ", rate and temperature not stated"
+        values = [f"{value:.6g} {unit}" for value, unit in stated if value is not None]
+        measured = f", at {' and '.join(values)}" if values else ", rate and temperature not stated"
         return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
     def as_json(self) -> dict[str, object]:
@@ -141,7 +149,7 @@ def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
     stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, dense_points)])
     strain = law.strain(stress)
     strain[-1] = last
-    chosen = thin(strain, stress, most=table_points + 1)
+    chosen = thin(strain, stress, max_points=table_points + 1)
     return tuple(chosen.curvature[1:].tolist()), tuple(chosen.moment[1:].tolist())
 
 
@@ -150,7 +158,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
     Parameters
     ----------
-    column : of the wire sheet, one of `labpipe.protocol.stress_curve.FIRST_SLOPES`
+    column : of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
     name : the cell: another sheet of the workbook, or a csv beside the csv
     path : of the wire sheet
 
@@ -178,7 +186,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
 def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
     """Find missing, repeated, contradicting and misspelt columns."""
-    numbers, points = ([name for name in names if name in kind] for kind in (_PROOF, _POINT))
+    numbers, points = ([name for name in names if name in columns] for columns in (_PROOF, _POINT))
     needed = _PROOF if numbers else _POINT
     for column in needed:
         if column not in names:
@@ -237,13 +245,13 @@ def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
         yield Fault(("largest_strain",), expected, f"{numbers.largest_strain:g}", remedy)
 
 
-def _blocks(kind: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
+def _blocks(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
     """Parse rows of a kind; other columns are ignored."""
     blocks: list[_B] = []
     faults: list[PlacedFault] = []
     for row in rows:
-        cells = {key: cell for key, cell in row.items() if key in kind.model_fields}
-        block = parse_row(kind, texts(cells))
+        cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
+        block = parse_row(block_type, texts(cells))
         if isinstance(block, list):
             faults += place_faults(block, cells)
         else:
@@ -260,8 +268,8 @@ def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
             expected = "the name of a csv in the folder of the wire sheet"
             remedy = "Put the table beside the sheet and give its name."
             raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
-        beside = path.with_name(name.text)
-        return as_table(csv_cells(beside), beside, rows_of=rows_of), beside
+        neighbour = path.with_name(name.text)
+        return as_table(csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
     sheets = list(sheets_of(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:

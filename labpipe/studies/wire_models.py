@@ -17,8 +17,8 @@ from labpipe import __version__
 from labpipe.decks import deck_paths, deck_texts, write_texts
 from labpipe.errors import ProcessingError, UsageError, error_text
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.saving import pngs_of
-from labpipe.report.wire_figures import figure_names, save_wire_figures, wire_drawings
+from labpipe.report.saving import pngs_of, save_pages
+from labpipe.report.wire_figures import figure_names, wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import finite_or_none
@@ -106,7 +106,8 @@ def model_wires(
             with storing(folder):
                 written = _write(modelled, [wire.decks for wire in modelled_wires], stage, pool)
             if figures:
-                written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say, png=png)
+                drawings = wire_drawings(tables)
+                written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
             files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
 

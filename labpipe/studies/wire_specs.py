@@ -10,9 +10,9 @@ from itertools import chain
 from pathlib import Path
 
 from labpipe.errors import Fault, ReadError, error_text
-from labpipe.protocol.stress_curve import FIRST_SLOPES
 from labpipe.protocol.wire_rows import (
     COLUMNS,
+    FIRST_SLOPES,
     WireRow,
     column_name,
     heading_faults,

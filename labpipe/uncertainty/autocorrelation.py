@@ -75,8 +75,8 @@ def fast_noise(values: Floats) -> Floats:
     count = values.shape[-1] // size
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
-    left = rows - rows @ basis @ basis.T
-    deviation: Floats = np.median(np.sqrt(np.sum(left**2, axis=-1) / (size - 3)), axis=-1)
+    residuals = rows - rows @ basis @ basis.T
+    deviation: Floats = np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1)
     return deviation
 
 
@@ -112,7 +112,7 @@ class Grid:
 
     @property
     def times(self) -> Floats:
-        """In samples, shape (times,)."""
+        """Return the correlation times, samples, shape (times,)."""
         longest_share = 0.2
         n_spectra = 24
         longest = longest_share * self.count
@@ -121,7 +121,7 @@ class Grid:
 
     @property
     def prior(self) -> Floats:
-        """Prior of each spectrum, shape (g,)."""
+        """Return the prior of each spectrum, shape (g,)."""
         # With this power, intervals cover 95 % from white noise to correlation over a tenth of the
         # window (see the studies).
         prior_power = -0.4
@@ -165,31 +165,31 @@ class StretchLikelihood:
     unit: Floats
 
     @classmethod
-    def of(cls, basis: Floats, values: Floats, grid: Grid, most: int) -> StretchLikelihood:
-        """Restricted likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) in cosines.
+    def of(cls, basis: Floats, values: Floats, grid: Grid, n_cosines: int) -> StretchLikelihood:
+        """Compute the restricted likelihood in cosines (Harville, JASA 72 (1977) 320).
 
         Parameters
         ----------
         basis : shape (p, n), orthonormal rows
         values : shape (n,), without NaN; the part that the basis explains has no effect
         grid : of the spectra
-        most : number of cosines used, the slowest
+        n_cosines : number of cosines used, the slowest
         """
         spent, count = basis.shape
-        terms = min(count, most)
+        terms = min(count, n_cosines)
         cosines = slowest_cosines(np.vstack([basis, values]), terms).T
-        waves, left = cosines[:, :spent], cosines[:, spent]
+        waves, value_wave = cosines[:, :spent], cosines[:, spent]
         spectra = _spectra(grid, count, terms)
         information = (spectra.inverse @ _products(waves)).reshape(-1, spent, spent)
         unit: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        score = spectra.inverse @ (left[:, None] * waves)
+        score = spectra.inverse @ (value_wave[:, None] * waves)
         shifts: Floats = np.einsum("gij,gj->gi", unit, score)
-        squares: Floats = spectra.inverse @ left**2 - np.einsum("gi,gi->g", shifts, score)
+        squares: Floats = spectra.inverse @ value_wave**2 - np.einsum("gi,gi->g", shifts, score)
         likelihood: Floats = -0.5 * (spectra.logs + np.linalg.slogdet(information)[1])
         return cls(spectra.spectra, waves, likelihood, squares, terms - spent, shifts, unit)
 
     def plain_covariance(self) -> Floats:
-        """Covariance of ordinary least squares under each spectrum.
+        """Return the covariance of ordinary least squares under each spectrum.
 
         Beyond the last cosine, the noise has at most the power of that cosine.
         """

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Samples, Singles
+from labpipe.records.arrays import Floats, Samples
 from labpipe.records.curve import Branch
 from labpipe.records.estimates import Failure
 
@@ -30,8 +30,6 @@ class Trace:
     sizes : m (an area m^2), of specimen and rig by the keys of the protocol
     beyond : time from the last sample before a failure or turn to it, in sampling steps
     steps : parts that each sampling step has been divided into
-    noise : shape (..., n), N, of replicates, noise of the force before all filters; None if it is
-        unknown or filters do nothing
     """
 
     time: Floats
@@ -42,23 +40,28 @@ class Trace:
     sizes: Mapping[str, float] = field(default_factory=dict)
     beyond: float = 0.0
     steps: int = 1
-    noise: Floats | Singles | None = None
 
-    def finer(self, times: int) -> Trace:
+    def finer(self, times: int, *, has_corners: bool = False) -> Trace:
         """Return the curve with each sampling step divided by linear interpolation.
 
         Parameters
         ----------
         times : parts per step, at least 1
+        has_corners : whether the steps before and after each step are extended to where they
+            meet in it, instead
         """
         if times == 1:
             return self
         count = len(self.time)
-        at = np.arange((count - 1) * times + 1) / times
+        places = np.arange((count - 1) * times + 1) / times
         along = np.arange(count)
         time, displacement, force = (
-            np.interp(at, along, values) for values in (self.time, self.displacement, self.force)
+            np.interp(places, along, values)
+            for values in (self.time, self.displacement, self.force)
         )
+        if has_corners:
+            displacement = displacement + _beyond_chords(self.displacement, times)
+            force = force + _beyond_chords(self.force, times)
         branches = tuple(
             replace(branch, start=times * branch.start, stop=max(times * (branch.stop - 1) + 1, 0))
             for branch in self.branches
@@ -73,6 +76,22 @@ class Trace:
             failed_at=failed,
             steps=times * self.steps,
         )
+
+
+def _beyond_chords(values: Floats, times: int) -> Floats:
+    """Return what the lines of the neighbouring steps add to each divided step, up to a corner.
+
+    Zero in a step that is not between its neighbours, and in the first and the last one.
+    """
+    beyond = np.zeros((len(values) - 1, times))
+    steps = np.diff(values)
+    if len(steps) >= 3:
+        share = np.arange(times) / times
+        before, after = steps[:-2] - steps[1:-1], steps[1:-1] - steps[2:]
+        lines = np.stack([np.outer(before, share), np.outer(after, 1.0 - share)])
+        nearer = np.where(before > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
+        beyond[1:-1] = np.where((before * after > 0.0)[:, None], nearer, 0.0)
+    return np.append(beyond.ravel(), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +120,7 @@ class Reading:
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """Function that returns the numbers of curves with noise."""
+        """Return the function that returns the numbers of curves with noise."""
         return self.in_noise or self.numbers
 
 

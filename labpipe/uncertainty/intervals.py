@@ -25,12 +25,14 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.noise_model import SHORT_RECORD_SAMPLES
 from labpipe.uncertainty.replicates import Input, Replicates
 
 _QUANTILES_95 = (0.025, 0.975)
 _BETWEEN = Input(STEP, lambda trace, _: trace, law="uniform", stream="between samples")
 """The effect of finer samples is known from a curve that is smoother or rougher than the true one:
 the true effect is between -1/2 and 3/2 of it."""
+_CORNERS = Input(STEP, lambda trace, _: trace, law="uniform", stream="corners between samples")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,22 +57,22 @@ class Measured:
 
     @property
     def estimate(self) -> float:
-        """The value less the mean effect of noise."""
+        """Return the value less the mean effect of noise."""
         return self.value - float(np.nanmean(self.off))
 
     @property
     def error(self) -> float:
-        """Standard uncertainty of the estimate."""
+        """Return the standard uncertainty of the estimate."""
         return float(np.nanstd(self.off))
 
     @property
     def as_estimate(self) -> Estimate:
-        """The value with its standard uncertainty and its interval."""
+        """Return the value with its standard uncertainty and its interval."""
         return Estimate(self.value, self.error, self.n, self.interval)
 
     @property
     def interval(self) -> Interval:
-        """95 % interval, widened to contain the value.
+        """Return the 95 % interval, widened to contain the value.
 
         The largest of many noisy samples and the last one before a break are outside otherwise.
         """
@@ -111,9 +113,9 @@ def measure(
     base = _numbers_of(plain, replicates.smooth)
     drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - base[:, None]
-    between, share = _between_samples(replicates, reading, smooth), 1.0 / np.sqrt(3.0)
-    off = noise - np.outer(between, 0.5 + share * replicates.draws(_BETWEEN))
-    parts, doubts = [(STEP, share * between)], list[tuple[str, Reason]]()
+    between, spread_between = _between_samples(replicates, reading, smooth)
+    off = noise - between
+    parts, doubts = [(STEP, spread_between)], list[tuple[str, Reason]]()
     handed = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         low, high = (smooth.changed(quantity, x) for x in (-1.0, 1.0))
@@ -151,14 +153,34 @@ def measure(
     )
 
 
-def _between_samples(replicates: Replicates, reading: Reading, smooth: SmoothNumbers) -> Floats:
-    """Return the correction of numbers to infinitely fine samples."""
-    if reading.between is not None:
-        return np.array(reading.between)
+def _between_samples(
+    replicates: Replicates, reading: Reading, smooth: SmoothNumbers
+) -> tuple[Floats, Floats]:
+    """Draw the correction of numbers to infinitely fine samples.
+
+    Returns
+    -------
+    Shape (numbers, replicates), and the standard deviation of each number.
+    """
     measured = replicates.measured
-    if not reading.feels_corners or len(measured.time) != len(replicates.smooth.time):
-        return smooth.between_samples()
-    return SmoothNumbers.of(smooth.decide, measured, reading).between_samples()
+    if reading.between is not None:
+        between = np.array(reading.between)
+    elif not reading.feels_corners or len(measured.time) != len(replicates.smooth.time):
+        between = smooth.between_samples()
+    else:
+        between = SmoothNumbers.of(smooth.decide, measured, reading).between_samples()
+    share = 1.0 / np.sqrt(3.0)
+    drawn, spread = np.outer(between, 0.5 + share * replicates.draws(_BETWEEN)), share * between
+    longest = max((branch.stop - branch.start for branch in measured.branches), default=0)
+    is_sampled = reading.is_cut or reading.between is not None
+    if longest > SHORT_RECORD_SAMPLES or reading.feels_corners or not is_sampled:
+        return drawn, spread
+    # A short record does not show whether the curve is smooth: one half of the replicates has a
+    # corner wherever the steps allow one.
+    corners, has_corners = smooth.corners(), replicates.draws(_CORNERS) > 0.0
+    interpolated = drawn if reading.between is None else np.zeros_like(drawn)
+    drawn = np.where(has_corners, interpolated + corners[:, None], drawn)
+    return drawn, np.where(corners == 0.0, spread, np.copysign(drawn.std(axis=1), spread))
 
 
 def _decide_on_smooth(
@@ -170,6 +192,9 @@ def _decide_on_smooth(
         return plain
     if len(replicates.smooth.time) == len(replicates.measured.time):
         return reading
+    coarse = decide(replicates.blocks)
+    if isinstance(coarse, Reading):
+        return coarse
     return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
 
 
@@ -253,6 +278,18 @@ class SmoothNumbers:
     def between_samples(self) -> Floats:
         """Return the change of the numbers with finer samples."""
         return _numbers_of(self.fine_reading, self.fine) - _numbers_of(self.reading, self.trace)
+
+    def corners(self) -> Floats:
+        """Return the change of the numbers with corners between samples, where steps allow them."""
+        parts_per_step = 8
+        changes = list[Floats]()
+        for has_corners in (False, True):
+            fine = self.trace.finer(parts_per_step, has_corners=has_corners)
+            reading = self.decide(fine)
+            if isinstance(reading, Failure):
+                return np.zeros(len(self.reading.numbers(self.trace)))
+            changes.append(_numbers_of(reading, fine))
+        return changes[1] - changes[0]
 
     def changed(self, quantity: Input, by: float) -> Floats:
         """Return the change of the numbers with an input.

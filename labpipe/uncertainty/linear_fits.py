@@ -43,7 +43,7 @@ class LinearFit:
     n: int
 
     def estimate(self, number: int) -> Estimate:
-        """One coefficient with its standard error and 95 % interval."""
+        """Return one coefficient with its standard error and 95 % interval."""
         value, half = float(self.coefficients[number]), float(self.half_widths[number])
         error = float(np.sqrt(self.covariance[number, number]))
         return Estimate(value, error, self.n, Interval(value - half, value + half))
@@ -52,7 +52,7 @@ class LinearFit:
 def fit_linear(
     design: Floats, values: Floats, *, weighted: bool = False, beside: Sequence[Floats] = ()
 ) -> LinearFit:
-    """Least squares with intervals that hold for serially correlated residuals.
+    """Fit by least squares, with intervals that hold for serially correlated residuals.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def fit_linear(
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values
     residuals = values - plain @ basis
-    most = max([count, *map(len, beside)])
-    grid = Grid(most, most if weighted else min(most, MAX_COSINES))
+    max_samples = max([count, *map(len, beside)])
+    grid = Grid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
     window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
     others = [
         StretchLikelihood.of(cubic_basis(len(stretch)), stretch, grid, MAX_COSINES)

@@ -83,10 +83,13 @@ def _processes(longest: int, count: int) -> _Processes:
     # White noise below correlated noise, as shares of the spectrum at frequency zero.
     white_floors = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
     prior_power = -0.4
+    # Longest correlation time, as a share of the longest branch. A record of fewer than a dozen
+    # pieces does not exclude a longer one.
+    longest_share = 0.1 if longest < _PIECES_PER_BRANCH * _MIN_PIECE_SAMPLES else 0.05
     # Prior of flicker noise without white noise, relative to white noise. Their crossing is uniform
     # in frequency: the later flicker noise rises above white noise, the smaller its prior.
     flicker_prior = 1.0
-    times = np.geomspace(shortest_time, max(longest / 20, 2.0 * shortest_time), n_times)
+    times = np.geomspace(shortest_time, max(longest_share * longest, 2.0 * shortest_time), n_times)
     a, prior = np.exp(-1.0 / times), (times / times[0]) ** prior_power
     lowest = np.pi / (2.0 * max(count, 1))
     steep = np.repeat(_FLICKER_POWERS, len(_FLICKER_CROSSINGS))
@@ -139,7 +142,7 @@ class Noise:
 
     @property
     def correlation_time(self) -> float:
-        """Mean correlation time, samples.
+        """Return the mean correlation time, samples.
 
         Half the power at frequency zero over the variance: less for more white noise below, and one
         half for white noise alone.
@@ -153,7 +156,7 @@ class Noise:
 
     @property
     def is_zero(self) -> bool:
-        """Whether the signal has no noise."""
+        """Return whether the signal has no noise."""
         return not self.squares.any()
 
     def draw(self, count: int, replicates: int, rng: np.random.Generator) -> Singles:
@@ -272,12 +275,12 @@ def estimate_noise(
     if not len(moving):
         return _no_noise(longest)
     basis = _polynomials(width)
-    left = moving - (moving @ basis) @ basis.T
-    power = np.sum(left**2, axis=1)
+    residuals = moving - (moving @ basis) @ basis.T
+    power = np.sum(residuals**2, axis=1)
     if np.median(power) <= width * (_ROUNDING_SHARE * span) ** 2:
         return _no_noise(longest)
     terms = min(_HALF_WAVES, width)
-    waves = fft.dct(left, norm="ortho", axis=1)[:, :terms]
+    waves = fft.dct(residuals, norm="ortho", axis=1)[:, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
     processes = _processes(longest, count)
     spectra = processes.spectra(np.pi * np.arange(terms) / width)
@@ -296,7 +299,7 @@ def estimate_noise(
     likelihood, squares, freedom = _add_rests(processes, still, width, seen)
     if is_alike.mean() < min_alike_share and not has_steps:
         squares = squares * power[power >= np.median(power)].mean() / power[is_alike].mean()
-    angles, fast = _replace_corner_power(*_fast_wave_power(branches, smooth), left[is_level])
+    angles, fast = _replace_corner_power(*_fast_wave_power(branches, smooth), residuals[is_level])
     chances = _chances(processes, likelihood)
     return Noise(chances, squares, freedom, longest, count, angles, fast)
 
@@ -318,8 +321,8 @@ def _add_rests(
     """Add rests to likelihood, sums of squares and degrees of freedom.
 
     Without rests, waves as long as the record are not observed. Flicker noise is then excluded if
-    pieces do not distinguish it: in records of fewer than a dozen pieces, if it exceeds white noise
-    only below their waves, and if it is as steep as autocorrelated noise.
+    pieces do not distinguish it: if it exceeds white noise only below their waves, and if it is as
+    steep as autocorrelated noise.
     """
     # Flicker noise is judged without rests only where it exceeds white noise at this multiple of
     # the slowest wave of a piece,
@@ -334,7 +337,7 @@ def _add_rests(
         is_seen = (processes.crossing >= slow) & (processes.crossing <= fast)
         # Processes that are white up to the fastest wave of a piece are equal there.
         is_seen |= processes.crossing == _FLICKER_CROSSINGS[0]
-        is_seen &= (processes.steep <= max_flicker_power) & (width > _MIN_PIECE_SAMPLES)
+        is_seen &= processes.steep <= max_flicker_power
         is_seen |= processes.steep == 0.0
         return np.where(is_seen, likelihood, -np.inf), squares, freedom
     return _add_parts(processes, still, seen)
@@ -352,8 +355,10 @@ def _short_record_noise(
         if stop - start > degree + 1
     ]
     span = max(map(_range_of, branches), default=0.0)
-    left = sum(float(np.sum((part - basis @ (basis.T @ part)) ** 2)) for part, basis in parts)
-    if not parts or left <= count * (_ROUNDING_SHARE * span) ** 2:
+    residual_squares = sum(
+        float(np.sum((part - basis @ (basis.T @ part)) ** 2)) for part, basis in parts
+    )
+    if not parts or residual_squares <= count * (_ROUNDING_SHARE * span) ** 2:
         return _no_noise(longest)
     processes = _processes(longest, count)
     none = np.zeros(len(processes.prior))
@@ -422,16 +427,16 @@ def _no_noise(longest: int) -> Noise:
     return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
 
 
-def _polynomials(width: int, most: int = _POLYNOMIAL_COLUMNS) -> Floats:
+def _polynomials(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
     """Return orthonormal polynomials over a piece, shape (width, columns)."""
     min_samples_per_column = 8
-    return _legendre(width, int(np.clip(width // min_samples_per_column, min(2, most), most)))
+    return _legendre(width, int(np.clip(width // min_samples_per_column, min(2, columns), columns)))
 
 
 def _legendre(width: int, columns: int) -> Floats:
     """Return the first orthonormal polynomials over even samples, shape (width, columns)."""
-    at = np.linspace(-1.0, 1.0, width)
-    return np.linalg.qr(np.polynomial.legendre.legvander(at, columns - 1))[0]
+    places = np.linspace(-1.0, 1.0, width)
+    return np.linalg.qr(np.polynomial.legendre.legvander(places, columns - 1))[0]
 
 
 def _likelihood(spectra: Floats, waves: Floats, columns: Floats) -> tuple[Floats, Floats, int]:
@@ -460,13 +465,15 @@ def _whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Float
     return squares
 
 
-def _replace_corner_power(angles: Floats, power: Floats, left: Floats) -> tuple[Floats, Floats]:
+def _replace_corner_power(
+    angles: Floats, power: Floats, residuals: Floats
+) -> tuple[Floats, Floats]:
     """Replace the power of fast waves by that of pieces without corners, if corners dominate it."""
-    width = left.shape[1]
+    width = residuals.shape[1]
     first = int(np.ceil(angles[0] * width / np.pi)) if len(angles) else width
     if first + 1 >= width:
         return angles, power
-    piece_power = np.mean(fft.dct(left, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
+    piece_power = np.mean(fft.dct(residuals, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
     if power.mean() <= _CORNER_VARIANCE_RATIO * piece_power.mean():
         return angles, power
     interpolated = np.interp(
@@ -477,21 +484,23 @@ def _replace_corner_power(angles: Floats, power: Floats, left: Floats) -> tuple[
 
 def _fast_wave_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Return the power of fast waves of all branches in bands: angles per sample, power."""
-    left = [
+    residual_pieces = [
         branch - curve
         for branch, curve in zip(branches, smooth, strict=True)
         if len(branch) > 2 * _MIN_OWN_WAVES
     ]
-    if not left:
+    if not residual_pieces:
         return np.zeros(0), np.zeros(0)
-    longest = max(len(residuals) for residuals in left)
+    longest = max(len(residuals) for residuals in residual_pieces)
     # Processes are known only for the waves of the pieces.
     first = max(_MIN_OWN_WAVES, min(longest // 8, _PIECES_PER_BRANCH * _HALF_WAVES))
     angles = np.pi * np.arange(first, longest - _BAND_WAVES, _BAND_WAVES) / longest
     total = np.zeros(len(angles))
-    for residuals in left:
+    for residuals in residual_pieces:
         sums = np.append(0.0, np.cumsum(fft.dct(residuals, norm="ortho") ** 2))
-        at = np.append(angles, np.pi) * len(residuals) / np.pi
-        power = np.diff(np.interp(at, np.arange(len(residuals) + 1), sums)) / np.diff(at)
+        wave_numbers = np.append(angles, np.pi) * len(residuals) / np.pi
+        power = np.diff(np.interp(wave_numbers, np.arange(len(residuals) + 1), sums)) / np.diff(
+            wave_numbers
+        )
         total += power * len(residuals)
-    return angles, total / sum(len(residuals) for residuals in left)
+    return angles, total / sum(len(residuals) for residuals in residual_pieces)

@@ -67,7 +67,7 @@ class Input:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of its draws, in the unit of `moved`."""
+        """Return the standard deviation of its draws, in the unit of `moved`."""
         return float(1.0 / np.sqrt(12.0)) if self.law == "step" else 1.0
 
 
@@ -78,31 +78,29 @@ class Replicates:
     Parameters
     ----------
     measured : the curve that numbers are read from
+    blocks : the same on the samples of `smooth`
     smooth : the curve without noise and filters, perhaps on fewer samples
     displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
     inputs : further uncertain inputs
     seed : of all draws
     noises : noise models of force and displacement, for those that have noise
-    before_filters : shape (replicates, n), N, noise of the force before all filters; None if it is
-        unknown or filters do nothing
     """
 
     measured: Trace
+    blocks: Trace
     smooth: Trace
     displacement: Floats
     force: Floats
     inputs: tuple[Input, ...]
     seed: bytes
     noises: Mapping[str, Noise]
-    before_filters: Singles | None = None
 
     def traces(self) -> Iterator[Trace]:
         """Yield the replicates in batches."""
         for first in range(0, len(self.force), _BATCH_REPLICATES):
             rows = slice(first, first + _BATCH_REPLICATES)
             displacement, force = self.displacement[rows], self.force[rows]
-            noise = None if self.before_filters is None else self.before_filters[rows]
-            yield replace(self.smooth, displacement=displacement, force=force, noise=noise)
+            yield replace(self.smooth, displacement=displacement, force=force)
 
     def draws(self, quantity: Input) -> Floats:
         """Return the draws of an input, in standard uncertainties, shape (replicates,).
@@ -144,6 +142,7 @@ class Replicates:
         return replace(
             self,
             measured=replace(self.measured, displacement=self.measured.displacement + by),
+            blocks=replace(self.blocks, displacement=self.blocks.displacement + by),
             smooth=replace(self.smooth, displacement=self.smooth.displacement + by),
             displacement=self.displacement + by,
             inputs=(*self.inputs, *inputs),
@@ -214,10 +213,10 @@ def smooth_curve(
         if len(y) <= SHORT_RECORD_SAMPLES and not rests:
             smooth[low:high][is_finite] = _polynomials(x, y)
             continue
-        min_samples, most = (
+        min_samples, max_pieces = (
             (min_rest_samples, max_rest_intervals) if rests else (_MIN_INTERVAL_SAMPLES, parts)
         )
-        count = int(np.clip(len(y) // min_samples, 1, most))
+        count = int(np.clip(len(y) // min_samples, 1, max_pieces))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         curve = make_lsq_spline(x, y, _supported_knots(knots, x), _SPLINE_DEGREE)(x)
         is_constant = rests and _is_constant(y, curve, count + _SPLINE_DEGREE)
@@ -257,11 +256,11 @@ def _join_pieces(values: Floats, cut: int) -> None:
     farther apart than their slopes explain, as at a slip, are not changed.
     """
     max_gap_steps = 2.5
-    left, right = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
-    ahead, back = values[cut - 1] + left, values[cut] - right
-    if not abs(ahead - values[cut]) <= max_gap_steps * max(abs(left), abs(right)):
+    step_before, step_after = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
+    ahead, back = values[cut - 1] + step_before, values[cut] - step_after
+    if not abs(ahead - values[cut]) <= max_gap_steps * max(abs(step_before), abs(step_after)):
         return
-    pick = min if left > right else max
+    pick = min if step_before > step_after else max
     values[cut - 1], values[cut] = pick(values[cut - 1], back), pick(values[cut], ahead)
 
 
@@ -295,6 +294,7 @@ def draw_replicates(
     *,
     seed: bytes,
     compliance: float = 0.0,
+    blocks: Trace | None = None,
 ) -> Replicates:
     """Draw replicates of a measured curve.
 
@@ -307,12 +307,13 @@ def draw_replicates(
     inputs : further uncertain inputs
     seed : of all draws
     compliance : m/N; times the force, it is subtracted from the displacement of `unfiltered`
+    blocks : `measured` on the samples of `unfiltered`; None if they are the same
 
     Returns
     -------
     The replicates, the same for the same seed.
     """
-    parts, before = spline_intervals_of(unfiltered), None
+    parts = spline_intervals_of(unfiltered)
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
@@ -322,12 +323,12 @@ def draw_replicates(
         noise = _record_noise(
             values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
         )
-        before = (
+        record_noise = (
             None
             if noise.is_zero
             else noise.draw(len(time), N_REPLICATES, random_stream(seed, name))
         )
-        drawn.append(_noisy_and_filtered(curve, before, act))
+        drawn.append(_noisy_and_filtered(curve, record_noise, act))
         noises[name] = noise
         smooth.append(curve)
     displacement, force = drawn
@@ -335,7 +336,9 @@ def draw_replicates(
         smooth[0] = smooth[0] - compliance * smooth[1]
         displacement = displacement - compliance * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
-    replicates = Replicates(measured, base, displacement, force, inputs, seed, noises, before)
+    replicates = Replicates(
+        measured, blocks or measured, base, displacement, force, inputs, seed, noises
+    )
     noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
     return replace(replicates, noises=noises)
 

@@ -10,7 +10,7 @@ MODES = 3
 """They contain 93 % of the variance of a random walk."""
 
 
-def drift_modes(away: Floats, by: float) -> list[Floats]:
+def drift_modes(times: Floats, by: float) -> list[Floats]:
     """Return the modes of a zero drift, each for its own standard normal draw.
 
     The modes of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi)
@@ -19,7 +19,7 @@ def drift_modes(away: Floats, by: float) -> list[Floats]:
 
     Parameters
     ----------
-    away : shape (n,), s, time from where the zero was taken; at least one is not zero
+    times : shape (n,), s, time from where the zero was taken; at least one is not zero
     by : standard uncertainty of the zero at the largest time, in any unit
 
     Returns
@@ -30,4 +30,4 @@ def drift_modes(away: Floats, by: float) -> list[Floats]:
         return []
     places = np.pi * (np.arange(MODES) + 0.5)
     scale = by / float(np.sqrt(np.sum(places**-2.0)))
-    return [np.sin(place * away / away.max()) * scale / place for place in places.tolist()]
+    return [np.sin(place * times / times.max()) * scale / place for place in places.tolist()]

@@ -80,12 +80,12 @@ class BundleModel:
 
     @property
     def number(self) -> int:
-        """Number of wires."""
+        """Return the number of wires."""
         return sum(number for _, number in self.wires)
 
     @property
     def radius(self) -> float:
-        """Radius of the smallest circle around the centre that contains all wires, m."""
+        """Return the radius of the smallest circle around the centre that contains all wires, m."""
         layout = lay_wires(self)
         return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
 
@@ -116,7 +116,7 @@ class BundleModel:
 
     @property
     def mass_per_length(self) -> float:
-        """Mass per length of the wires, kg/m; tape and conduit are left out."""
+        """Return the mass per length of the wires, kg/m; tape and conduit are left out."""
         return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
 
     def scaled(self, factor: float) -> BundleModel:
@@ -125,7 +125,7 @@ class BundleModel:
 
     @property
     def stiffnesses(self) -> Mapping[str, float]:
-        """Contributions to the bending stiffness at first loading, N m^2, of this sample.
+        """Return the contributions to the bending stiffness at first loading, N m^2.
 
         ``wires`` each about its own axis; ``friction`` and ``glue`` between them; ``conduit``;
         ``initial`` their sum; ``rigid`` for a plane section.
@@ -138,8 +138,8 @@ class BundleModel:
             "glue": self.glue_share * outer,
             "conduit": self.conduit_stiffness,
         }
-        whole = {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
-        return {name: self.factor * value for name, value in (parts | whole).items()}
+        parts_sum = {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
+        return {name: self.factor * value for name, value in (parts | parts_sum).items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,9 +223,9 @@ def _neighbours(places: Floats) -> Ints:
 def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
     """Return the place of each wire, with the wires of the first kind first."""
     first = bundle.wires[0][1]
-    around = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
+    order = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
-        return around
+        return order
     # the second kind is spread evenly over the shells
     share = (len(places) - first) / len(places)
     is_second = np.diff(np.floor(share * np.arange(len(places) + 1) + 0.5)) > 0.0
@@ -304,4 +304,4 @@ TAPED_TYPES = {
     "TWB-B2-7-PET": replace(_PET, wires=(("B2", 7),)),
     "TWB-B2-19-PET": replace(_PET, wires=(("B2", 19),)),
 }
-"""The taped bundles of the source's Table 4.1; the glue of PET tape never slides."""
+"""The taped bundles of the dissertation's Table 4.1; the glue of PET tape never slides."""

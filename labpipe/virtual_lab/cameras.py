@@ -84,7 +84,7 @@ class Take:
 
     @property
     def body(self) -> RigidBody:
-        """The clamp."""
+        """Return the clamp."""
         return self.bodies[0]
 
     def recording(self) -> Recording:
@@ -253,8 +253,8 @@ def marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
 
 def twist_at(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
     """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
-    way, _, _ = path.middle(progress)
-    turned: Floats = markers.twist * way / path.test.stroke
+    travel, _, _ = path.middle(progress)
+    turned: Floats = markers.twist * travel / path.test.stroke
     return turned
 
 
@@ -262,9 +262,9 @@ def cylinder_markers(path: ThreePointPath, markers: CylinderMarkers, progress: F
     """Return marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
     sections, angles = marker_places(markers)
     x, y, turn = path.points(progress, sections)
-    around = angles - twist_at(path, markers, progress)[:, None]
-    up = markers.centre_offset * np.sin(around)
-    out = markers.centre_offset * np.cos(around)
+    rolled_angles = angles - twist_at(path, markers, progress)[:, None]
+    up = markers.centre_offset * np.sin(rolled_angles)
+    out = markers.centre_offset * np.cos(rolled_angles)
     centres: Floats = np.stack([x - up * np.sin(turn), y + up * np.cos(turn), out], axis=2)
     return centres
 
@@ -335,7 +335,7 @@ def _events(
 
 
 def _stretch_events(
-    kind: str, stretch: Stretch | None, frames: int, *, n_markers: int, n_wire: int
+    event_type: str, stretch: Stretch | None, frames: int, *, n_markers: int, n_wire: int
 ) -> list[MishapEvent]:
     if stretch is None:
         return []
@@ -344,8 +344,9 @@ def _stretch_events(
         markers[0] >= 0 and markers[-1] < n_wire and 0.0 <= stretch.start < stretch.stop <= 1.0
     ):
         message = (
-            f"{kind}: expected markers 0 to {n_wire - n_markers} and 0 <= start < stop <= 1, "
+            f"{event_type}: expected markers 0 to {n_wire - n_markers} and 0 <= start < stop <= 1, "
             f"found {stretch}"
         )
         raise ValueError(message)
-    return [MishapEvent(kind, markers, int(stretch.start * frames), int(stretch.stop * frames))]
+    start, stop = int(stretch.start * frames), int(stretch.stop * frames)
+    return [MishapEvent(event_type, markers, start, stop)]

@@ -132,8 +132,8 @@ GROUPS = (
     *(WireGroup(WIRES[name], 0.085) for name in ("A1", "A2", "A3")),
     *(WireGroup(WIRES[name], length) for name in ("B1", "B2") for length in (0.085, 0.1)),
 )
-"""Three wires of 85 mm, and two of both 85 and 100 mm. In the source the samples of A3 are 120 mm
-long to protect its load cell; here they are 85 mm, like those of A1 and A2."""
+"""Three wires of 85 mm, and two of both 85 and 100 mm. In the dissertation the samples of A3 are
+120 mm long to protect its load cell; here they are 85 mm, like those of A1 and A2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,7 @@ class WireCampaign:
 
 @dataclass(frozen=True, slots=True)
 class TapedCampaign:
-    """Taped bundles (Table 4.1 of the source) in the cantilever rig.
+    """Taped bundles (Table 4.1 of the dissertation) in the cantilever rig.
 
     Parameters
     ----------
@@ -223,13 +223,13 @@ class TapedCampaign:
         """
         random = np.random.default_rng([seed, 61])
         gain_error = TAPED_CELL.gain_uncertainty * float(random.standard_normal())
-        for kind, name in enumerate(self.types):
+        for type_number, name in enumerate(self.types):
             bundle = taped_scenario(name, cycles=self.cycles)
             for sample in range(1, self.samples + 1):
                 usual = replace(bundle, name=f"{name}-{sample}", sample=sample, speed=self.speed)
                 yield (
                     _cantilever_sample(self, usual, gain_error, random),
-                    100_000 * seed + 100 * kind + sample,
+                    100_000 * seed + 100 * type_number + sample,
                 )
 
 
@@ -255,7 +255,7 @@ def _cantilever_sample(
 
 @dataclass(frozen=True, slots=True)
 class ConduitCampaign:
-    """Bundles in a conduit (Table 4.2 of the source) in three-point bending.
+    """Bundles in a conduit (Table 4.2 of the dissertation) in three-point bending.
 
     Every third sample has no export of the load frame: displacement follows from speed and time.
 
@@ -288,12 +288,12 @@ class ConduitCampaign:
         """
         random = np.random.default_rng([seed, 67])
         gain_error = CONDUIT_CELL.gain_uncertainty * float(random.standard_normal())
-        for kind, name in enumerate(self.types):
+        for type_number, name in enumerate(self.types):
             for sample in range(1, self.samples + 1):
                 usual = replace(conduit_scenario(name), name=f"{name}-{sample}", sample=sample)
                 yield (
                     self._sample(usual, gain_error, random),
-                    100_000 * seed + 50_000 + 100 * kind + sample,
+                    100_000 * seed + 50_000 + 100 * type_number + sample,
                 )
 
     def _sample(
@@ -383,9 +383,9 @@ class TensileCampaign:
     def _corrugated_tubes(
         self, gain_error: float, random: np.random.Generator
     ) -> Iterator[TensileScenario]:
-        for kind, factor in self.tubes:
+        for tube_type, factor in self.tubes:
             for sample in range(1, 4):
-                name = f"{kind}-{sample}"
+                name = f"{tube_type}-{sample}"
                 scattered = factor * _scatter(random, 0.01)
                 tube = corrugated_tube(name, factor=scattered, gain_error=gain_error)
                 yield replace(
@@ -393,7 +393,7 @@ class TensileCampaign:
                     law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
                     frame=replace(tube.frame, unloads=name == self.unloaded),
                     slips=dict(self.slips).get(name, ()),
-                    section=self.small_section if kind in self.small_tubes else (),
+                    section=self.small_section if tube_type in self.small_tubes else (),
                 )
 
     def _twist_tubes(

@@ -56,7 +56,7 @@ class Segment:
 
     @property
     def is_still(self) -> bool:
-        """Whether the string is slack and the wire moves with the clamp."""
+        """Return whether the string is slack and the wire moves with the clamp."""
         return len(self.progress) == 2
 
 
@@ -202,23 +202,23 @@ class _Cycle:
     ) -> Iterator[list[CantileverShape]]:
         """Solve up to `goal` and yield the shapes of each segment between events, ends included."""
         law = self._law(bent)
-        here = self._shape(law, state, state.travel)
-        event = self._taut_travel(law, here)
-        if here.tension <= 0.0:  # slack: no bending until the string is taut
+        shape = self._shape(law, state, state.travel)
+        event = self._taut_travel(law, shape)
+        if shape.tension <= 0.0:  # slack: no bending until the string is taut
             stop = min(event, goal) if goal > state.travel else goal
             if abs(stop - state.travel) > _MIN_TRAVEL_STEP:
-                there = self._shape(law, here.state, stop)
-                yield [here, there]
-                here = there
-        if abs(goal - here.state.travel) > _MIN_TRAVEL_STEP:
-            yield from self._taut(here, goal, bent)
+                end_shape = self._shape(law, shape.state, stop)
+                yield [shape, end_shape]
+                shape = end_shape
+        if abs(goal - shape.state.travel) > _MIN_TRAVEL_STEP:
+            yield from self._taut(shape, goal, bent)
 
     def _taut(
-        self, here: CantileverShape, goal: float, bent: float
+        self, shape: CantileverShape, goal: float, bent: float
     ) -> Iterator[list[CantileverShape]]:
-        shapes, test = [here], self.test
+        shapes, test = [shape], self.test
         share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-        for travel in here.state.travel + share * (goal - here.state.travel):
+        for travel in shape.state.travel + share * (goal - shape.state.travel):
             law, ahead, bent = self._step(shapes[-1], float(travel), bent)
             if ahead.tension > 0.0:
                 shapes.append(ahead)
@@ -234,7 +234,7 @@ class _Cycle:
         yield shapes
 
     def _step(
-        self, here: CantileverShape, travel: float, bent: float
+        self, shape: CantileverShape, travel: float, bent: float
     ) -> tuple[MomentLaw, CantileverShape, float]:
         """Solve at a travel with the law for the largest curvature reached there."""
         max_iterations = 20
@@ -242,7 +242,7 @@ class _Cycle:
         wire = self.test.wire
         for _ in range(max_iterations):
             law = self._law(bent)
-            ahead = self._shape(law, here.state, travel)
+            ahead = self._shape(law, shape.state, travel)
             reached = _largest_curvature([ahead], bent)
             if not isinstance(wire, BundleModel) or reached == bent:
                 break

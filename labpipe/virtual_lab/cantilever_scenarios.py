@@ -21,7 +21,6 @@ from labpipe.virtual_lab.bundles import TAPED_TYPES, BundleModel
 from labpipe.virtual_lab.specimens import StrandedWire, WireModel
 
 TAPED_LENGTH = 0.1143
-MARKER_SPACING = 0.0127
 
 VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
 """A wire defined by its law or by its strands, or a bundle of wires."""
@@ -65,12 +64,12 @@ class MechanicalTest:
 
     @property
     def mass_per_length(self) -> float:
-        """Acting mass per length of the wire, kg/m."""
+        """Return the acting mass per length of the wire, kg/m."""
         return self.wire.mass_per_length if self.weighs else 0.0
 
     @property
     def self_weight(self) -> float:
-        """Acting weight per length of the wire, N/m."""
+        """Return the acting weight per length of the wire, N/m."""
         return self.gravity * self.mass_per_length
 
 
@@ -263,9 +262,9 @@ class CantileverScenario:
 
 
 WIRE_TEST = MechanicalTest(slack=None, steps_per_branch=80, crowding=2.5, n_stations=32)
-"""The rig of the source for a stranded wire, straight and held by the string. Positions are closer
-where the strands begin to slip: the interpolated force is within 0.06 mN (with even positions
-5 mN), with half as many stations within 0.02 mN."""
+"""The rig of the dissertation for a stranded wire, straight and held by the string. Positions are
+closer where the strands begin to slip: the interpolated force is within 0.06 mN (with even
+positions 5 mN), with half as many stations within 0.02 mN."""
 
 TAPED_TEST = replace(WIRE_TEST, length=TAPED_LENGTH, steps_per_branch=60, crowding=2.0)
 """The same rig for a taped bundle. Positions are closer where its wires begin to slip: the
@@ -293,7 +292,7 @@ def wire_scenario(wire: StrandedWire, length: float, *, cycles: int = 3) -> Cant
 
 
 def taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
-    """Return a test of a taped bundle of the source's Table 4.1, without mishaps.
+    """Return a test of a taped bundle of the dissertation's Table 4.1, without mishaps.
 
     Parameters
     ----------
@@ -310,8 +309,9 @@ def taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
     KeyError
         If the type is unknown.
     """
+    marker_spacing = 0.0127
     bundle = TAPED_TYPES[name]
-    half = 0.5 * MARKER_SPACING
+    half = 0.5 * marker_spacing
     return CantileverScenario(
         specimen_type=name,
         spool=f"{name}-s1",

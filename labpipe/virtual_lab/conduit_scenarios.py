@@ -1,4 +1,4 @@
-"""Settings of the conduit bundles of the source's Table 4.2 in three-point bending.
+"""Settings of the conduit bundles of the dissertation's Table 4.2 in three-point bending.
 
 Everything is SI. The specimen frame: x along the bundle to the right as seen by the cameras, y up,
 z towards the cameras, origin at mid-span at rest. Displacement is that of the upper roller, down;
@@ -16,7 +16,6 @@ from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose
 from labpipe.virtual_lab.specimens import ElasticModel, WireModel
 
-MARKER_RADIUS = 1.5e-3
 GAIN, OFFSET = -0.21082, 0.002846
 """Calibration of the load cell, N/V and N: force is gain x volts + offset."""
 
@@ -136,7 +135,7 @@ class ThreePointTest:
 
     @property
     def reach(self) -> float:
-        """Distance from the centre of a roller to the axis of the bundle, m."""
+        """Return the distance from the centre of a roller to the axis of the bundle, m."""
         return self.roller_radius + self.outer_radius
 
 
@@ -239,7 +238,7 @@ class ConduitScenario:
 
     @property
     def bundle(self) -> BundleModel:
-        """The sample, with its factor.
+        """Return the sample, with its factor.
 
         Raises
         ------
@@ -264,6 +263,7 @@ def conduit_scenario(name: str) -> ConduitScenario:
     KeyError
         If the case is unknown.
     """
+    marker_radius = 1.5e-3
     bundle, conduit = CONDUIT_TYPES[name]
     radius = 0.5 * conduit.outer_diameter
     return ConduitScenario(
@@ -271,5 +271,5 @@ def conduit_scenario(name: str) -> ConduitScenario:
         name=f"{name}-1",
         specimen_type=name,
         spool=f"{name}-s1",
-        markers=CylinderMarkers(centre_offset=radius + MARKER_RADIUS),
+        markers=CylinderMarkers(centre_offset=radius + marker_radius),
     )

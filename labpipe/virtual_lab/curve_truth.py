@@ -15,9 +15,7 @@ from labpipe.virtual_lab.cantilever_path import MechanicalPath
 
 KINK_WINDOW = (0.2e-3, 5e-3)
 STIFFNESS_RANGE = 5e-3
-PLATEAU_SHARE = 0.10
-_POINTS = 800
-_STEPS = 20_001
+_KINK_GRID_POINTS = 800
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +48,7 @@ class LoadingTruth:
     end_tangent : N/m, slope of the least-squares line over the last 5 mm
     end_slope : the same as a share of `windowed_stiffness`
     plateau_displacement, plateau_force : m, N, from which the tangent over a millimetre stays below
-        `PLATEAU_SHARE` of `windowed_stiffness`; None if `end_slope` is not below it
+        a tenth of `windowed_stiffness`; None if `end_slope` is not below it
     """
 
     tangent_at_zero: float
@@ -125,7 +123,8 @@ def evaluate_taped(path: MechanicalPath) -> TapedTruth:
 
 def _loading(path: MechanicalPath, cycle: int) -> tuple[Floats, Floats]:
     """Return deflection and force of one loading, m and N."""
-    progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, _STEPS))
+    n_steps = 20_001
+    progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, n_steps))
     return path.deflection(progress), path.tension(progress) - path.rest.tension
 
 
@@ -151,13 +150,14 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
     -------
     The numbers.
     """
+    plateau_share = 0.1  # slope of the plateau over that of the window
     zero_distance = 0.02e-3
     windowed = line_slope(displacement, force, *KINK_WINDOW)
     last = float(displacement[-1])
     end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
-    is_level = end < PLATEAU_SHARE * windowed
+    is_level = end < plateau_share * windowed
     tangents = _tangents(displacement, force)
-    onset = _last_above(*tangents, PLATEAU_SHARE * windowed) if is_level else None
+    onset = _last_above(*tangents, plateau_share * windowed) if is_level else None
     return LoadingTruth(
         tangent_at_zero=float(np.interp(zero_distance, displacement, force)) / zero_distance,
         stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),
@@ -173,13 +173,13 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
 
 def line_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
     """Return the slope of the least-squares line between two displacements, N/m."""
-    grid = np.linspace(start, stop, _POINTS)
+    grid = np.linspace(start, stop, _KINK_GRID_POINTS)
     return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_roots())[0])
 
 
 def _roots() -> Floats:
     """Return the roots of the trapezoidal weights of a grid."""
-    roots = np.ones(_POINTS)
+    roots = np.ones(_KINK_GRID_POINTS)
     roots[[0, -1]] = np.sqrt(0.5)
     return roots
 
@@ -197,21 +197,22 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     The best by least squares, with the break refined by a parabola through the best of the grid and
     its neighbours.
     """
-    grid = np.linspace(start, stop, _POINTS)
+    grid = np.linspace(start, stop, _KINK_GRID_POINTS)
     wanted = np.interp(grid, displacement, force)
     breaks = grid[10:-10]
-    misfits = np.array([_two_lines(grid, wanted, at)[1] for at in breaks.tolist()])
+    misfits = np.array([_two_lines(grid, wanted, place)[1] for place in breaks.tolist()])
     best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
-    below, here, above = misfits[best - 1 : best + 2]
-    shift = 0.5 * (below - above) / (below - 2.0 * here + above)
-    at = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
-    (level, first, change), _ = _two_lines(grid, wanted, at)
-    return KinkTruth(at, float(level + first * at), float(first), float(first + change))
+    below, middle, above = misfits[best - 1 : best + 2]
+    shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
+    place = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
+    (level, first, change), _ = _two_lines(grid, wanted, place)
+    return KinkTruth(place, float(level + first * place), float(first), float(first + change))
 
 
-def _two_lines(grid: Floats, wanted: Floats, at: float) -> tuple[Floats, float]:
+def _two_lines(grid: Floats, wanted: Floats, place: float) -> tuple[Floats, float]:
     """Return level, slope and change of slope of the best pair of lines, and the sum of squares."""
-    basis, roots = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - at, 0.0)]), _roots()
+    basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - place, 0.0)])
+    roots = _roots()
     coefficients = np.linalg.lstsq(roots[:, None] * basis, roots * wanted, rcond=None)[0]
     return coefficients, float(np.sum((roots * (basis @ coefficients - wanted)) ** 2))
 

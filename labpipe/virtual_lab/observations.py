@@ -82,17 +82,17 @@ class BendingObservation(Generic[S, T]):
 
     @property
     def force(self) -> Recording:
-        """Force recording as read from its export: volts, without unit."""
+        """Return the force recording as read from its export: volts, without unit."""
         return self.force_record.recording()
 
     @property
     def markers(self) -> Recording:
-        """Motion-capture recording as read from its export."""
+        """Return the motion-capture recording as read from its export."""
         return self.take.recording()
 
     @property
     def frame(self) -> Recording | None:
-        """Recording of the load frame as read from its export, in SI, if available."""
+        """Return the recording of the load frame as read from its export, in SI, if available."""
         return None if self.frame_record is None else self.frame_record.recording()
 
 
@@ -235,8 +235,8 @@ def _write_recordings(observation: AnyObservation, folder: Path) -> Mapping[str,
     record = observation.frame_record
     if record is None:
         return RECORDER_FILES
-    layout, kind = ExportLayout(force_unit="N"), "three-point bending test"
-    frame = write_test_suite(folder, record, layout, run, kind=kind)
+    layout, test_type = ExportLayout(force_unit="N"), "three-point bending test"
+    frame = write_test_suite(folder, record, layout, run, test_type=test_type)
     return {**RECORDER_FILES, "frame": frame}
 
 

@@ -1,4 +1,4 @@
-"""Records of force recorder and load frame and their schedule: volts, motor, trigger, crosshead."""
+"""Simulate the records of the force recorder and the load frame, and plan their schedule."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Schedule:
 
     Parameters
     ----------
-    corners : shape (n,), s, at which the motion starts or stops
-    progress : shape (n,), m, at those times
+    corner_times : shape (n,), s, at which the motion starts or stops
+    progress : shape (n,), m, cumulative travel at those times; up and down both increase it
     turning_times : shape (2 cycles + 1,), s: start, first top, first return, ... last return; with
         a dwell, the beginning of the dwell
     end : s, of all records
@@ -39,7 +39,7 @@ class Schedule:
     force_times : shape (samples,), s, the same instants in true time
     """
 
-    corners: Floats
+    corner_times: Floats
     progress: Floats
     turning_times: Floats
     end: float
@@ -49,8 +49,8 @@ class Schedule:
     force_times: Floats
 
     def progress_at(self, times: Floats) -> Floats:
-        """Return the progress, m, at true times, s; constant before and after the motion."""
-        return np.interp(times, self.corners, self.progress)
+        """Return the travel, m, at true times, s; constant before and after the motion."""
+        return np.interp(times, self.corner_times, self.progress)
 
 
 def plan_cantilever(scenario: CantileverScenario) -> Schedule:
@@ -67,18 +67,22 @@ def plan_cantilever(scenario: CantileverScenario) -> Schedule:
     clocks, stroke = scenario.clocks, scenario.mechanics.stroke
     force_begins = -clocks.offset / (1.0 + clocks.drift)
     start = max(0.0, force_begins) + scenario.rest
-    strokes = np.arange(2 * scenario.mechanics.cycles + 1)
-    travelling = stroke / scenario.speed
-    arrivals = start + strokes * travelling + np.maximum(strokes - 1, 0) * scenario.dwell
-    departures = arrivals + scenario.dwell * ((strokes > 0) & (strokes < strokes[-1]))
+    stroke_numbers = np.arange(2 * scenario.mechanics.cycles + 1)
+    stroke_time = stroke / scenario.speed
+    arrivals = (
+        start + stroke_numbers * stroke_time + np.maximum(stroke_numbers - 1, 0) * scenario.dwell
+    )
+    departures = arrivals + scenario.dwell * (
+        (stroke_numbers > 0) & (stroke_numbers < stroke_numbers[-1])
+    )
     end = float(arrivals[-1] + scenario.rest)
     frame_times = np.arange(int(np.ceil(end * clocks.fps)) + 1) / clocks.fps
     step = clocks.step_ratio / clocks.rate
     samples = int(np.ceil((end - force_begins) * (1.0 + clocks.drift) / step)) + 1
     force_clock: Floats = step * np.arange(samples, dtype=np.float64)
     return Schedule(
-        corners=np.ravel(np.column_stack([arrivals, departures])),
-        progress=np.repeat(strokes * stroke, 2),
+        corner_times=np.ravel(np.column_stack([arrivals, departures])),
+        progress=np.repeat(stroke_numbers * stroke, 2),
         turning_times=arrivals,
         end=end,
         frame_clock=frame_times,
@@ -100,16 +104,16 @@ def plan_conduit(scenario: ConduitScenario) -> Schedule:
     The schedule; true time begins when the load frame starts.
     """
     clocks, stroke = scenario.clocks, scenario.test.stroke
-    branch = stroke / scenario.speed
-    top = scenario.rest + branch
-    stop = top + branch
+    stroke_time = stroke / scenario.speed
+    top = scenario.rest + stroke_time
+    stop = top + stroke_time
     end = stop + scenario.rest
     frames = int((end + clocks.camera_lead) * clocks.fps)
     frame_clock: Floats = np.arange(frames, dtype=np.float64) / clocks.fps
     samples = int((end - clocks.trigger_lag) * clocks.rate)
     force_clock: Floats = np.arange(samples, dtype=np.float64) / clocks.rate
     return Schedule(
-        corners=np.array([scenario.rest, stop]),
+        corner_times=np.array([scenario.rest, stop]),
         progress=np.array([0.0, 2.0 * stroke]),
         turning_times=np.array([scenario.rest, top, stop]),
         end=end,
@@ -139,7 +143,7 @@ class ForceRecord:
 
     @property
     def volts(self) -> Floats:
-        """Output of the load cell, V, shape (samples,)."""
+        """Return the output of the load cell, V, shape (samples,)."""
         return self.signals[FORCE_PATH]
 
     def recording(self) -> Recording:
@@ -158,7 +162,7 @@ def record_cantilever_force(
     schedule: Schedule,
     random: np.random.Generator,
 ) -> ForceRecord:
-    """Measure the string's tension.
+    """Simulate the force recorder of a cantilever test, which measures the tension of the string.
 
     Parameters
     ----------
@@ -184,7 +188,7 @@ def record_cantilever_force(
 def record_conduit_force(
     path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
 ) -> ForceRecord:
-    """Measure the force of the upper roller; parameters as of `record_cantilever_force`."""
+    """Simulate the force recorder of a three-point test; see `record_cantilever_force`."""
     force = scenario.factor * path.force(schedule.progress_at(schedule.force_times))
     volts, gain = _measure(force, scenario.load_cell, random)
     signals = {FORCE_PATH: volts, TRIGGER_PATH: np.ones(len(volts))}
@@ -208,7 +212,7 @@ class FrameRecord:
 
     Parameters
     ----------
-    time : s, since the crosshead started
+    time : s, since the load frame started
     displacement : m, with tare, noise and resolution
     force : N, with tare, gain error, noise and resolution
     """
@@ -240,7 +244,7 @@ def single(values: Floats) -> Floats:
 def record_crosshead(
     path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
 ) -> FrameRecord:
-    """Record the crosshead and a coarse force in a three-point test.
+    """Simulate the load frame of a three-point test, with a coarse force.
 
     Parameters
     ----------
@@ -249,22 +253,22 @@ def record_crosshead(
 
     Returns
     -------
-    The record, from its first sample on.
+    The record; its first sample is half a sampling interval after the start.
     """
     step = 1.0 / scenario.clocks.frame_rate
     time: Floats = np.arange(0.5 * step, schedule.end, step)
     progress = schedule.progress_at(time)
-    cell, noise = scenario.frame, random.standard_normal((2, len(time)))
+    frame, noise = scenario.frame, random.standard_normal((2, len(time)))
     force = scenario.factor * path.force(progress)
     return FrameRecord(
         time=time,
-        displacement=path.displacement(progress) + cell.displacement_noise * noise[0],
-        force=force + cell.force_tare + cell.force_noise * noise[1],
+        displacement=path.displacement(progress) + frame.displacement_noise * noise[0],
+        force=force + frame.force_tare + frame.force_noise * noise[1],
     )
 
 
 def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
-    """Record a virtual tensile test.
+    """Simulate the load frame of a tensile test.
 
     Parameters
     ----------
@@ -301,7 +305,7 @@ def sample_times(instruments: FrameInstruments, end: float) -> Floats:
     count = int(np.floor((end - last - instruments.first_sample) / step)) + 1
     if count < 2:
         message = (
-            f"rate={instruments.rate}: expected 3 samples or more, found {count + 1} in {end} s"
+            f"rate={instruments.rate}: expected at least 3 samples, found {count + 1} in {end} s"
         )
         raise ValueError(message)
     grid = instruments.first_sample + step * np.arange(count)
@@ -323,10 +327,10 @@ def slow_noise(instruments: FrameInstruments, time: Floats, random: np.random.Ge
     exp(-lag / correlation time).
     """
     correlation = np.exp(-np.diff(time, prepend=-np.inf) / instruments.correlation_time)
-    fresh = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
+    shocks = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
     noise = np.empty(len(time))
     level = 0.0
-    for sample, (share, shock) in enumerate(zip(correlation, fresh, strict=True)):
+    for sample, (share, shock) in enumerate(zip(correlation, shocks, strict=True)):
         level = share * level + shock
         noise[sample] = level
     return instruments.slow_noise * noise

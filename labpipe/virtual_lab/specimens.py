@@ -190,12 +190,12 @@ class StrandedWire:
 
     @property
     def mass_per_length(self) -> float:
-        """Mass per length, kg/m: copper over the strands' length, and PVC."""
+        """Return the mass per length, kg/m: copper over the strands' length, and PVC."""
         return self.section().mass_per_length()
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Parameters that a calibration determines, by their names in `records.calibration`, SI."""
+        """Return the calibration parameters by their names in `records.calibration`, SI."""
         coefficients = self.friction_strand + self.friction_insulation
         return {
             RADIAL_FRICTION: self.radial_force * coefficients,
@@ -222,5 +222,5 @@ WIRES = {
         ),
     )
 }
-"""Wires of the source's Table 2.1. The copper of B1 and B2 does not fit into its wall of
+"""Wires of the dissertation's Table 2.1. The copper of B1 and B2 does not fit into its wall of
 0.3 mm; here it is 0.2 mm."""

@@ -95,12 +95,12 @@ class TensilePath:
 
     @property
     def last_time(self) -> float:
-        """Time at which the failure begins or full stroke is reached, s."""
+        """Return the time at which the failure begins or full stroke is reached, s."""
         return self.scenario.last_displacement / self.scenario.frame.speed
 
     @property
     def end(self) -> float:
-        """Time at which the machine stops recording, s."""
+        """Return the time at which the machine stops recording, s."""
         frame = self.scenario.frame
         back = frame.stroke / frame.speed if frame.unloads else 0.0
         return self.last_time + frame.overrun + back

@@ -1,11 +1,11 @@
-"""Settings of a virtual tensile test, and the samples of the source.
+"""Settings of a virtual tensile test, and the samples of the dissertation.
 
 Everything is SI. Displacement is that of the crosshead from its position before the test; force is
 the tension in the specimen. The specimen is slack at first; its *foot* is the displacement at which
 its first straight region, extrapolated, meets zero force.
 
 Sizes, speeds and the stiffness of the twist tubes are those of sections 2.2 and 2.3 and Table 2.3
-of the source; forces not given there are plausible values.
+of the dissertation; forces not given there are plausible values.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class BilinearLaw:
 
     @property
     def foot(self) -> float:
-        """Distance at which the first straight line meets zero force, m."""
+        """Return the distance at which the first straight line meets zero force, m."""
         return self.slack + 0.5 * self.toe
 
     def scaled(self, factor: float) -> BilinearLaw:
@@ -226,7 +226,7 @@ class TensileScenario:
 
     @property
     def last_displacement(self) -> float:
-        """Displacement at which the specimen fails, or at which the crosshead stops, m."""
+        """Return the displacement at which the specimen fails or the crosshead stops, m."""
         return self.frame.stroke if self.failure is None else self.failure.displacement
 
 
@@ -272,12 +272,12 @@ def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) 
     factor : on the forces of the slit tube
     gain_error : of the load cell
     """
-    kind, _, sample = name.rpartition("-")
+    tube_type, _, sample = name.rpartition("-")
     return TensileScenario(
         name=name,
         protocol="corrugated-tube",
-        specimen_type=kind,
-        spool=f"{kind}-s1",
+        specimen_type=tube_type,
+        spool=f"{tube_type}-s1",
         sample=sample,
         length=114.3e-3,
         law=_CORRUGATED.scaled(factor),

@@ -56,14 +56,14 @@ class ThreePointPath:
 
     @property
     def residual(self) -> float:
-        """Displacement at which the force returns to zero on unloading, m; 0 if it does not."""
+        """Return the displacement at which unloading reaches zero force, m, or 0."""
         return self.unloading[-1].displacement
 
     def displacement(self, progress: Floats) -> Floats:
         """Return the position of the upper roller at progress (total travel), m, shape (n,)."""
         inside = np.clip(progress, 0.0, 2.0 * self.test.stroke)
-        way: Floats = self.test.stroke - np.abs(self.test.stroke - inside)
-        return way
+        travel: Floats = self.test.stroke - np.abs(self.test.stroke - inside)
+        return travel
 
     def force(self, progress: Floats) -> Floats:
         """Return the force at progress, N, shape (n,)."""
@@ -93,8 +93,8 @@ class ThreePointPath:
         along = halves.reshape(len(halves), 3, -1)
         rows = CubicSpline(self.arc_length, along, axis=2)(where).reshape(len(halves), -1)
         x, y, angle = np.split(self._look_up(progress, rows), 3, axis=1)
-        way, _, _ = self.middle(progress)
-        return side * x, y - way[:, None], side * angle
+        travel, _, _ = self.middle(progress)
+        return side * x, y - travel[:, None], side * angle
 
     @property
     def _halves(self) -> tuple[BentHalf, ...]:
@@ -142,34 +142,36 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
 
 def _branch(half: HalfBundle, begin: BentHalf, goal: float, *, turns: bool) -> Iterator[BentHalf]:
     """Solve up to a displacement; on unloading stop at zero force."""
-    test, here = half.test, begin
+    test, state = half.test, begin
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for wanted in (begin.displacement + share * (goal - begin.displacement)).tolist():
         if turns:
-            curvature_after_release = half.free(here.plays)
+            curvature_after_release = half.free(state.plays)
             if curvature_after_release.displacement >= wanted - _MIN_DISPLACEMENT_STEP:
                 yield curvature_after_release
                 return
-        here = _reach(half, here, wanted, begin.displacement, turns=turns)
-        yield here
+        state = _reach(half, state, wanted, begin.displacement, turns=turns)
+        yield state
 
 
 def _reach(
-    half: HalfBundle, here: BentHalf, wanted: float, turned_at: float, *, turns: bool
+    half: HalfBundle, state: BentHalf, wanted: float, turned_at: float, *, turns: bool
 ) -> BentHalf:
     """Solve at a displacement, with halved steps where Newton's method fails."""
     while True:
         ahead = wanted
-        while (solved := half.settle(here, ahead, half.friction(ahead - turned_at, turns))) is None:
-            ahead = 0.5 * (here.displacement + ahead)
-            if abs(ahead - here.displacement) < _MIN_DISPLACEMENT_STEP:
+        while (
+            solved := half.settle(state, ahead, half.friction(ahead - turned_at, turns))
+        ) is None:
+            ahead = 0.5 * (state.displacement + ahead)
+            if abs(ahead - state.displacement) < _MIN_DISPLACEMENT_STEP:
                 message = (
-                    f"displacement={wanted!r}: no equilibrium beyond {here.displacement:.6g} m"
+                    f"displacement={wanted!r}: no equilibrium beyond {state.displacement:.6g} m"
                 )
                 raise ValueError(message)
         if ahead == wanted:
             return solved
-        here = solved
+        state = solved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,12 +229,12 @@ class HalfBundle:
 
     @property
     def step(self) -> float:
-        """Distance of the stations, m."""
+        """Return the distance of the stations, m."""
         return float(self.arc_length[1])
 
-    def friction(self, way: float, turns: bool) -> float:
-        """Return the signed coefficient at a travel `way` after the start or the reversal."""
-        built = 1.0 - float(np.exp(-abs(way) / self.test.build_up))
+    def friction(self, travel: float, turns: bool) -> float:
+        """Return the signed coefficient at a `travel` after the start or the reversal."""
+        built = 1.0 - float(np.exp(-abs(travel) / self.test.build_up))
         return self.test.friction * (1.0 - 2.0 * built if turns else built)
 
     def free(self, plays: Floats) -> BentHalf:
@@ -247,18 +249,18 @@ class HalfBundle:
 
         contact = float(brentq(gap, 0.0, float(self.arc_length[-1]), xtol=1e-14))
         touch = self._touch(contact, x, y, angle)
-        way = touch.y + self.test.reach * (1.0 - float(np.cos(touch.angle)))
-        return BentHalf(way, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
+        travel = touch.y + self.test.reach * (1.0 - float(np.cos(touch.angle)))
+        return BentHalf(travel, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
 
-    def settle(self, here: BentHalf, wanted: float, friction: float) -> BentHalf | None:
+    def settle(self, state: BentHalf, wanted: float, friction: float) -> BentHalf | None:
         """Solve for moments, roller force and contact by Newton's method; None if it fails."""
         max_iterations = 40
         tolerance = 1e-9
         max_turn = 0.3
-        _, fy = _direction(self._touch_of(here).angle, friction)
-        unknowns = np.concatenate([here.moment, [0.5 * here.force / fy, here.contact]])
+        _, fy = _direction(self._touch_of(state).angle, friction)
+        unknowns = np.concatenate([state.moment, [0.5 * state.force / fy, state.contact]])
         for _ in range(max_iterations):
-            residual, jacobian, turns = self._linearise(unknowns, here.plays, wanted, friction)
+            residual, jacobian, turns = self._linearise(unknowns, state.plays, wanted, friction)
             change = -np.linalg.solve(jacobian, residual)
             largest = float(np.max(np.abs(turns @ change[:-2])))
             change *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
@@ -267,7 +269,7 @@ class HalfBundle:
                 return None
             moment = unknowns[:-2]
             if np.max(np.abs(change[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
-                return self._bent(unknowns, here.plays, wanted, friction)
+                return self._bent(unknowns, state.plays, wanted, friction)
         return None
 
     def _bent(self, unknowns: Floats, plays: Floats, wanted: float, friction: float) -> BentHalf:

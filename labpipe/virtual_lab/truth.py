@@ -22,8 +22,7 @@ from labpipe.virtual_lab.recorders import Schedule
 from labpipe.virtual_lab.tensile_path import TensilePath
 from labpipe.virtual_lab.three_point_path import ThreePointPath
 
-MIDDLE_WINDOW = (1e-3, 10e-3)
-_CURVE_POINTS = 20_001
+_TRUTH_POINTS = 20_001
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +112,7 @@ def evaluate_cantilever(path: MechanicalPath, schedule: Schedule) -> CantileverT
 def _cycle(path: MechanicalPath, schedule: Schedule, number: int) -> CycleTruth:
     start, top, stop = schedule.turning_times[2 * number - 2 : 2 * number + 1]
     stroke = path.test.stroke
-    progress = 2.0 * stroke * (number - 1) + np.linspace(0.0, 2.0 * stroke, _CURVE_POINTS)
+    progress = 2.0 * stroke * (number - 1) + np.linspace(0.0, 2.0 * stroke, _TRUTH_POINTS)
     force = path.tension(progress) - path.rest.tension
     deflection = path.deflection(progress)
     return CycleTruth(
@@ -164,7 +163,7 @@ class MiddleTruth:
     curvature : 1/m
     moment : N m, in the bundle
     moment_of_force : N m, P L / 4, of a straight bundle on point supports
-    bending_stiffness : N m^2, slope of moment over curvature for displacements in `MIDDLE_WINDOW`,
+    bending_stiffness : N m^2, slope of moment over curvature for displacements of 1 to 10 mm,
         least squares over even steps of curvature
     bending_stiffness_of_force : N m^2, the same with P L / 4
     twist : rad, right-handed about x
@@ -237,8 +236,8 @@ def evaluate_conduit(
     """
     stroke, factor = scenario.test.stroke, scenario.factor
     loading = _type_loading(path).scaled(factor)
-    both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _CURVE_POINTS - 1)
-    force, way = factor * path.force(both), path.displacement(both)
+    both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _TRUTH_POINTS - 1)
+    force, displacement = factor * path.force(both), path.displacement(both)
     top = int(np.argmax(force))
     time: Floats = np.arange(0.0, schedule.end + scenario.clocks.camera_lead, 1.0 / rate)
     progress = schedule.progress_at(time - scenario.clocks.camera_lead)
@@ -249,9 +248,9 @@ def evaluate_conduit(
         initial_bending_stiffness=scenario.bundle.law().stiffness,
         bending_stiffness=loading.windowed_stiffness * scenario.test.span**3 / 48.0,
         peak_force=float(force[top]),
-        peak_displacement=float(way[top]),
+        peak_displacement=float(displacement[top]),
         residual_displacement=path.residual,
-        energy=float(np.trapezoid(force, way)),
+        energy=float(np.trapezoid(force, displacement)),
         middle=_middle(path, scenario),
         start_time=turns[0],
         top_time=turns[1],
@@ -269,15 +268,15 @@ def evaluate_conduit(
 @lru_cache(maxsize=64)
 def _type_loading(path: ThreePointPath) -> LoadingTruth:
     """Return the true loading of the type; samples differ by a factor."""
-    down = path.test.stroke * np.linspace(0.0, 1.0, _CURVE_POINTS)
+    down = path.test.stroke * np.linspace(0.0, 1.0, _TRUTH_POINTS)
     return evaluate_loading(down, path.force(down))
 
 
 def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
     stroke, span = scenario.test.stroke, scenario.test.span
-    first, last = MIDDLE_WINDOW
-    _, moment, curvature = path.middle(np.linspace(first, last, _CURVE_POINTS))
-    of_force = 0.25 * span * path.force(np.linspace(first, last, _CURVE_POINTS))
+    first, last = 1e-3, 10e-3  # m, range of the slope
+    _, moment, curvature = path.middle(np.linspace(first, last, _TRUTH_POINTS))
+    of_force = 0.25 * span * path.force(np.linspace(first, last, _TRUTH_POINTS))
     slopes = [
         scenario.factor * line_slope(curvature, values, float(curvature[0]), float(curvature[-1]))
         for values in (moment, of_force)

@@ -129,8 +129,8 @@ def _channel(where: str, values: Floats) -> dict[str, object]:
 
 def _compact(values: Floats) -> NDArray[np.generic]:
     """Convert whole numbers to the smallest unsigned integers, as ControlDesk does."""
-    whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
-    if not whole or np.max(values) > np.iinfo(np.uint16).max:
+    is_whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
+    if not is_whole or np.max(values) > np.iinfo(np.uint16).max:
         return values
     small = np.max(values) <= np.iinfo(np.uint8).max
     return values.astype(np.uint8 if small else np.uint16)
@@ -284,7 +284,7 @@ def write_test_suite(
     layout: ExportLayout,
     run: Run,
     *,
-    kind: str = "tensile test",
+    test_type: str = "tensile test",
 ) -> tuple[str, ...]:
     """Write a record as MTS TestSuite does.
 
@@ -294,7 +294,7 @@ def write_test_suite(
     record : of the controller
     layout : unit of force and parts
     run : for the preamble
-    kind : of the test, for the note that it is synthetic
+    test_type : of the test, for the note that it is synthetic
 
     Returns
     -------
@@ -311,7 +311,7 @@ def write_test_suite(
     files = {}
     for number, part in enumerate(_parts(record, layout)):
         file = f"{ACTIVITY}{number or ''}.txt"
-        head = _preamble(file, layout.force_unit, run, kind)
+        head = _preamble(file, layout.force_unit, run, test_type)
         files[file] = "" if part is None else head + _rows(part, layout.force_unit)
     for file, text in files.items():
         (folder / file).write_bytes(text.encode("utf-8-sig"))
@@ -335,12 +335,12 @@ def _piece(record: FrameRecord, piece: slice) -> FrameRecord:
     return FrameRecord(record.time[piece], record.displacement[piece], record.force[piece])
 
 
-def _preamble(file: str, force_unit: str, run: Run, kind: str) -> str:
+def _preamble(file: str, force_unit: str, run: Run, test_type: str) -> str:
     started = run.started
     clock = f"{(started.hour - 1) % 12 + 1}:{started:%M:%S %p}"
     lines = (
         f"File Path: {_FOLDER}\\{run.name}\\{file}   ",
-        f"Test: SYNTHETIC {kind}, labpipe virtual lab, seed {run.seed}",
+        f"Test: SYNTHETIC {test_type}, labpipe virtual lab, seed {run.seed}",
         f"Test Run: {run.name}",
         f"Date: {started.month}/{started.day}/{started.year} {clock}",
         "",

@@ -1,11 +1,12 @@
-"""The moment-curvature law of a stranded wire on first loading, and as plays (PHYSICS 4).
+"""Compute the moment-curvature law of a stranded wire and fit plays to it (PHYSICS 4).
 
-Eq. (3.17) of the source, with the cos(alpha) of its appendix in the moment of the axial forces:
+Eq. (3.17) of the dissertation, with the cos(alpha) of its appendix in the moment of the axial
+forces:
 
-    M = sum F r sin(theta) cos(alpha) + sum m(kappa) helix factor + EI_ins kappa.
+    M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + EI_ins kappa,
 
-The axial forces F are those of `wire.friction`, the strands' own moments m those of
-`wire.strand_bending`. The strands' axial stiffness stays elastic, as in the source.
+with the helix factor h. The axial forces F are those of `wire.friction`, the strands' own moments m
+those of `wire.strand_bending`. The strands' axial stiffness stays elastic, as in the dissertation.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ class MomentCurve:
     def secant_stiffness(self) -> Floats:
         """Return M / kappa, N m^2; at zero curvature the tangent stiffness.
 
-        Neither this nor the tangent is eq. (3.23) of the source, which mixes the two and is not
-        offered.
+        Eq. (3.23) of the dissertation mixes the secant and the tangent stiffness; it is not
+        implemented.
         """
         is_zero = self.curvature == 0.0
         ratio = self.moment / np.where(is_zero, 1.0, self.curvature)
@@ -80,13 +81,14 @@ def stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float
     Parameters
     ----------
     section : strands in place
-    orientation : rad, as for `moment_curvature`, whose slope at zero curvature this is
+    orientation : rad, as for `moment_curvature`
 
     Notes
     -----
-    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha). It does not depend on the
-    orientation if every ring has at least three evenly spread strands; it varies by a fifth for two
-    strands and by some per cent for packings.
+    The slope of `moment_curvature` at zero curvature:
+    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha). With at least three evenly spread
+    strands in every ring it does not depend on the orientation; with two strands it varies by a
+    fifth, and in a packing by a few per cent.
     """
     sine = sines(section, orientation)
     return slip_stiffness(section) + float(
@@ -145,8 +147,8 @@ def moment_curvature(
     contacts : friction and pressure
     curvature : shape (n,), 1/m, any order and sign; each is reached monotonically from zero
     tension : of the whole wire, N, present before bending
-    orientation : rad, by which the section is turned against the neutral axis; at 0 a strand of
-        the first ring lies on it
+    orientation : rad, angle of the section from the neutral axis; at 0 a strand of the first ring
+        lies on that axis
 
     Returns
     -------
@@ -160,24 +162,22 @@ def moment_curvature(
     """
     curvatures = np.asarray(curvature, dtype=np.float64)
     if np.isinf(curvatures).any():
-        message = (
-            f"curvature[{int(np.isinf(curvatures).argmax())}] is infinite: allowed are finite ones"
-        )
+        message = f"curvature[{int(np.isinf(curvatures).argmax())}] is infinite: must be finite"
         raise ValueError(message)
-    stick, slip, friction = _axial_parts(section, contacts, curvatures, tension, orientation)
-    elastic, strand_bending, slope = _own_moments(section, curvatures)
+    stick, slip, axial_slope = _axial_parts(section, contacts, curvatures, tension, orientation)
+    elastic_stiffness, strand_moment_sum, bending_slope = _own_moments(section, curvatures)
     zeros = np.zeros_like(curvatures)
     tube = tube_moment(section.insulation, curvatures) if section.insulation else None
     return MomentCurve(
-        curvatures,
-        stick,
-        slip,
-        elastic * curvatures,
-        strand_bending - elastic * curvatures,
-        zeros if tube is None else tube.moment,
-        friction + slope + (zeros if tube is None else tube.tangent),
-        stick_stiffness(section, orientation=orientation),
-        slip_stiffness(section),
+        curvature=curvatures,
+        stick=stick,
+        slip=slip,
+        bending=elastic_stiffness * curvatures,
+        plastic=strand_moment_sum - elastic_stiffness * curvatures,
+        insulation=zeros if tube is None else tube.moment,
+        tangent_stiffness=axial_slope + bending_slope + (zeros if tube is None else tube.tangent),
+        stick_stiffness=stick_stiffness(section, orientation=orientation),
+        slip_stiffness=slip_stiffness(section),
     )
 
 
@@ -212,8 +212,8 @@ def _own_moments(section: CrossSection, curvature: Floats) -> tuple[float, Float
     """Return elastic stiffness, moment and slope of the strands about their own axes."""
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
     moment, slope = np.zeros((2, len(curvature)))
-    kinds = {(layer.material, layer.diameter) for layer in section.layers}
-    for material, diameter in kinds:
+    strand_types = {(layer.material, layer.diameter) for layer in section.layers}
+    for material, diameter in strand_types:
         straight = strand_moment(material, diameter, curvature)
         weight = sum(
             layer.count * helix_factor(layer.lay_angle, layer.poisson)
@@ -250,17 +250,20 @@ def orientation_range(
 
 
 def _distinct_turns(section: CrossSection, count: int) -> list[float]:
-    """Turns of the section, rad, without those that only swap equal strands."""
+    """Return orientations, rad, without those that only swap equal strands."""
     turns = 2.0 * np.pi * np.arange(count) / count
     layer = section.layer[section.layer >= int(section.has_core)]
     arms = section_arms(section) / (float(section.radius.max()) or 1.0)
     groups = np.unique(np.array([layer, arms.round(9)]), axis=1, return_inverse=True)[1]
 
-    # equal strands differ by their height alone, which is at most 1
+    # Heights lie in [-1, 1]; an offset of 4 per group keeps the groups apart when sorted.
     heights = 4.0 * groups.ravel() + (arms * sines(section, turns[:, None])).round(9)
-    strands = np.sort(heights, axis=1)
-    seen = {row.tobytes(): turn for row, turn in zip(strands[::-1], turns[::-1], strict=True)}
-    return sorted(map(float, seen.values()))
+    sorted_heights = np.sort(heights, axis=1)
+    # Reversed, so that the smallest of equal turns is kept.
+    distinct = {
+        row.tobytes(): turn for row, turn in zip(sorted_heights[::-1], turns[::-1], strict=True)
+    }
+    return sorted(map(float, distinct.values()))
 
 
 def play_law(
@@ -277,24 +280,25 @@ def play_law(
     Parameters
     ----------
     section, contacts, tension, orientation : as for `moment_curvature`
-    largest_curvature : 1/m, where the law ends: `wire.cantilever` bends no wire beyond
+    largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises beyond it
     n_plays : corners, evenly spread in the logarithm of the curvature over four decades; each slip
         onset of a strand adds one
 
     Returns
     -------
-    The law, with Masing's loops: those of Coulomb sliders and hardening strands where friction is
-    even on both sides, which it nearly is for small mu sin(alpha).
+    The law. Its loops follow Masing's rule, which is exact for Coulomb sliders and hardening
+    strands if friction is equal in both directions of slip; for small mu sin(alpha) it nearly is.
 
     Raises
     ------
     ValueError
-        If the law softens or stiffens, which plays cannot; the message states the curvature. As
-        `moment_curvature`, too.
+        If the moment falls, or its slope rises, with curvature, which plays cannot represent; the
+        message states the curvature. Also as `moment_curvature`.
 
     Notes
     -----
-    With 60 plays the polygon is within 0.3 % of the laws of the source's wires between its corners.
+    For the wires of the dissertation, the polygon with 60 plays differs from the law by at most
+    0.3 %.
     """
     decades = 4.0  # of curvature below the largest
     min_spacing = 1e-6  # relative; closer corners are one

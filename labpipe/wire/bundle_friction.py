@@ -64,11 +64,11 @@ class Friction:
     def __post_init__(self) -> None:
         for name in ("composite_share", "held"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                message = f"{name}={getattr(self, name)!r}: allowed are numbers from 0 to 1"
+                message = f"{name}={getattr(self, name)!r}: must be from 0 to 1"
                 raise ValueError(message)
         for name in ("slip_curvature", "slide_curvature"):
             if not getattr(self, name) > 0.0:
-                message = f"{name}={getattr(self, name)!r}: allowed are numbers > 0"
+                message = f"{name}={getattr(self, name)!r}: must be > 0"
                 raise ValueError(message)
 
 
@@ -186,9 +186,9 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
             n_stations=n_stations,
             self_weight=loop.self_weight,
         )
-        whole = len(path.load) == len(loop.deflection[:count])
+        is_complete = len(path.load) == len(loop.deflection[:count])
         at_rest = 0.0 if path.rest is None else float(path.rest.force[1])
-        return np.maximum(path.load, -at_rest) if whole else None
+        return np.maximum(path.load, -at_rest) if is_complete else None
 
     def predicted(held: float, count: int | None = None) -> Floats:
         forces = loads(held, count)

@@ -1,7 +1,7 @@
 """Layout of the wires of a bundle: their positions, and the kind of wire on each.
 
 One, seven, nineteen ... wires make a hexagon around one of them; three, twelve, twenty-seven ... a
-hexagon with long and short sides around a core of three (figure 4.2 of the source). Any other
+hexagon with long and short sides around a core of three (figure 4.2 of the dissertation). Any other
 number is drawn together from several starts, and the densest heap is kept.
 """
 
@@ -17,12 +17,8 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 from labpipe.wire.bundle_packing import densest_heap, holding_circle
 
-N_SHUFFLES = 8
-"""Shuffles of the kinds of a packed bundle, of which the densest is kept."""
 _MAX_SEARCHED_WIRES = 100
 """Most wires for which many starts are tried; larger heaps are densest as lattices."""
-MAX_STATED_OVERLAP = 0.01
-"""Tolerated overlap of stated positions, of the smaller wire's diameter, as in the test sheet."""
 
 
 def arrange(
@@ -52,29 +48,31 @@ def arrange(
     The kinds are spread over sites of equal wires, see `sites`. Wires of unequal
     diameters are then drawn together from there until they touch, see `wire.bundle_packing`.
     """
-    kind = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
-    diameter = np.asarray(diameters, dtype=np.float64)[kind]
+    wire_type = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
+    diameter = np.asarray(diameters, dtype=np.float64)[wire_type]
     if bundle.positions:
         centres = _stated_centres(bundle, diameter)
-        return _layout(STATED, centres, kind, diameter)
+        return _layout(STATED, centres, wire_type, diameter)
     centres = _lay_out(bundle, np.asarray(diameters, dtype=np.float64), stiffness, seed)
-    return _layout(bundle.arrangement, centres, kind, diameter)
+    return _layout(bundle.arrangement, centres, wire_type, diameter)
 
 
 def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
+    # Tolerated overlap of stated positions, of the smaller wire's diameter, as in the test sheet.
+    max_stated_overlap = 0.01
     centres = np.asarray(bundle.positions, dtype=np.float64)
     if len(centres) != len(diameter):
-        message = f"{len(centres)} positions for {len(diameter)} wires: allowed is one for each"
+        message = f"{len(centres)} positions for {len(diameter)} wires: expected one for each"
         raise ValueError(message)
     first, second = np.triu_indices(len(diameter), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     depth = 0.5 * (diameter[first] + diameter[second]) - distance
-    allowed = MAX_STATED_OVERLAP * np.minimum(diameter[first], diameter[second])
+    allowed = max_stated_overlap * np.minimum(diameter[first], diameter[second])
     if np.any(depth > allowed):
-        at = int(np.argmax(depth - allowed))
+        worst = int(np.argmax(depth - allowed))
         message = (
-            f"wires {first[at] + 1} and {second[at] + 1} overlap by {1e3 * depth[at]:.3g} mm, "
-            f"allowed is {1e3 * allowed[at]:.2g} mm"
+            f"wires {first[worst] + 1} and {second[worst] + 1} overlap by {1e3 * depth[worst]:.3g} "
+            f"mm, expected at most {1e3 * allowed[worst]:.2g} mm"
         )
         raise ValueError(message)
     return centres
@@ -86,13 +84,13 @@ def _lay_out(bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed
     places = sites(bundle.number, seed=seed)
     counts = [wire.number for wire in bundle.wires]
     if len(counts) == 1 or np.ptp(diameters) <= equal_diameter_share * diameters.max():
-        kind = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)[0]
-        return _by_kind(diameters.max() * places, kind)
+        wire_type = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)[0]
+        return _by_kind(diameters.max() * places, wire_type)
     wire_diameters = np.repeat(diameters, counts)
     kinds = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)
     starts = [
-        _by_kind(width * places, kind)
-        for kind in kinds
+        _by_kind(width * places, wire_type)
+        for wire_type in kinds
         for width in _start_pitches(wire_diameters, kinds)
     ]
     return densest_heap(starts, wire_diameters)
@@ -102,6 +100,7 @@ def _kinds_on_sites(
     arrangement: str, places: Floats, counts: Sequence[int], stiffness: Sequence[float], seed: int
 ) -> list[Ints]:
     """Return the kinds on the sites: one assignment for an arrangement, several random ones."""
+    n_shuffles = 8  # shuffles of the kinds of a packed bundle, of which the densest is kept
     match arrangement:
         case "asymmetric":
             return [on_one_side(places, counts, stiffness)]
@@ -109,7 +108,7 @@ def _kinds_on_sites(
             return [evenly(places, counts, seed=seed)]
         case _:
             rng = np.random.default_rng(seed)
-            shuffles = N_SHUFFLES if len(places) <= _MAX_SEARCHED_WIRES else N_SHUFFLES // 2
+            shuffles = n_shuffles if len(places) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
             return [by_chance(counts, rng) for _ in range(shuffles)]
 
 
@@ -123,18 +122,15 @@ def _start_pitches(wire_diameters: Floats, kinds: Sequence[Ints]) -> list[float]
     return [float(wire_diameters.max()), *(share * equal_pitch for share in shares)]
 
 
-def _by_kind(centres: Floats, kind: Ints) -> Floats:
-    return np.asarray(centres[np.argsort(kind, kind="stable")])
+def _by_kind(centres: Floats, wire_types: Ints) -> Floats:
+    return np.asarray(centres[np.argsort(wire_types, kind="stable")])
 
 
-def _layout(name: str, centres: Floats, kind: Ints, diameter: Floats) -> BundleLayout:
+def _layout(name: str, centres: Floats, wire_types: Ints, diameter: Floats) -> BundleLayout:
     about = centres - np.average(centres, axis=0, weights=diameter**2)
     radius = float(np.max(np.hypot(*about.T) + diameter / 2.0))
-    return BundleLayout(name, about[:, 0], about[:, 1], kind, diameter, radius)
+    return BundleLayout(name, about[:, 0], about[:, 1], wire_types, diameter, radius)
 
-
-N_SPREAD_STARTS = 12
-"""Seeded starts of the search for an even spread."""
 
 _MERIT_DIGITS = 9
 
@@ -169,10 +165,10 @@ def on_one_side(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
     Shape (wires,), the kind of the wire on each site. Of a row that two kinds share, the upper one
     has the sites that are best balanced about x = 0, of those the ones nearest to it.
     """
-    kind = np.full(len(sites), -1, dtype=np.int64)
+    wire_types = np.full(len(sites), -1, dtype=np.int64)
     for key in sorted(range(len(counts)), key=lambda index: -stiffness[index]):
-        kind[_topmost(sites, np.flatnonzero(kind < 0), counts[key])] = key
-    return kind
+        wire_types[_topmost(sites, np.flatnonzero(wire_types < 0), counts[key])] = key
+    return wire_types
 
 
 def _topmost(sites: Floats, free: Ints, count: int) -> Ints:
@@ -216,11 +212,12 @@ def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
     direction, as one of wires of the mean axial stiffness, whatever the stiffnesses of the kinds:
     if the sites have no preferred direction, the bundle has none either.
     """
+    n_spread_starts = 12  # seeded starts of the search for an even spread
     traits, near = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
-    starts = (by_chance(counts, rng) for _ in range(N_SPREAD_STARTS))
+    starts = (by_chance(counts, rng) for _ in range(n_spread_starts))
     spreads = [_exchange_wires(start, traits, near) for start in starts]
-    return min(spreads, key=lambda kind: _unevenness(kind, traits, near))
+    return min(spreads, key=lambda wire_types: _unevenness(wire_types, traits, near))
 
 
 def _traits(sites: Floats) -> Floats:
@@ -237,17 +234,17 @@ def _neighbours(sites: Floats) -> Floats:
     return np.asarray(distance < 1.2 * distance.min(initial=np.inf), dtype=np.float64)
 
 
-def _unevenness(kind: Ints, traits: Floats, near: Floats) -> tuple[float, int]:
+def _unevenness(wire_types: Ints, traits: Floats, near: Floats) -> tuple[float, int]:
     """Return the unevenness and the number of neighbours of one kind."""
-    member = (kind[:, None] == np.arange(kind.max() + 1)).astype(np.float64)
+    member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     unevenness = float(np.sum((member.T @ traits) ** 2 / count[:, None]))
     return round(unevenness, _MERIT_DIGITS), round(0.5 * float(np.sum(member * (near @ member))))
 
 
-def _exchange_wires(kind: Ints, traits: Floats, near: Floats) -> Ints:
+def _exchange_wires(wire_types: Ints, traits: Floats, near: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange helps."""
-    best, least = kind, _unevenness(kind, traits, near)
+    best, least = wire_types, _unevenness(wire_types, traits, near)
     while True:
         one, other = _find_exchange(best, traits, near)
         exchanged = best.copy()
@@ -258,32 +255,29 @@ def _exchange_wires(kind: Ints, traits: Floats, near: Floats) -> Ints:
         best, least = exchanged, merit
 
 
-def _find_exchange(kind: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
+def _find_exchange(wire_types: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
     """Return the two wires whose exchange is best: least unevenness, then fewest equal neighbours.
 
     With S_k the sum of the traits t over n_k wires of kind k, and d = t_j - t_i: S_a grows by d and
     S_b falls by it, where a and b are the kinds of i and j.
     """
-    member = (kind[:, None] == np.arange(kind.max() + 1)).astype(np.float64)
+    member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     pull = traits @ ((member.T @ traits) / count[:, None]).T  # t_i . S_k / n_k
-    pulls, among = pull[np.arange(len(kind)), kind], pull[:, kind]
+    pulls, among = pull[np.arange(len(wire_types)), wire_types], pull[:, wire_types]
     size = np.sum(traits**2, axis=1)
-    apart = size[:, None] + size - 2.0 * traits @ traits.T
-    share = 1.0 / count[kind]
-    change = (share[:, None] + share) * apart + 2.0 * (among + among.T - pulls[:, None] - pulls)
-    beside = (near @ member)[:, kind]
-    own_beside = np.diag(beside)
-    alike = beside + beside.T - own_beside[:, None] - own_beside - 2.0 * near
-    change = np.where(kind[:, None] == kind, np.inf, np.round(change, _MERIT_DIGITS))
-    change[np.tri(len(kind), dtype=bool)] = np.inf  # each pair once
+    distances = size[:, None] + size - 2.0 * traits @ traits.T
+    share = 1.0 / count[wire_types]
+    change = (share[:, None] + share) * distances + 2.0 * (among + among.T - pulls[:, None] - pulls)
+    neighbours = (near @ member)[:, wire_types]
+    own_beside = np.diag(neighbours)
+    alike = neighbours + neighbours.T - own_beside[:, None] - own_beside - 2.0 * near
+    change = np.where(wire_types[:, None] == wire_types, np.inf, np.round(change, _MERIT_DIGITS))
+    change[np.tri(len(wire_types), dtype=bool)] = np.inf  # each pair once
     candidates = np.argwhere(change == change.min())
     first = candidates[np.argmin(alike[candidates[:, 0], candidates[:, 1]])]
     return int(first[0]), int(first[1])
 
-
-N_HEAP_STARTS = 8
-"""Random starts of a heap, besides those from a triangular lattice."""
 
 _HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
 """Centre of a heap: a wire, three wires around a gap, two wires side by side."""
@@ -311,7 +305,7 @@ def sites(number: int, *, seed: int = 0) -> Floats:
     """
     max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
     if number < 1:
-        message = f"number={number!r}: allowed are whole numbers >= 1"
+        message = f"number={number!r}: must be an integer >= 1"
         raise ValueError(message)
     core = _hexagon_centre(number) if number <= max_hexagon_wires else None
     places = _hexagonal_heap(number, core) if core is not None else _densest_heap(number, seed)
@@ -355,12 +349,13 @@ def _lattice_heap(number: int, core: Floats) -> Floats:
 
 def _densest_heap(number: int, seed: int) -> Floats:
     """Return the heap in the smallest circle, from lattices and from random starts."""
+    n_heap_starts = 8  # random starts of a heap, besides those from a triangular lattice
     rng = np.random.default_rng(seed)
     diameters = np.ones(number)
     heaps = [_lattice_heap(number, middle) for middle in _lattice_centres()]
     if number <= _MAX_SEARCHED_WIRES:
-        radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(N_HEAP_STARTS, number)))
-        angle = rng.uniform(0.0, 2.0 * np.pi, size=(N_HEAP_STARTS, number))
+        radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(n_heap_starts, number)))
+        angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_heap_starts, number))
         starts = [_lattice_heap(number, core) for core in _HEAP_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         heaps = [*heaps, densest_heap(starts, diameters)]

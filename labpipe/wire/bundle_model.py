@@ -116,7 +116,7 @@ def _diameter(wire: BundleWire, table: WireTable) -> float:
     if not nominal / max_factor <= wire.diameter <= max_factor * nominal:
         message = (
             f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, the "
-            f"wire sheet {1e3 * nominal:.4g} mm; allowed is a factor of up to "
+            f"wire sheet {1e3 * nominal:.4g} mm; the factor must be at most "
             f"{max_factor:g}: check the unit, or leave the diameter out"
         )
         raise ValueError(message)
@@ -353,7 +353,7 @@ def share_of_bounds(value: float, low: float, high: float) -> float:
     (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75).
     """
     if not 0.0 < low < high:
-        message = f"low={low:.6g}, high={high:.6g} N m^2: allowed are bounds with 0 < low < high"
+        message = f"low={low:.6g}, high={high:.6g} N m^2: expected 0 < low < high"
         raise ValueError(message)
     return (value - low) / (high - low)
 
@@ -391,7 +391,7 @@ def largest_stretch(table: WireTable) -> float:
 
 
 def stretching_moment(
-    curvature: Floats, y: Floats, kind: Ints, tables: Sequence[WireTable]
+    curvature: Floats, y: Floats, wire_types: Ints, tables: Sequence[WireTable]
 ) -> Floats:
     """Return the moment of the stretching and shortening of sticking wires, N m.
 
@@ -399,7 +399,7 @@ def stretching_moment(
     ----------
     curvature : shape (n,), 1/m, not negative
     y : shape (wires,), m
-    kind : shape (wires,), index into the tables
+    wire_types : shape (wires,), index into the tables
     tables : of the kinds of wire
 
     Returns
@@ -418,8 +418,10 @@ def stretching_moment(
         stretch = curvature[:, None] * (y - neutral[:, None])
         force = np.empty_like(stretch)
         for number, law in enumerate(laws):
-            strains = stretch[:, kind == number]
-            force[:, kind == number] = np.sign(strains) * np.interp(np.abs(strains), strain, law)
+            strains = stretch[:, wire_types == number]
+            force[:, wire_types == number] = np.sign(strains) * np.interp(
+                np.abs(strains), strain, law
+            )
         return force
 
     low, high = (np.full(len(curvature), edge) for edge in (y.min(), y.max()))

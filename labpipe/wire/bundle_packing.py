@@ -2,8 +2,8 @@
 
 The heap sought has the least sum of diameter^2 x squared distance from the middle without any
 overlap: a bore, as in `wire.packing`, leaves loose wires in the gaps, a pull to the middle does
-not. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of
-the bore; then contacts harden until the overlaps that the pull left are gone (method of
+not. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the dissertation with the pull in place
+of the bore; then contacts harden until the overlaps that the pull left are gone (method of
 multipliers: Hestenes and Powell, 1969), and Newton's method brings the heap to rest. Only
 pairs of near wires are evaluated, so that cost grows linearly. The heap is the same on every
 processor, to 1e-12 of a diameter.
@@ -25,8 +25,6 @@ from labpipe.records.arrays import Floats, Ints
 
 _CONTACT_STIFFNESSES = (10.0, 100.0)
 """Successive stiffnesses of a contact for a pull of 1; low enough for a gradient method."""
-MIN_FILLED_SHARE = 0.5
-"""Of the smallest circle around a heap; two equal wires, the emptiest heap, fill as much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +65,10 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """
     # mean diameters; unequal wires can come to rest in a row or around a corner
     shakes = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
-    min_filled_share = 0.55  # heaps that fill less are shaken
+    max_shaken_share = 0.55  # heaps that fill less are shaken
     pair = 2
     if not (np.all(np.isfinite(starts)) and np.all(diameters > 0.0)):
-        message = "a heap of wires: allowed are finite centres and diameters > 0"
+        message = "a heap of wires: expected finite centres and diameters > 0"
         raise ValueError(message)
     if len(diameters) == 1:
         return np.zeros((1, 2))
@@ -78,7 +76,7 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     reach = diameters / scale
     heap = _narrowest_heap([(start - start.mean(axis=0)) / scale for start in starts], reach)
     for number, shake in enumerate(shakes):
-        if _filled_share(heap, reach) > min_filled_share or len(reach) == pair:
+        if _filled_share(heap, reach) > max_shaken_share or len(reach) == pair:
             break
         moves = shake * np.random.default_rng(number).normal(size=heap.shape)
         heap = _narrowest_heap([heap, heap + moves], reach)
@@ -115,14 +113,16 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
     Raises
     ------
     ValueError
-        If the wires fill less than `MIN_FILLED_SHARE` of the smallest circle around them; the
+        If the wires fill less than half of the smallest circle around them; the
         message states the filled share.
     """
+    # Of the smallest circle around a heap; two equal wires, the emptiest heap, fill as much.
+    min_filled_share = 0.5
     filled = _filled_share(centres, diameters)
-    if not filled > MIN_FILLED_SHARE * (1.0 - 1e-6):
+    if not filled > min_filled_share * (1.0 - 1e-6):
         message = (
             f"the {len(diameters)} wires did not come together: they fill {filled:.2g} of the "
-            f"smallest circle around them, expected at least {MIN_FILLED_SHARE:g}"
+            f"smallest circle around them, expected at least {min_filled_share:g}"
         )
         raise ValueError(message)
 
@@ -214,8 +214,8 @@ def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     hardening_limits = (4, 8, 1500)  # at least, at most, and over the number of wires in between
     tolerance = 1e-6  # mean diameters, of wires that push each other
     centres, stiffness = begin, _CONTACT_STIFFNESSES[-1]
-    least, most, shared = hardening_limits
-    for _ in range(max(least, min(most, shared // len(diameters)))):
+    lowest, highest, shared = hardening_limits
+    for _ in range(max(lowest, min(highest, shared // len(diameters)))):
         force = np.maximum(contacts.force + stiffness * _overlaps(centres, contacts)[0], 0.0)
         is_hard = np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * tolerance
         contacts = replace(contacts, force=force)
@@ -307,9 +307,9 @@ def gradient_of_heap(
 
 def _overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
     """Return the overlap of each pair (negative for a gap) and its direction, second to first."""
-    apart = centres[contacts.first] - centres[contacts.second]
-    distance = np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2)
-    return contacts.touching - distance, apart / np.where(distance == 0.0, 1.0, distance)[:, None]
+    offsets = centres[contacts.first] - centres[contacts.second]
+    distance = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
+    return contacts.touching - distance, offsets / np.where(distance == 0.0, 1.0, distance)[:, None]
 
 
 def _scale_apart(centres: Floats, diameters: Floats) -> float:
@@ -362,11 +362,11 @@ def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
     middle = points.mean(axis=0)
     start = np.append(middle, np.max(_extents(points, reach, middle)))
 
-    def slack(at: Floats) -> Floats:
-        return np.asarray(at[2] - _extents(points, reach, at[:2]))
+    def slack(circle: Floats) -> Floats:
+        return np.asarray(circle[2] - _extents(points, reach, circle[:2]))
 
-    def radius_of(at: Floats) -> tuple[float, Floats]:
-        return float(at[2]), np.array([0.0, 0.0, 1.0])
+    def radius_of(circle: Floats) -> tuple[float, Floats]:
+        return float(circle[2]), np.array([0.0, 0.0, 1.0])
 
     constraint: Any = {"type": "ineq", "fun": slack}
     solution = minimize(
@@ -381,7 +381,7 @@ def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
 
 
 WANTED_FRACTION = 0.7
-"""Packing fraction for which the source chooses conduits."""
+"""Packing fraction for which the dissertation chooses conduits."""
 
 
 def packing_fraction(diameters: Floats, bore: float) -> float:

@@ -10,13 +10,14 @@ tip and the wire's own weight w per length,
 at Chebyshev-Lobatto stations, every station with its own history. Newton's method with the exact
 Jacobian solves it; the load (an end load or the tension of the string) is one more unknown,
 fixed by one more condition. A path is followed in steps that are halved where Newton's method
-fails. Unlike the source it uses no series and no single stiffness for the whole wire.
+fails. Unlike the dissertation, it uses neither a series nor a single stiffness for the
+whole wire.
 
-The clamp is driven down, which in its own frame lifts the anchor of the string. The string pulls or
-is slack; the counterweight always hangs at the tip.
+The clamp is driven down, which in its own frame lifts the anchor of the string. The string is taut
+or slack; the counterweight always hangs at the tip.
 
-A wire with weight is mounted level and bends under its weight before the test: its path starts from
-this equilibrium and its history, not from zero moment (PHYSICS 8).
+A wire with weight is mounted level and bends under its weight before the test. Its path therefore
+starts from this equilibrium and its history, not from zero moment (PHYSICS 8).
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class WireState:
     plays : shape (stations, plays), N m
     force : shape (2,), N, at the tip
     load : the unknown of the last solution, N: the string's tension or the end load
-    travel : m, travel of the clamp, or tip deflection
+    travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
+        of force
     self_weight : N/m, of the wire, along -y
     """
 
@@ -91,7 +93,7 @@ class CantileverShape:
     moment : N m
     curvature : 1/m
     force : shape (2,), N, at the tip: string and counterweight together
-    tension : N, of the string; 0 where there is none or it is slack
+    tension : N, of the string, 0 if it is slack; without a string, the load of the state
     state : start of the next step
     """
 
@@ -150,7 +152,7 @@ def straight(
 
 
 def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
-    """Find the first equilibrium of a level wire whose tip a normal force holds at no deflection.
+    """Find the initial equilibrium of a level wire whose tip a normal force holds.
 
     Parameters
     ----------
@@ -160,8 +162,8 @@ def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverS
 
     Returns
     -------
-    The shape; ``force[1]`` is P0, which a zeroed load cell hides: 3 w L / 8 for a small sag of a
-    linear wire, with a moment of - w L^2 / 8 at the clamp.
+    The shape; ``force[1]`` is the holding force P0, which is lost when the load cell is zeroed:
+    3 w L / 8 for a small sag of a linear wire, with a moment of - w L^2 / 8 at the clamp.
 
     Raises
     ------
@@ -200,9 +202,9 @@ def bend_under_force(
         condition = DeadLoad(start + share * (goal - start))
         return settle(law, present, length, condition, travel=share)
 
-    place = f"force={goal.tolist()}"
-    reached = _walk_to(step, replace(state, travel=0.0), 1.0, place)
-    require_within(law, reached.moment, place)
+    context = f"force={goal.tolist()}"
+    reached = _walk_to(step, replace(state, travel=0.0), 1.0, context)
+    require_within(law, reached.moment, context)
     return shape_of(law, reached, length)
 
 
@@ -223,8 +225,8 @@ def bend_to_deflection(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, as for a deflection that exceeds the length; or the
-        law ends (the message states the curvature).
+        If no equilibrium is found on the way, as for a deflection that exceeds the length, or the
+        wire is bent beyond the range of its law (the message states the curvature).
     """
     require_positive("length", length)
     require_finite("deflection", deflection)
@@ -234,7 +236,7 @@ def bend_to_deflection(
 
 
 def deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
-    """Bend a wire to a deflection without checking the end of its law."""
+    """Bend a wire to a deflection without checking the range of its law."""
 
     def step(present: WireState, travel: float) -> WireState | None:
         return settle(law, present, length, EndLoad(travel), travel=travel)
@@ -264,7 +266,7 @@ def bend_to_travel(
         If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
         message states the curvature).
     """
-    rounding = 1e-12  # m: a string that is just straight counts as slack
+    slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
@@ -275,9 +277,11 @@ def bend_to_travel(
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
         bent = settle(law, present, length, weight, travel=travel)
-        if bent is None or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - rounding:
+        if bent is None:
             return None
-        return replace(bent, load=0.0)  # not the rounding error of the last pull
+        if rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack_tolerance:
+            return None
+        return replace(bent, load=0.0)  # exactly zero, without the rounding error of the solution
 
     def step(present: WireState, travel: float) -> WireState | None:
         first, second = (taut, slack) if present.load > 0.0 else (slack, taut)
@@ -286,9 +290,9 @@ def bend_to_travel(
 
     require_positive("length", length)
     require_finite("travel", travel)
-    place = f"travel={travel!r}"
-    reached = _walk_to(step, state, travel, place)
-    require_within(law, reached.moment, place)
+    context = f"travel={travel!r}"
+    reached = _walk_to(step, state, travel, context)
+    require_within(law, reached.moment, context)
     return shape_of(law, reached, length)
 
 
@@ -325,7 +329,7 @@ def settle(
     guess: Unknowns | None = None,
     tolerance: float = TOLERANCE,
 ) -> WireState | None:
-    """Step from a state to the equilibrium under a condition; None where Newton's method fails.
+    """Find the equilibrium under a condition; None if Newton's method fails.
 
     Parameters
     ----------
@@ -356,20 +360,20 @@ def _turns_too_far(equilibrium: Equilibrium, length: float) -> bool:
     return bool(np.max(np.abs(turn)) > max_turn)
 
 
-def _walk_to(step: Step, state: WireState, goal: float, place: str) -> WireState:
-    """Move the state to the goal, halving steps that fail."""
+def _walk_to(step: Step, state: WireState, goal: float, context: str) -> WireState:
+    """Step the state to the goal; halve a step that fails."""
     min_step_share = 2.0**-12
-    whole = goal - state.travel
-    fraction, done = 1.0, 0.0
-    begin = state.travel
-    while done < 1.0:
-        reach = min(1.0, done + fraction)
-        ahead = step(state, goal if reach == 1.0 else begin + reach * whole)
-        if ahead is not None:
-            state, done, fraction = ahead, reach, min(1.0, 2.0 * fraction)
-        elif fraction <= min_step_share:
-            message = f"{place}: no equilibrium beyond {begin + done * whole:.6g}"
+    distance = goal - state.travel
+    step_share, done_share = 1.0, 0.0
+    start = state.travel
+    while done_share < 1.0:
+        next_share = min(1.0, done_share + step_share)
+        next_state = step(state, goal if next_share == 1.0 else start + next_share * distance)
+        if next_state is not None:
+            state, done_share, step_share = next_state, next_share, min(1.0, 2.0 * step_share)
+        elif step_share <= min_step_share:
+            message = f"{context}: no equilibrium beyond {start + done_share * distance:.6g}"
             raise ValueError(message)
         else:
-            fraction *= 0.5
+            step_share *= 0.5
     return state

@@ -17,7 +17,7 @@ from labpipe.wire.cantilever import CantileverShape
 from labpipe.wire.end_load import deflection_at
 from labpipe.wire.end_load_path import end_load_path
 
-DEFLECTIONS = 49
+N_DEFLECTIONS = 49
 """Points of the curve, including zero."""
 FARTHEST = 0.8
 """Tip deflection at its end, as a share of the length."""
@@ -114,7 +114,7 @@ def _bend_to(law: PlayLaw, length: float, end: float, self_weight: float) -> Can
 def _deflections(end: float) -> Floats:
     """Return the deflections of the curve, m, dense near zero."""
     spacing_power = 3  # the first point lies at 1e-5 of the last, before strands slip
-    return np.asarray(end * np.linspace(0.0, 1.0, DEFLECTIONS) ** spacing_power)
+    return np.asarray(end * np.linspace(0.0, 1.0, N_DEFLECTIONS) ** spacing_power)
 
 
 def force_at(table: WireTable, deflection: float) -> float:

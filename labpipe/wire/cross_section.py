@@ -3,8 +3,8 @@
 The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
 A layout places the strands and refuses what does not fit, with the overlap. Layers are
 defined by their counts, not by gaps in the radius. The first strand of the first ring lies at angle
-0, on the neutral axis of the source; `wire.bending_law` turns the section for other orientations.
-Lengths in m, angles in rad.
+0, on the neutral axis of the dissertation; `wire.bending_law` turns the section for other
+orientations. Lengths in m, angles in rad.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ COPPER_DENSITY = 8960.0
 """kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
 PVC_DENSITY = 1400.0
 """kg/m^3, default: filled PVC."""
-OVERLAP_TOLERANCE = 1e-3
+MAX_OVERLAP_SHARE = 1e-3
 """Allowed overlap, as a share of the bore's radius."""
 
 
@@ -49,11 +49,11 @@ class Layer:
     def __post_init__(self) -> None:
         require_positive("diameter", self.diameter)
         if self.count < 1:
-            message = f"count={self.count!r}: allowed are whole numbers >= 1"
+            message = f"count={self.count!r}: must be an integer >= 1"
             raise ValueError(message)
         if not abs(self.lay_angle) < np.pi / 2.0:
             degrees = np.degrees(self.lay_angle)
-            message = f"lay_angle={degrees:.6g} deg: allowed are angles between -90 and 90 deg"
+            message = f"lay_angle={degrees:.6g} deg: must be between -90 and 90 deg"
             raise ValueError(message)
         _require_poisson(self.poisson)
 
@@ -65,7 +65,7 @@ class Layer:
 
 def _require_poisson(poisson: float) -> None:
     if not -1.0 < poisson <= 0.5:
-        message = f"poisson={poisson!r}: allowed are numbers above -1, up to 0.5"
+        message = f"poisson={poisson!r}: must be above -1 and at most 0.5"
         raise ValueError(message)
 
 
@@ -149,7 +149,7 @@ class CrossSection:
         object.__setattr__(self, "y", frozen(self.y, shape=(strands,)))
         index = np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
         if not np.array_equal(self.layer, index):
-            message = f"layer={self.layer}: allowed are strands in the order of the layers"
+            message = f"layer={self.layer}: strands must be in the order of the layers"
             raise ValueError(message)
         index.flags.writeable = False
         object.__setattr__(self, "layer", index)
@@ -305,7 +305,7 @@ def compressed(
             for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
         ]
     if len(radii) != len(layers):
-        message = f"radii={list(radii)}: allowed is one for each of {len(layers)} layers"
+        message = f"radii={list(radii)}: expected one for each of {len(layers)} layers"
         raise ValueError(message)
     x, y = _rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, _layer_index(layers), 0.0, insulation)
@@ -317,7 +317,7 @@ def _sector_centroid(inner: float, outer: float, half_angle: float) -> float:
 
 
 def _require_bore(insulation: Insulation | None, needed: float) -> None:
-    if insulation is None or needed <= insulation.bore_radius * (1.0 + OVERLAP_TOLERANCE):
+    if insulation is None or needed <= insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
         return
     message = (
         f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
@@ -349,11 +349,11 @@ def place(
     reach = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else reach
     wall = max(reach - bore, 0.0)
-    if max(strands, wall) > OVERLAP_TOLERANCE * bore:
+    if max(strands, wall) > MAX_OVERLAP_SHARE * bore:
         what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
         message = (
             f"the {kind} layout does not fit: strands overlap {what} by "
-            f"{max(strands, wall):.3g} m, allowed is {OVERLAP_TOLERANCE * bore:.3g} m"
+            f"{max(strands, wall):.3g} m; expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T

@@ -86,7 +86,7 @@ class EndLoads:
 
     @property
     def load(self) -> Floats:
-        """End load, N."""
+        """Return the end load, N."""
         return _at_clamp(self.polygon, self.clamp_moment)[1] / np.tanh(self.level)
 
     def tail(self, rows: slice = slice(None)) -> Floats:
@@ -309,33 +309,35 @@ def _at_nodes(
     return _Nodes(fall, square, per_length, weight, first_cubed, last)
 
 
-def _with_ends(whole: Floats, value: float) -> Floats:
+def _with_ends(inner: Floats, value: float) -> Floats:
     """Return values at the nodes of the whole panels, one value in the two others; and ones."""
-    ends = np.ones((2, whole.size + 2 * _N_NODES))
+    ends = np.ones((2, inner.size + 2 * _N_NODES))
     ends[0, :_N_NODES] = ends[0, -_N_NODES:] = value
-    ends[0, _N_NODES:-_N_NODES] = whole.ravel()
+    ends[0, _N_NODES:-_N_NODES] = inner.ravel()
     return ends
 
 
 def _panels_of(values: Floats) -> Floats:
     """Return the whole panels of values at the nodes, shape (rows, nodes of a panel, panels)."""
-    whole: Floats = values[:, _N_NODES:-_N_NODES]
-    return whole.reshape(len(values), _N_NODES, -1)
+    inner: Floats = values[:, _N_NODES:-_N_NODES]
+    return inner.reshape(len(values), _N_NODES, -1)
 
 
 def _nodes_of(polygon: Polygon, panel: Ints, width: Floats) -> tuple[Floats, Floats]:
     """Return W* at Gauss's nodes of some panels, from their lower ends, and the nodes' weights."""
-    way = _NODES[:, None] * width
-    energy = (polygon.compliance[panel] / 2.0 * way + polygon.curvature[panel]) * way
+    distance = _NODES[:, None] * width
+    energy = (polygon.compliance[panel] / 2.0 * distance + polygon.curvature[panel]) * distance
     return energy + polygon.energy[panel], _WEIGHTS[:, None] * width
 
 
 def _at_clamp(polygon: Polygon, moment: Floats) -> tuple[Floats, Floats]:
     """Return curvature and complementary energy at moments."""
     panel = np.searchsorted(polygon.moment[1:-1], moment, side="right")
-    way = moment - polygon.moment[panel]
+    change = moment - polygon.moment[panel]
     slope, curvature = polygon.compliance[panel], polygon.curvature[panel]
-    return curvature + slope * way, polygon.energy[panel] + way * (curvature + slope * way / 2.0)
+    return curvature + slope * change, polygon.energy[panel] + change * (
+        curvature + slope * change / 2.0
+    )
 
 
 def _at_moments(polygon: Polygon, length: float, clamp: Floats) -> tuple[EndLoads, Floats]:
@@ -378,10 +380,10 @@ def _at_deflections(ladder: EndLoads, law: MomentLaw, length: float, wanted: Flo
 
 def _first_guess(ladder: EndLoads, wanted: Floats) -> tuple[Floats, Floats]:
     """Interpolate the logarithm of the clamp's moment, and `level`, in a ladder."""
-    at, rungs = np.log(wanted), np.log(ladder.deflection)
-    below = np.minimum(at - rungs[0], 0.0)  # proportional below the lowest
+    log_deflection, rungs = np.log(wanted), np.log(ladder.deflection)
+    below = np.minimum(log_deflection - rungs[0], 0.0)  # proportional below the lowest
     clamp, level = (
-        np.interp(at, rungs, np.log(values)) + below
+        np.interp(log_deflection, rungs, np.log(values)) + below
         for values in (ladder.clamp_moment, ladder.level)
     )
     return clamp, np.exp(level)

@@ -35,9 +35,6 @@ from labpipe.wire.end_load import EndLoads, end_loads
 from labpipe.wire.heavy_loading import heavy_states
 from labpipe.wire.newton import EndLoad, Unknowns, chebyshev_stations
 
-HEAVY_STATIONS = 48
-"""Along a wire with weight: loads are within 3e-5 of those of 160 stations."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndLoadPath:
@@ -119,13 +116,14 @@ def _from_rest(
     law: MomentLaw, length: float, deflections: Floats, self_weight: float
 ) -> EndLoadPath:
     """Compute the path of a wire with weight, from rest."""
+    n_stations = 48  # along a wire with weight: loads are within 3e-5 of those of 160 stations
     max_lean = 1.0  # rad: a steeper wire has other equilibria, too
     unloading_share = 0.7  # of the length: about where something begins to unload
     goes_on = (np.diff(deflections, prepend=0.0) > 0.0) & (deflections <= unloading_share * length)
     count = len(goes_on) if goes_on.all() else int(np.argmin(goes_on))
     table, wanted = LoadingTable.of_plays(law), deflections[:count]
     states_at = heavy_states(
-        *(table, length, None, self_weight, wanted), n_stations=HEAVY_STATIONS, with_changes=False
+        *(table, length, None, self_weight, wanted), n_stations=n_stations, with_changes=False
     )
     done = states_at.count_loading()
     plays = respond(law, states_at.rest, unbent_plays(law, len(states_at.rest))).plays
@@ -210,13 +208,13 @@ def _extrapolated(states: list[WireState], travel: float) -> Unknowns | None:
     A straight line through two states, and where the last three reverse.
     """
     max_trend_steps = 2.0  # steps ahead over which the last one is extrapolated
-    at = [state.travel for state in states]
-    steps = np.diff([*at, travel])
-    if not 0.0 < (travel - at[-1]) * steps[-2] <= max_trend_steps * steps[-2] ** 2:
+    travels = [state.travel for state in states]
+    steps = np.diff([*travels, travel])
+    if not 0.0 < (travel - travels[-1]) * steps[-2] <= max_trend_steps * steps[-2] ** 2:
         return None
     if steps[0] * steps[-1] <= 0.0:
-        states, at = states[-2:], at[-2:]
+        states, travels = states[-2:], travels[-2:]
     # Lagrange weights
-    shares = [float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at]
+    shares = [float(np.prod([(travel - b) / (a - b) for b in travels if b != a])) for a in travels]
     moment = np.sum([n * state.moment for n, state in zip(shares, states, strict=True)], axis=0)
     return Unknowns(moment, sum(n * state.load for n, state in zip(shares, states, strict=True)))

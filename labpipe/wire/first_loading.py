@@ -130,51 +130,51 @@ def _guess(law: LoadingLaw, rule: Rule, length: float, rig: StringRig | None) ->
 
 
 def _curve(
-    law: LoadingLaw, rule: Rule, at: Balance, rig: StringRig | None, *, has_memory: bool
+    law: LoadingLaw, rule: Rule, state: Balance, rig: StringRig | None, *, has_memory: bool
 ) -> LoadingCurve:
     curvature = law.curvature[law.points]
-    slope = _slope(at, rig, curvature)
-    change = _changes(law, rule, at, rig, slope)
-    sine = rule.energy / at.force - at.sine
-    falls = np.flatnonzero(np.diff(at.force * np.sqrt(1.0 - sine**2)) <= 0.0)
+    slope = _slope(state, rig, curvature)
+    change = _changes(law, rule, state, rig, slope)
+    sine = rule.energy / state.force - state.sine
+    falls = np.flatnonzero(np.diff(state.force * np.sqrt(1.0 - sine**2)) <= 0.0)
     stop = int(falls[0]) + 1 if has_memory and len(falls) else len(sine)
-    weight, tension = weight_of(rig), tension_of(at, rig)
+    weight, tension = weight_of(rig), tension_of(state, rig)
 
     def from_rest(rest: float, values: Floats) -> Floats:
         return np.concatenate([[rest], values[:stop]])
 
     return LoadingCurve(
-        from_rest(0.0, at.y),
+        from_rest(0.0, state.y),
         from_rest(weight, tension),
-        from_rest(float(at.arc_length[0]), at.x),
-        from_rest(0.0, np.arcsin(sine) + at.lean),
+        from_rest(float(state.arc_length[0]), state.x),
+        from_rest(0.0, np.arcsin(sine) + state.lean),
         from_rest(0.0, curvature),
         from_rest(0.0, rule.moment),
-        from_rest(float((tension[0] - weight) / at.y[0]), slope),
+        from_rest(float((tension[0] - weight) / state.y[0]), slope),
         np.hstack([np.zeros((len(change), 1)), change[:, :stop]]),
     )
 
 
-def _slope(at: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
+def _slope(state: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
     """Return the slope of tension against deflection, N/m, as the moment at the clamp grows.
 
     The integrals change with their upper end, where Q = -P sin(beta), and with W*(M0).
     """
-    arc = curvature * at.cube_q + 1.0 / (at.force * at.cosine)
-    across = curvature * at.force * at.cube - at.sine / at.cosine / at.force
-    along = respond_to(at, rig, arc, across, 1.0 / at.force)
+    arc = curvature * state.cube_q + 1.0 / (state.force * state.cosine)
+    across = curvature * state.force * state.cube - state.sine / state.cosine / state.force
+    along = respond_to(state, rig, arc, across, 1.0 / state.force)
     return along.tension / along.deflection
 
 
 def _changes(
-    law: LoadingLaw, rule: Rule, at: Balance, rig: StringRig | None, slope: Floats
+    law: LoadingLaw, rule: Rule, state: Balance, rig: StringRig | None, slope: Floats
 ) -> Floats:
     """Return the derivatives of the tension at constant deflection by the law's parameters."""
     end = law.energy_change[:, law.points]
     inside = law.node_energy_change.reshape(len(end), law.node_energy.size)[:, rule.nodes]
-    arc = end * at.cube_q - rule.total(inside * at.cubes_q)
-    across = at.force * (end * at.cube - rule.total(inside * at.cubes))
-    changed = respond_to(at, rig, arc, across, np.zeros_like(end))
+    arc = end * state.cube_q - rule.total(inside * state.cubes_q)
+    across = state.force * (end * state.cube - rule.total(inside * state.cubes))
+    changed = respond_to(state, rig, arc, across, np.zeros_like(end))
     return changed.tension - slope * changed.deflection
 
 
@@ -233,7 +233,7 @@ class Rule:
     rise: Floats
 
     def total(self, values: Floats) -> Floats:
-        """Sum over the nodes of each point, to shape (..., points)."""
+        """Return the sum over the nodes of each point, to shape (..., points)."""
         return np.asarray(np.add.reduceat(values, self.starts, axis=-1))
 
     def spread(self, values: Floats) -> Floats:
@@ -300,41 +300,44 @@ Pair: TypeAlias = tuple[Floats, Floats]
 """Two numbers for each point, shape (points,)."""
 
 
-def _across_slopes(at: Balance) -> Pair:
+def _across_slopes(state: Balance) -> Pair:
     """Return the derivatives of B by force and lean."""
-    pressed = at.force * at.cube
-    by_force = -at.across / at.force - at.sine * pressed - at.cube_q
-    return by_force, -at.force * at.cosine * pressed
+    pressed = state.force * state.cube
+    by_force = -state.across / state.force - state.sine * pressed - state.cube_q
+    return by_force, -state.force * state.cosine * pressed
 
 
-def misfit(at: Balance, rig: StringRig | None) -> Floats:
+def misfit(state: Balance, rig: StringRig | None) -> Floats:
     """Return the force across the string that remains unbalanced, N; the lean without a string."""
     if rig is None:
-        return at.lean
-    slant = (rig.anchor_x - at.x) / rig.string_length
-    pull = at.force * at.cosine + rig.weight
-    return at.force * at.sine * np.sqrt(1.0 - slant**2) + pull * slant
+        return state.lean
+    slant = (rig.anchor_x - state.x) / rig.string_length
+    pull = state.force * state.cosine + rig.weight
+    return state.force * state.sine * np.sqrt(1.0 - slant**2) + pull * slant
 
 
-def _misfit_slope(at: Balance, rig: StringRig) -> Floats:
-    slant = (rig.anchor_x - at.x) / rig.string_length
-    pull = at.force * at.cosine + rig.weight
-    return (at.force * at.sine * slant / np.sqrt(1.0 - slant**2) - pull) / rig.string_length
+def _misfit_slope(state: Balance, rig: StringRig) -> Floats:
+    slant = (rig.anchor_x - state.x) / rig.string_length
+    pull = state.force * state.cosine + rig.weight
+    return (state.force * state.sine * slant / np.sqrt(1.0 - slant**2) - pull) / rig.string_length
 
 
-def slopes(at: Balance, rig: StringRig | None) -> tuple[Pair, Pair]:
+def slopes(state: Balance, rig: StringRig | None) -> tuple[Pair, Pair]:
     """Return the derivatives of arc length and misfit by force and lean."""
-    arc = (-at.force * at.cube - at.sine * at.cube_q, -at.force * at.cosine * at.cube_q)
+    arc = (
+        -state.force * state.cube - state.sine * state.cube_q,
+        -state.force * state.cosine * state.cube_q,
+    )
     if rig is None:
-        return arc, (np.zeros_like(at.lean), np.ones_like(at.lean))
-    slant = (rig.anchor_x - at.x) / rig.string_length
+        return arc, (np.zeros_like(state.lean), np.ones_like(state.lean))
+    slant = (rig.anchor_x - state.x) / rig.string_length
     rise = np.sqrt(1.0 - slant**2)
-    across_by_force, across_by_lean = _across_slopes(at)
-    x_by_force = -at.arm / at.force * at.cosine - across_by_force * at.sine
-    x_by_lean = -at.y - across_by_lean * at.sine
-    by_x = _misfit_slope(at, rig)
-    by_force = at.sine * rise + at.cosine * slant + by_x * x_by_force
-    by_lean = at.force * (at.cosine * rise - at.sine * slant) + by_x * x_by_lean
+    across_by_force, across_by_lean = _across_slopes(state)
+    x_by_force = -state.arm / state.force * state.cosine - across_by_force * state.sine
+    x_by_lean = -state.y - across_by_lean * state.sine
+    by_x = _misfit_slope(state, rig)
+    by_force = state.sine * rise + state.cosine * slant + by_x * x_by_force
+    by_lean = state.force * (state.cosine * rise - state.sine * slant) + by_x * x_by_lean
     return arc, (by_force, by_lean)
 
 
@@ -354,20 +357,20 @@ class Response:
 
 
 def respond_to(
-    at: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
+    state: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
 ) -> Response:
     """Compute the response to changes of arc length, B and A at constant force and lean."""
-    by_x = 0.0 if rig is None else _misfit_slope(at, rig)
-    misfit = by_x * (arm * at.cosine - across * at.sine)
-    force, lean = solve_pair(slopes(at, rig), -arc, -misfit)
-    across_by_force, across_by_lean = _across_slopes(at)
-    by_force = -at.arm / at.force * at.sine + across_by_force * at.cosine
-    by_lean = at.x + across_by_lean * at.cosine
+    by_x = 0.0 if rig is None else _misfit_slope(state, rig)
+    misfit = by_x * (arm * state.cosine - across * state.sine)
+    force, lean = solve_pair(slopes(state, rig), -arc, -misfit)
+    across_by_force, across_by_lean = _across_slopes(state)
+    by_force = -state.arm / state.force * state.sine + across_by_force * state.cosine
+    by_lean = state.x + across_by_lean * state.cosine
     weight = weight_of(rig)
-    pull = (at.force + weight * at.cosine) * force - at.force * weight * at.sine * lean
+    pull = (state.force + weight * state.cosine) * force - state.force * weight * state.sine * lean
     return Response(
-        arm * at.sine + across * at.cosine + by_force * force + by_lean * lean,
-        pull / tension_of(at, rig),
+        arm * state.sine + across * state.cosine + by_force * force + by_lean * lean,
+        pull / tension_of(state, rig),
     )
 
 
@@ -376,6 +379,6 @@ def weight_of(rig: StringRig | None) -> float:
     return 0.0 if rig is None else rig.weight
 
 
-def tension_of(at: Balance, rig: StringRig | None) -> Floats:
+def tension_of(state: Balance, rig: StringRig | None) -> Floats:
     """Return the tension of the string, N; the end load without a string."""
-    return np.hypot(at.force * at.sine, at.force * at.cosine + weight_of(rig))
+    return np.hypot(state.force * state.sine, state.force * state.cosine + weight_of(rig))

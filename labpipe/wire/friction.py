@@ -14,9 +14,9 @@ Pressure on a strand of layer q, per radian of its lay (3.11), never negative:
 
     H = F_rad N_Q / N_q + sum over outer layers k of (F0 + F)_k |sin alpha_k| N_k / N_q
 
-with the force F_k that the outer layer has at the same angle theta. The source's shares N_k / N_q
-hold for layers of equal lay length. With `Contacts.lay_lengths` they are multiplied by the ratio
-of the lay lengths, r_q tan alpha_k / (r_k tan alpha_q), which equilibrium asks for.
+with the force F_k that the outer layer has at the same angle theta. The dissertation's shares N_k /
+N_q hold for layers of equal lay length. With `Contacts.lay_lengths` they are multiplied by the
+ratio of the lay lengths, r_q tan alpha_k / (r_k tan alpha_q), which equilibrium asks for.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ class Contacts:
         values = [*self.inner, *self.outer, self.radial_force]
         if len(self.inner) != len(self.outer):
             message = (
-                f"{len(self.inner)} inner and {len(self.outer)} outer coefficients: allowed is one "
+                f"{len(self.inner)} inner and {len(self.outer)} outer coefficients: expected one "
                 f"of both for each ring"
             )
             raise ValueError(message)
         if not all(np.isfinite(value) and value >= 0.0 for value in values):
             message = (
                 f"inner={self.inner}, outer={self.outer}, radial_force={self.radial_force}: "
-                f"allowed are finite numbers >= 0"
+                f"must be finite and >= 0"
             )
             raise ValueError(message)
 
@@ -153,7 +153,7 @@ def axial_strain(section: CrossSection, tension: float) -> float:
         If the tension is negative: compressed strands separate.
     """
     if not (np.isfinite(tension) and tension >= 0.0):
-        message = f"tension={tension!r}: allowed are finite numbers >= 0"
+        message = f"tension={tension!r}: must be finite and >= 0"
         raise ValueError(message)
     strands = sum(
         layer.count * layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
@@ -355,7 +355,7 @@ def slip_onsets(
     -----
     Within a ring the strands near the neutral axis slip first
     when friction is even (theta_e / sin theta grows with theta), not those farthest from it, as
-    stated in 3.2.1 of the source.
+    stated in 3.2.1 of the dissertation.
     """
     min_sine = 1e-9
     rounds = 8  # each to a 128th: to rounding
@@ -366,14 +366,14 @@ def slip_onsets(
     slips = ~_sticks(bundle, np.broadcast_to(_SLIP_GUESSES, (len(_SLIP_GUESSES), len(near_sine))))
     never, first = ~slips.any(axis=0), slips.argmax(axis=0)
     upper = _SLIP_GUESSES[first, 0]
-    lower = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
+    lower_guess = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
     for _ in range(rounds):
-        curvatures = lower + (upper - lower) * _BRACKET_SHARES
+        curvatures = lower_guess + (upper - lower_guess) * _BRACKET_SHARES
         slips = ~_sticks(bundle, curvatures[1:-1])
         first = np.where(slips.any(axis=0), slips.argmax(axis=0) + 1, len(_BRACKET_SHARES) - 1)
         strand = np.arange(len(near_sine))
-        lower, upper = curvatures[first - 1, strand], curvatures[first, strand]
-    return np.where(never, np.inf, lower)
+        lower_guess, upper = curvatures[first - 1, strand], curvatures[first, strand]
+    return np.where(never, np.inf, lower_guess)
 
 
 def _sticks(bundle: Bundle, curvature: Floats) -> Flags:

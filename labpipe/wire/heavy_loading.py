@@ -23,10 +23,8 @@ from labpipe.wire.newton import Stations, chebyshev_stations
 
 N_STATIONS = 24
 """Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
-POINTS = 32
+N_LOADING_POINTS = 32
 """Of a loading curve."""
-CROWDING = 2.75
-"""Power by which they are denser towards rest, where strands begin to slip."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,32 +136,34 @@ def load_heavy(
 
     Returns
     -------
-    The curve: rest, then `POINTS` points up to the deflection, or until a part of the wire
-    unloads. Its derivatives by parameters are those of the force above that at rest.
+    The curve: rest, then `N_LOADING_POINTS` points up to the deflection, or until a part of the
+    wire unloads. Its derivatives by parameters are those of the force above that at rest.
 
     Raises
     ------
     ValueError
         If no equilibrium is found.
     """
-    wanted = deflection * (np.arange(1, POINTS + 1) / POINTS) ** CROWDING
-    at = heavy_states(table, length, rig, self_weight, wanted)
-    stop = at.count_loading()
-    rest_slope = float((at.tension[0] - at.rest_tension) / at.deflection[0])  # before slip
+    crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
+    wanted = deflection * (np.arange(1, N_LOADING_POINTS + 1) / N_LOADING_POINTS) ** crowding
+    states = heavy_states(table, length, rig, self_weight, wanted)
+    stop = states.count_loading()
+    rise = states.tension[0] - states.rest_tension
+    rest_slope = float(rise / states.deflection[0])  # before slip
 
     def from_rest(rest: float, values: Floats) -> Floats:
         return np.concatenate([[rest], values[:stop]])
 
-    bent, _ = table.bend(at.rest)
-    change = at.tension_change[1:, :stop]
+    bent, _ = table.bend(states.rest)
+    change = states.tension_change[1:, :stop]
     return LoadingCurve(
-        deflection=from_rest(0.0, at.deflection),
-        tension=from_rest(at.rest_tension, at.tension),
-        x=from_rest(length, at.x),
-        tip_angle=from_rest(0.0, at.tip_angle),
-        clamp_curvature=from_rest(float(bent[0]), at.curvature),
-        clamp_moment=from_rest(float(at.rest[0]), at.moment[:, 0]),
-        stiffness=from_rest(rest_slope, at.tension_change[0]),
+        deflection=from_rest(0.0, states.deflection),
+        tension=from_rest(states.rest_tension, states.tension),
+        x=from_rest(length, states.x),
+        tip_angle=from_rest(0.0, states.tip_angle),
+        clamp_curvature=from_rest(float(bent[0]), states.curvature),
+        clamp_moment=from_rest(float(states.rest[0]), states.moment[:, 0]),
+        stiffness=from_rest(rest_slope, states.tension_change[0]),
         tension_change=np.hstack([np.zeros((len(change), 1)), change]),
     )
 
@@ -289,23 +289,23 @@ def _solve(
     max_iterations = 40
     max_turn = 0.7  # rad, of any part of the wire in one step of Newton's method
     moment, tension = (np.array(part) for part in start)
-    left = np.arange(len(moment))
+    active = np.arange(len(moment))
     to_tip, length = wire.stations.to_tip, wire.stations.position[-1]
     for _ in range(max_iterations):
-        bent = _bend(wire, rest, moment[left], tension[left])
+        bent = _bend(wire, rest, moment[active], tension[active])
         bending = bent.lever_x * bent.pull[0][:, None] + bent.lever_y * bent.pull[1][:, None]
         bending -= (wire.beyond * bent.cos) @ to_tip.T
-        missing = np.column_stack([moment[left] - bending, bent.y - deflections[left]])
+        missing = np.column_stack([moment[active] - bending, bent.y - deflections[active]])
         if not np.isfinite(missing).all():
             break
         step = -np.linalg.solve(_jacobian(wire, bent), missing[:, :, None])[:, :, 0]
         turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
         step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
-        moment[left] += step[:, :-1]
-        tension[left] += step[:, -1]
-        largest = np.max(np.abs(moment[left]), axis=1)
-        left = left[np.max(np.abs(step[:, :-1]), axis=1) > moment_tolerance * largest]
-        if not left.size:
+        moment[active] += step[:, :-1]
+        tension[active] += step[:, -1]
+        largest = np.max(np.abs(moment[active]), axis=1)
+        active = active[np.max(np.abs(step[:, :-1]), axis=1) > moment_tolerance * largest]
+        if not active.size:
             return moment, tension
     where = "at rest" if rest is None else f"up to a deflection of {deflections[-1]:.6g} m"
     message = f"length={length:.6g} m: no equilibrium found {where}"
@@ -324,8 +324,8 @@ def _jacobian(wire: _Wire, bent: _Bent) -> Floats:
     if wire.rig is not None:
         leans = bent.lever_x * bent.by_x[0][:, None] + bent.lever_y * bent.by_x[1][:, None]
         jacobian[:, :n, :n] -= leans[:, :, None] * x_by[:, None, :]
-    at = np.arange(n)
-    jacobian[:, at, at] += 1.0
+    diagonal = np.arange(n)
+    jacobian[:, diagonal, diagonal] += 1.0
     by_x, by_y = bent.by_tension[:, :, None]
     jacobian[:, :n, n] = -(bent.lever_x * by_x + bent.lever_y * by_y)
     jacobian[:, n, :n] = y_by

@@ -188,6 +188,6 @@ def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:
     slopes = np.diff(moment) / np.diff(curvature)
     if np.all(np.diff(slopes) <= rounding_share * slopes[0]):
         return slopes
-    hull = thin(curvature, moment, most=len(curvature))
+    hull = thin(curvature, moment, max_points=len(curvature))
     bridged = np.interp(curvature, hull.curvature, hull.moment)
     return np.asarray(np.diff(bridged) / np.diff(curvature))

@@ -21,21 +21,21 @@ class Material(Protocol):
 
     @property
     def modulus(self) -> float:
-        """Slope at zero strain, Pa."""
+        """Return the slope at zero strain, Pa."""
 
     @property
     def largest_strain(self) -> float:
-        """Strain up to which the curve is known."""
+        """Return the strain up to which the curve is known."""
 
     @property
     def source(self) -> str:
-        """Where the numbers come from."""
+        """Return where the numbers come from."""
 
     def stress(self, strain: Floats) -> Floats:
-        """Stress of the first loading at strains of any shape, Pa."""
+        """Return the stress of the first loading at strains of any shape, Pa."""
 
     def __hash__(self) -> int:
-        """Equal curves have equal hashes."""
+        """Return the hash, which is the same for equal curves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ class RambergOsgood:
         require_positive("modulus", self.modulus)
         require_positive("strength", self.strength)
         if not 0.0 < self.exponent < 1.0:
-            message = f"exponent={self.exponent!r}: allowed are numbers between 0 and 1"
+            message = f"exponent={self.exponent!r}: must be between 0 and 1"
             raise ValueError(message)
 
     @property
@@ -176,7 +176,7 @@ class StressTable:
     def __post_init__(self) -> None:
         if len(self.strains) != len(self.stresses) or not self.strains:
             message = (
-                f"{len(self.strains)} strains and {len(self.stresses)} stresses: allowed are equal "
+                f"{len(self.strains)} strains and {len(self.stresses)} stresses: expected equal "
                 f"numbers of both, at least one"
             )
             raise ValueError(message)
@@ -184,15 +184,13 @@ class StressTable:
         slopes = np.diff(stresses) / np.diff(strains)
         rises = np.all(np.isfinite(slopes)) and np.all(np.diff(strains) > 0.0)
         if not (rises and slopes[0] > 0.0 and np.all(slopes >= 0.0)):
-            message = (
-                "the table turns back: allowed are strains that grow, stresses that never fall"
-            )
+            message = "the table turns back: strains must increase and stresses must not decrease"
             raise ValueError(message)
         if np.any(slopes > slopes[0] * (1.0 + 1e-9)):
             steep = int(np.argmax(slopes))
             message = (
                 f"slope {slopes[steep]:.4g} Pa from strain={strains[steep]:.4g} is above the "
-                f"first, {slopes[0]:.4g} Pa: allowed are slopes up to the modulus"
+                f"first, {slopes[0]:.4g} Pa: slopes must not exceed the modulus"
             )
             raise ValueError(message)
 
@@ -226,4 +224,4 @@ class StressTable:
 
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
-"""Copper of the source's wires."""
+"""Copper of the dissertation's wires."""

@@ -262,7 +262,7 @@ def chebyshev_stations(count: int) -> Stations:
         If there are fewer than four.
     """
     if count < 4:
-        message = f"count={count!r}: allowed are numbers >= 4"
+        message = f"count={count!r}: must be >= 4"
         raise ValueError(message)
     nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
     basis = chebyshev.chebvander(nodes, count - 1)
@@ -294,7 +294,7 @@ def interpolation_matrix(count: int, positions: Floats) -> Floats:
         If a position lies outside.
     """
     if np.any((positions < 0.0) | (positions > 1.0)):
-        message = f"positions={positions}: allowed are numbers between 0 and 1"
+        message = f"positions={positions}: must be between 0 and 1"
         raise ValueError(message)
     nodes = 2.0 * chebyshev_stations(count).position - 1.0
     basis = chebyshev.chebvander(nodes, count - 1)

@@ -1,10 +1,10 @@
 """Strands packed into a bore by least overlap energy, and the choice of a layout (PHYSICS 4).
 
-Eqs. (3.1)-(3.4) of the source: the energy is the sum of squared overlaps of strands with each other
-(each pair counted from both sides) and with the bore. From random starts this gives *a* packing,
-not *the* layout: seven strands nearly always end in the hexagon, 19 or 37 never do, and slack
-leaves a continuum of packings. Hence the best of several seeded starts is kept, some of them rings
-with jitter, and the hexagon is the usual choice.
+Eqs. (3.1)-(3.4) of the dissertation: the energy is the sum of squared overlaps of strands with each
+other (each pair counted from both sides) and with the bore. From random starts this gives *a*
+packing, not *the* layout: seven strands nearly always end in the hexagon, 19 or 37 never do, and
+slack leaves a continuum of packings. Hence the best of several seeded starts is kept, some of them
+rings with jitter, and the hexagon is the usual choice.
 """
 
 from __future__ import annotations
@@ -64,12 +64,12 @@ def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, 
     Sum, m^2, and gradient, shape (n, 2), m. Coincident circles do
     not push each other.
     """
-    apart = centres[:, None] - centres[None]
-    distance = np.hypot(apart[..., 0], apart[..., 1])
+    offsets = centres[:, None] - centres[None]
+    distance = np.hypot(offsets[..., 0], offsets[..., 1])
     np.fill_diagonal(distance, np.inf)
     depth = np.maximum(touching - distance, 0.0)
     push = depth / np.where(distance == 0.0, 1.0, distance)
-    return float(0.5 * np.sum(depth**2)), -2.0 * np.einsum("ij,ijk->ik", push, apart)
+    return float(0.5 * np.sum(depth**2)), -2.0 * np.einsum("ij,ijk->ik", push, offsets)
 
 
 def packed(
@@ -212,16 +212,16 @@ def helix_overlap(section: CrossSection) -> float:
     neighbour_diameters = 1.5
     deepest = 0.0
     for number, layer in enumerate(section.layers):
-        here = section.layer == number
-        centres = np.column_stack([section.x[here], section.y[here]])
+        in_layer = section.layer == number
+        centres = np.column_stack([section.x[in_layer], section.y[in_layer]])
         first, second = (
             KDTree(centres)
             .query_pairs(neighbour_diameters * layer.diameter, output_type="ndarray")
             .T
         )
         if first.size and layer.lay_angle:
-            apart = _helix_distances(centres[first], centres[second], layer.lay_angle)
-            deepest = max(deepest, 1.0 - float(apart.min()) / layer.diameter)
+            distances = _helix_distances(centres[first], centres[second], layer.lay_angle)
+            deepest = max(deepest, 1.0 - float(distances.min()) / layer.diameter)
     return deepest
 
 

@@ -6,7 +6,7 @@ A round strand of radius a at curvature kappa has the strain y kappa at height y
 
 taken by Gauss's rule over equal shares of the angle p, so that the laminae are thinnest where the
 strain is largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when all has
-yielded. The sum of 11 laminae in the source's appendix, up to and with the rim, is 4.6 % low.
+yielded. The sum of 11 laminae in the dissertation's appendix, up to and with the rim, is 4.6 % low.
 
 A piecewise linear curve is a sum of corners, and the loss of moment by a corner at the strain e has
 a closed form: with sin q = e / (a kappa),
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LAMINAE = 64
 _DECADES = (-14.0, -6.0, 0.0)
 """Powers of ten of the rim's strain: nearly elastic, then plastic."""
-_ROUNDING = 1e-12  # of the last strain of a curve
+_STRAIN_ROUNDING = 1e-12  # of the last strain of a curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +67,8 @@ def helix_factor(lay_angle: float, poisson: float) -> float:
 
     Notes
     -----
-    Eq. (3.18) of the source prints sin for sin^2, which is not even in the lay angle. This is the
-    energy average over one turn: the strand bends about its normal and binormal and twists.
+    Eq. (3.18) of the dissertation prints sin for sin^2, which is not even in the lay angle. This is
+    the energy average over one turn: the strand bends about its normal and binormal and twists.
     """
     cosine, sine = np.cos(lay_angle), np.sin(lay_angle)
     return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
@@ -89,7 +89,8 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
 
     Notes
     -----
-    Eqs. (3.20)-(3.22) of the source with the secant modulus; the integral is the same with stress.
+    Eqs. (3.20)-(3.22) of the dissertation with the secant modulus; the integral is the same with
+    stress.
     """
     if isinstance(material, ElasticPerfectlyPlastic | StressTable):
         return _polygon_share(material, rim_strain)[0]
@@ -107,7 +108,9 @@ def _polygon_share(
     """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
-    strain = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
+    strain = np.where(
+        rim_strain <= material.largest_strain * (1.0 + _STRAIN_ROUNDING), rim_strain, np.nan
+    )
     sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
@@ -189,7 +192,7 @@ def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
     last = min(material.largest_strain, 10.0 ** _DECADES[-1])
-    if np.any(rim > last * (1.0 + _ROUNDING)):
+    if np.any(rim > last * (1.0 + _STRAIN_ROUNDING)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
             f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "

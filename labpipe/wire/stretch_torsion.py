@@ -53,8 +53,8 @@ def stretch_torsion(section: CrossSection) -> StretchTorsion:
     -----
     own = sum E I cos(a) (cos^2 a / (1 + nu) + sin^2 a), I = pi d^4 / 64: a turn of the wire twists
     a strand by its part along the strand (G J = E I / (1 + nu)) and bends it by the part across
-    (Love's thin rod; the energy argument of the helix factor, eq. (3.18) of the source). The tube
-    has G = E / (2 (1 + nu)).
+    (Love's thin rod; the energy argument of the helix factor, eq. (3.18) of the dissertation). The
+    tube has G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
     square = section.radius**2

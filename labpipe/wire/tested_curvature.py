@@ -27,7 +27,7 @@ def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]
         If there is no curve, or first loading ends before one does.
     """
     if not curves:
-        message = "curves: allowed is at least one"
+        message = "curves: expected at least one"
         raise ValueError(message)
     parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
     parameters = np.where(np.isnan(values), parts.given, values)

@@ -20,7 +20,7 @@ from labpipe.wire.bending_law import (
 )
 from labpipe.wire.cantilever_curve import cantilever_of
 from labpipe.wire.cross_section import (
-    OVERLAP_TOLERANCE,
+    MAX_OVERLAP_SHARE,
     CrossSection,
     Insulation,
     Layer,
@@ -32,7 +32,6 @@ from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, helix_overlap, lay_out
 from labpipe.wire.stretch_torsion import stretch_torsion
 
-GRID_POINTS = 200
 _MIN_POINT_SPACING = 1e-4  # of a curvature: nearer points are one
 
 
@@ -114,7 +113,7 @@ def layout_of(section: CrossSection) -> WireLayout:
     """Return the positions of the strands of an insulated section as a record."""
     tube = section.insulation
     if tube is None:
-        message = "the section has no insulation: allowed is one with a tube"
+        message = "the section has no insulation: expected a tube"
         raise ValueError(message)
     diameter = np.array([layer.diameter for layer in section.layers])[section.layer]
     outside = tube.bore_radius + tube.thickness
@@ -139,8 +138,9 @@ def curvature_grid(largest: float, onsets: Floats) -> Floats:
     onsets : shape (n,), 1/m, positive, distinct, below the largest; they replace even points next
         to them
     """
+    grid_points = 200
     decades = 4.0  # of curvature below the largest
-    even = np.geomspace(10.0**-decades, 1.0, GRID_POINTS) * largest
+    even = np.geomspace(10.0**-decades, 1.0, grid_points) * largest
     even[-1] = largest
     near = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
     return np.concatenate([[0.0], np.union1d(even[~near.any(axis=1)], onsets)])
@@ -173,11 +173,11 @@ def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
         raise WireError(str(error)) from error
     falls = np.diff(curve.moment) <= 0.0
     if falls.any():
-        at = int(np.argmax(falls))
+        worst = int(np.argmax(falls))
         message = (
-            f"the law softens: the moment falls from {curve.moment[at]:.6g} N m at "
-            f"{curvature[at]:.6g} 1/m to {curve.moment[at + 1]:.6g} N m at "
-            f"{curvature[at + 1]:.6g} 1/m, so that curvature is not a function of the moment"
+            f"the law softens: the moment falls from {curve.moment[worst]:.6g} N m at "
+            f"{curvature[worst]:.6g} 1/m to {curve.moment[worst + 1]:.6g} N m at "
+            f"{curvature[worst + 1]:.6g} 1/m, so that curvature is not a function of the moment"
         )
         raise WireError(message)
     return curve
@@ -203,7 +203,8 @@ def _tension_notes(spec: WireSpec) -> tuple[QualityNote, ...]:
 def straight_range(spec: WireSpec) -> float:
     """Return the curvature up to which the insulation counts as linear, 1/m.
 
-    Infinite for a wire with a stress table of its insulation: its law ends with the table.
+    Infinite for a wire with a stress table of its insulation: the range of its law ends with the
+    table.
     """
     if spec.insulation_table is not None:
         return float("inf")
@@ -331,7 +332,7 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
     if not len(angles) == len(spec.layer_counts) == len(spec.strand_diameters):
         message = (
             f"{len(spec.layer_counts)} layers, {len(spec.strand_diameters)} strand diameters and "
-            f"{len(spec.lay_angles)} lay angles: allowed are one diameter per layer and one angle "
+            f"{len(spec.lay_angles)} lay angles: expected one diameter per layer and one angle "
             f"per ring"
         )
         raise ValueError(message)
@@ -400,7 +401,7 @@ def _overlap_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, 
     message = (
         f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
         f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
-        f"{100.0 * OVERLAP_TOLERANCE:.1f} % is allowed"
+        f"{100.0 * MAX_OVERLAP_SHARE:.1f} % is allowed"
     )
     return (QualityNote("overlap_tolerated", Severity.INFO, spec.place, message),)
 

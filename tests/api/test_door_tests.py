@@ -67,7 +67,7 @@ def test_shapes_and_recordings_are_read_when_they_are_asked_for(result: TestResu
         asked.append(1)
         return result
 
-    test = Test(replace(result, shape=None, recordings={}), whole=whole)
+    test = Test(replace(result, shape=None, recordings={}), read_full=whole)
     assert isinstance(test.curve, pd.DataFrame)
     assert len(test.results) == 3
     assert asked == []

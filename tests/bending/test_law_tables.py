@@ -10,7 +10,7 @@ from labpipe.bending.bent_frames import BendingTest, TipPull, held_at_rest
 from labpipe.bending.fitted_law import LawFit, law_knots
 from labpipe.bending.law_table import (
     N_CLOUD_ROWS,
-    N_STATIONS,
+    N_CLOUD_STATIONS,
     bending_cloud,
     law_points,
     measure_bending,
@@ -129,7 +129,7 @@ TEST = bending_test(SHAPES)
 def test_an_elastic_wire_has_one_stiffness_everywhere() -> None:
     cloud = bending_cloud(TEST)
     assert cloud.frames_per_mean == 2
-    assert cloud.curvature.shape == (N_CLOUD_ROWS, N_STATIONS)
+    assert cloud.curvature.shape == (N_CLOUD_ROWS, N_CLOUD_STATIONS)
     assert (set(cloud.branch.tolist()), set(cloud.cycle.tolist())) == ({0}, {1})
     inner = np.s_[:, 2:-4]  # a polynomial is poor at its ends, and at the tip there is no moment
     bent = np.abs(cloud.curvature[inner]) > 2.0

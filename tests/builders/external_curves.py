@@ -47,7 +47,7 @@ def external_comparison(
     tests = compare_curves(
         curve, band.displacement, band.mean, (band.lower, band.upper), "the tests"
     )
-    note = QualityNote("external_curve_cut", Severity.INFO, name, tests.words)
+    note = QualityNote("external_curve_cut", Severity.INFO, name, tests.explanation)
     return ExternalCurveComparison(
         curve, tests, compare_curves(curve, GRID, model.force, ends, "the model"), model, (note,)
     )

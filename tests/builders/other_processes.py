@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from labpipe.process.test_runner import Task
+from labpipe.process.run import Task
 
 
 def _segfault() -> None:

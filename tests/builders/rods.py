@@ -99,7 +99,7 @@ def space_case(turn: Floats | None = None, *, steps: int = 6) -> tuple[Line, lis
             line.section,
             line.positions @ space.T,
             multiply(turn, line.frames),
-            line.natural,
+            line.rest_curvature,
         )
         way, load, weight = way @ space.T, load @ space.T, weight @ space.T
         frames, first = multiply(turn, frames), multiply(turn, first)
@@ -117,7 +117,7 @@ def reversed_case(line: Line, boundaries: list[Boundary]) -> tuple[Line, list[Bo
     Frames turn half round about d1: the line then points the other way.
     """
     half = np.array([0.0, 1.0, 0.0, 0.0])
-    flipped = line.natural[::-1] * np.array([-1.0, 1.0, 1.0])
+    flipped = line.rest_curvature[::-1] * np.array([-1.0, 1.0, 1.0])
     other = Line(
         line.lengths[::-1],
         line.section,

@@ -17,7 +17,7 @@ from labpipe.campaign.decisions import (
     decisions_on,
     import_decision_file,
     import_decisions,
-    largest_move,
+    largest_change,
     read_decisions,
     unapplied_decisions,
 )
@@ -74,7 +74,7 @@ def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: Kep
     kept.run()
     overview = read_overview(kept.folders)
     assert overview.rows["T1"].state == REJECTED
-    assert "slipped in the grip (open again: " in overview.rows["T1"].why
+    assert "slipped in the grip (needs a new decision: " in overview.rows["T1"].why
     runs = {folder: row.attempt for folder, row in overview.rows.items()}
     ((left, why),) = unapplied_decisions([each for each, _ in overview.decisions], runs)
     assert left.because == "slipped in the grip"
@@ -130,7 +130,7 @@ def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampai
     assert overview.rows["T1"].state == REJECTED
     assert [note.partition(": expected ")[2].partition(". ")[0] for note in overview.notes] == [
         "a decision, found 'a word'",
-        "test, run, decision, because and by, found none of run, decision, because, by",
+        "test, run, decision, because and by, found missing or empty: run, decision, because, by",
         "accept or reject, found 'perhaps'",
     ]
     decide(kept.folders, "T1", ACCEPT)
@@ -180,10 +180,10 @@ INFINITE = float("inf")
         ({"upper": 9.0}, {"value": 10.1}, INFINITE),
     ],
 )
-def test_the_largest_move(before: dict[str, Any], after: dict[str, Any], moved: float) -> None:
-    assert largest_move([replace(ROW, **before)], [replace(ROW, **after)]) == moved
-    assert largest_move([ROW, ROW], [ROW]) == INFINITE
-    assert largest_move([], []) == 0.0
+def test_the_largest_change(before: dict[str, Any], after: dict[str, Any], moved: float) -> None:
+    assert largest_change([replace(ROW, **before)], [replace(ROW, **after)]) == moved
+    assert largest_change([ROW, ROW], [ROW]) == INFINITE
+    assert largest_change([], []) == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +215,7 @@ def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -
     taken, faults = import_decision_file(processed, "c", file)
     assert taken.added == [accepted]
     assert taken.n_known == 1
-    assert [(each.test, why.split(":")[0]) for each, why in taken.left] == [
+    assert [(each.test, why.split(":")[0]) for each, why in taken.not_imported] == [
         ("T-1", "exports, sheet, protocol or labpipe changed since the decision"),
         ("../c/T-1", "there is no such test"),
     ]
@@ -254,6 +254,6 @@ def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err
     assert "1 decision imported" in ran.out
     ran = run("campaign", "decide", processed, "T-2", "accept", "--from", file)
-    assert "--from: expected no test beside it, found T-2" in ran.err
+    assert "--from: expected no test together with it, found T-2" in ran.err
     ran = run("campaign", "decide", processed)
-    assert "expected a test and accept or reject, found none. Or name a file" in ran.err
+    assert "expected a test and accept or reject, found none. Name both, or import" in ran.err

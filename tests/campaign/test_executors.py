@@ -26,8 +26,7 @@ from labpipe.campaign.executors import (
 from labpipe.campaign.watching import WarmWorker
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
-from labpipe.process.run import Processed, process_test
-from labpipe.process.test_runner import Task
+from labpipe.process.run import Processed, Task, process_test
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab
 

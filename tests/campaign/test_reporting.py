@@ -75,7 +75,7 @@ def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     reported = report_tests([results])
     (group,) = reported.campaign.groups
     assert [sample.test for sample in group.samples] == ["H-1", "H-2"]
-    again = "(open again: exports, sheet, protocol or labpipe changed since)"
+    again = "(needs a new decision: exports, sheet, protocol or labpipe changed since)"
     assert reported.campaign.rejected == {
         str(files[2]): f"slipped <b>twice</b> {again} (A. Tester, 2026-03-10)",
         str(files[3]): "slipped <b>twice</b> (A. Tester, 2026-03-10)",
@@ -148,7 +148,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     assert none.notes[0].message == "the test sheets of these samples do not say cured"
     asked = [difference.fields for difference in by_cure.differences if difference.question]
     assert asked == [{"cured": ("24 h", "48 h")}] * 2
-    other = {"type": ("hose", "tube"), "cured": ("not said", "48 h")}
+    other = {"type": ("hose", "tube"), "cured": ("not stated", "48 h")}
     assert by_cure.differences[-1].fields == other
     wanted = ReportOptions(by=("type", "cured"), alone="cured")
     campaign = make_campaign(labelled, "", options=wanted)

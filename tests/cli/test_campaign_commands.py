@@ -84,7 +84,7 @@ def test_decide_and_status_lists_what_needs_a_look(run: Run, kept: KeptCampaign)
     assert "  T3  unreadable_export: a unreadable_export of an export" in lines
     assert "  T1  export changed (frame.csv)" in lines
     assert any(line.startswith("  T2  slipped (A. Tester, 20") for line in lines)
-    assert "open decisions (1)" in lines
+    assert "decisions not applied (1)" in lines
     assert "exports, sheet, protocol or labpipe changed" in ran.out
     assert lines[lines.index("unknown files (1)") + 1] == "  photo.jpg"
 

@@ -8,6 +8,7 @@ import jsonschema
 import pytest
 import yaml
 
+from labpipe.protocol.cross_checks import result_names
 from labpipe.protocol.load import (
     dump_protocol,
     load_protocol,
@@ -15,7 +16,6 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.outline import result_names
 from labpipe.protocol.reference import json_schema
 from labpipe.protocol.schema import Protocol
 from labpipe.readers.channels import find_channel

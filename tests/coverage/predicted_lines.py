@@ -175,7 +175,7 @@ def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | Non
     return bands_of(
         [partial(path_of, kind, drawn, family_of(spec_of(drawn.wire), own)) for own in values],
         beliefs_of(kind, drawn, what.calibration),
-        at=(held_at(kind), -1),
+        steps=(held_at(kind), -1),
         tested_curvature=what.tested_curvature,
     )
 

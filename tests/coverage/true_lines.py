@@ -84,11 +84,11 @@ class PreparedLine:
         base = straight_line(self.length, self.elements, section)
         aside, up = self.free_curvature
         turns = np.array([0.0, -up, aside]) @ matrices(base.frames[0])  # in the line's own axes
-        natural = np.tile(turns, (self.elements - 1, 1))
+        rest_curvature = np.tile(turns, (self.elements - 1, 1))
         near = Held(0, np.zeros(3), base.frames[0])
         steps = self.loading + self.returning + kind.lets_go
         if kind.is_loaded:
-            line = Line(base.lengths, section, base.positions, base.frames, natural)
+            line = Line(base.lengths, section, base.positions, base.frames, rest_curvature)
             forces = loads(drawn, self.loading, self.returning)
             shares = np.minimum(np.arange(LAYING + len(forces)) / LAYING, 1.0)
             weight = Gravity(shares[:, None] * EARTH)
@@ -98,7 +98,7 @@ class PreparedLine:
         places, turns = far_end(drawn, self.off, self.loading, self.returning)
         release = steps if kind.lets_go else None
         frames = frames_of(turns, base.frames[0])
-        line = Line(base.lengths, section, *_circle(base, drawn), natural)
+        line = Line(base.lengths, section, *_circle(base, drawn), rest_curvature)
         far = Held(-1, places[: steps + 1], frames[: steps + 1], release=release)
         return follow(line, (near, far, weight), steps=steps)
 

@@ -17,7 +17,7 @@ from labpipe import __version__
 from labpipe.decks import deck_law as deck_facts
 from labpipe.decks import deck_texts, write_decks
 from labpipe.decks.abaqus import abaqus_deck
-from labpipe.decks.ansys import MOST_POINTS, ansys_deck, shear_stiffness
+from labpipe.decks.ansys import MAX_POINTS, ansys_deck, shear_stiffness
 from labpipe.decks.calculix import TIP, BarMesh, calculix_deck, half_bar
 from labpipe.decks.deck_files import DECKS
 from labpipe.decks.deck_law import (
@@ -112,7 +112,7 @@ def test_a_section_of_abaqus() -> None:
 @pytest.mark.parametrize("keyword", ["*M1", "*M2"])
 def test_the_law_is_kept_within_what_is_stated(keyword: str, most: int | None) -> None:
     table = wire_table()
-    text = abaqus_deck(table, most_points=most)
+    text = abaqus_deck(table, max_table_points=most)
     curvature, moment = law_of(parsed(text), keyword)
     assert (curvature[0], moment[0]) == (0.0, 0.0)
     assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
@@ -174,7 +174,7 @@ def test_a_section_of_ansys(wire: str) -> None:
     stated = float(text.partition("within ")[2].split()[0])
     for component in ("BSM1", "BSM2"):
         curvature, moment = law_of_of_ansys(text, component)
-        assert 2 <= len(curvature) - 1 <= MOST_POINTS
+        assert 2 <= len(curvature) - 1 <= MAX_POINTS
         assert np.all(np.diff(curvature) > 0.0)
         assert np.all(np.diff(np.diff(moment) / np.diff(curvature)) < 0.0)
         assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)

@@ -177,16 +177,16 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: SliderLaw(1.0, row(0), row(1), 0.1, 10.0),
         lambda: SliderLaw(1.0, row(1, 1), row(2, 1), 0.1, 10.0),
         lambda: in_directions(linear_moment_law(1.0, 10.0), 1),
-        lambda: in_directions(linear_moment_law(1.0, 10.0), 2, most=0),
+        lambda: in_directions(linear_moment_law(1.0, 10.0), 2, max_sliders=0),
     ],
     "points": [
-        lambda: thin(row(0, 1), row(0, 1), most=1),
-        lambda: thin(row(0), row(0), most=2),
-        lambda: thin(row(0, 1), row(0), most=2),
-        lambda: thin(row(0, np.nan), row(0, 1), most=2),
-        lambda: thin(row(1, 2), row(1, 2), most=2),
-        lambda: thin(row(0, 2, 1), row(0, 1, 2), most=2),
-        lambda: thin(row(0, 1, 2.5), row(0, 1, 0.9), most=2),
+        lambda: thin(row(0, 1), row(0, 1), max_points=1),
+        lambda: thin(row(0), row(0), max_points=2),
+        lambda: thin(row(0, 1), row(0), max_points=2),
+        lambda: thin(row(0, np.nan), row(0, 1), max_points=2),
+        lambda: thin(row(1, 2), row(1, 2), max_points=2),
+        lambda: thin(row(0, 2, 1), row(0, 1, 2), max_points=2),
+        lambda: thin(row(0, 1, 2.5), row(0, 1, 0.9), max_points=2),
         lambda: equivalent_material(row(1), row(1), 1e-3),
         lambda: equivalent_material(row(0, 1), row(1, 2), 1e-3),
         lambda: equivalent_material(row(1, np.nan), row(1, 2), 1e-3),
@@ -209,9 +209,9 @@ def test_refusals(subject: str, approved: Approve) -> None:
 
 def test_the_number_of_sliders_that_is_enough() -> None:
     table = wire_table("A2")
-    message = r"^4 sliders have an error of 1\.\d+ % of .*, allowed is 0\.5 %: 9 are enough$"
+    message = r"^4 sliders have an error of 1\.\d+ % of .*, expected at most 0\.5 %: 9 are enough$"
     with pytest.raises(ValueError, match=message):
         fit_sliders(table.curvature, table.moment, 4, allowed=0.005)
     assert fit_sliders(table.curvature, table.moment, 9, allowed=0.005).error <= 0.005
-    with pytest.raises(ValueError, match=r"allowed is 0\.0001 %: 64 are not enough$"):
+    with pytest.raises(ValueError, match=r"expected at most 0\.0001 %: 64 are not enough$"):
         fit_sliders(table.curvature, table.moment, 4, allowed=1e-6)

@@ -74,7 +74,7 @@ def take(**more: object) -> tuple[MarkerTracks, Flags]:
 
 def test_frame_and_sections() -> None:
     made, rest = take()
-    found = find_sections(made.positions, rest=rest, apart=0.004)
+    found = find_sections(made.positions, rest=rest, min_distance=0.004)
 
     assert found.count == 15
     assert np.allclose(np.diff(found.x), 0.0127, atol=1e-6)
@@ -87,7 +87,7 @@ def test_frame_and_sections() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     made, rest = take()
-    found = find_sections(made.positions, rest=rest, apart=0.004)
+    found = find_sections(made.positions, rest=rest, min_distance=0.004)
 
     axis = axis_at_rest(found, radius=RADIUS, towards=(0.0, sign))
 
@@ -99,7 +99,7 @@ def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
 @pytest.mark.parametrize("rows", [2, 1])
 def test_twist_of_a_section_and_none_of_one_row(rows: int) -> None:
     made, rest = take(twist=0.08) if rows == 2 else take(angles=(np.radians(90.0),))
-    sections = find_sections(made.positions, rest=rest, apart=0.004)
+    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
     twist, lever = section_twist(sections, np.zeros((len(rest), 15)), radius=RADIUS)
     if rows == 2:
         assert np.nanmax(np.abs(twist[:, 7])) == pytest.approx(0.08, abs=1e-3)
@@ -162,7 +162,7 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     record = BendingRecord(noise=(0.0, 0.0, 1e-7), angles=tuple(float(angle) for angle in angles))
     made = tracks(record, np.random.default_rng(0))
     rest = np.asarray(made.time < 2.0)
-    sections = find_sections(made.positions, rest=rest, apart=0.004)
+    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
     bent_most = np.nanmax(np.abs(sections.markers[..., 1] - sections.at_rest[:, 1]), axis=1) > 0.015
 
     found = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, bent_most=bent_most)
@@ -194,14 +194,14 @@ def test_what_makes_no_sections() -> None:
             ring_centres(ring, {"low": members})
     made, rest = take()
     with pytest.raises(ValueError, match="2 markers seen at rest: expected at least 3"):
-        find_sections(made.positions[:, :2], rest=rest, apart=0.004)
+        find_sections(made.positions[:, :2], rest=rest, min_distance=0.004)
     with pytest.raises(ValueError, match="the markers do not move: expected a specimen that is"):
-        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], apart=0.004)
+        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], min_distance=0.004)
     bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
     for count, message in (
         (16, r"mm of mid-span: expected some 45.72 mm away on both sides"),
         (10, "5 sections with markers: expected at least 6"),
     ):
-        sections = find_sections(made.positions[:, :count], rest=rest, apart=0.004)
+        sections = find_sections(made.positions[:, :count], rest=rest, min_distance=0.004)
         with pytest.raises(ValueError, match=message):
             fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)

@@ -163,7 +163,7 @@ def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Nam
     links = Links(chain, np.full(len(chain), -1), ())
     time = np.arange(100) / 50
     return name_chains(
-        names, tracklets, links, relative=relative, time=time, settled=0.2, apart=0.004
+        names, tracklets, links, relative=relative, time=time, settled=0.2, min_distance=0.004
     )
 
 

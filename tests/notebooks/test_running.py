@@ -15,7 +15,7 @@ from tests.notebooks.running import FOLDER
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 assert NOTEBOOKS
-MOST_BYTES = 400_000
+MAX_BYTES = 400_000
 RUN = """
 import json, sys
 from pathlib import Path
@@ -62,7 +62,7 @@ def test_a_notebook_runs_and_says_what_it_keeps(path: Path, repository: Path) ->
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_is_small_and_its_links_lead_somewhere(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert len(text) < MOST_BYTES
+    assert len(text) < MAX_BYTES
     assert "/tmp/" not in text
     cells = read(path)["cells"]
     assert "execution" not in {key for cell in cells for key in cell["metadata"]}

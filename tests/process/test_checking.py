@@ -73,7 +73,7 @@ def messages(lab: Path, *changes: Change) -> list[str]:
         text = (lab / name).read_text(encoding="utf-8")
         assert text.count(old) == 1
         (lab / name).write_text(text.replace(old, new), encoding="utf-8")
-    return [finding.message.replace(os.sep, "/") for finding in check_paths().findings]
+    return [fault.replace(os.sep, "/") for fault in check_paths().faults]
 
 
 @pytest.mark.parametrize(
@@ -83,16 +83,16 @@ def messages(lab: Path, *changes: Change) -> list[str]:
 def test_what_a_path_stands_for(lab: Path, path: str, protocols: int, tests: int) -> None:
     checked = check_paths([lab / path])
     assert (len(checked.protocols), len(checked.tests)) == (protocols, tests)
-    assert checked.findings == ()
+    assert checked.faults == []
 
 
 def test_a_path_with_nothing_to_check(lab: Path, approved: Approve) -> None:
     (lab / "empty").mkdir()
-    found = check_paths([Path("nowhere"), Path("empty"), FOLDER / "force.mat"]).findings
+    found = check_paths([Path("nowhere"), Path("empty"), FOLDER / "force.mat"]).faults
     shutil.rmtree(lab / "protocols")
     shutil.rmtree(lab / "raw")
-    found += check_paths().findings
-    approved(finding.message.replace(os.sep, "/") for finding in found)
+    found += check_paths().faults
+    approved(fault.replace(os.sep, "/") for fault in found)
 
 
 def nothing(_: Path) -> None:
@@ -188,7 +188,7 @@ def test_a_part_without_samples_is_no_fault(lab: Path, monkeypatch: pytest.Monke
         empty = Recording("dspace-mat", clocks=(Clock("time", np.empty(0)),))
         return empty if path.name == "empty.mat" else read_export(path, *reader, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("labpipe.process.checking.read_export", read)
+    monkeypatch.setattr("labpipe.process.reading.read_export", read)
     assert messages(lab, (TEST, "force: force.mat", "force: [force.mat, empty.mat]")) == []
     (message,) = messages(lab, (TEST, "[force.mat, empty.mat]", "empty.mat"))
     assert message.startswith(f"{FOLDER.as_posix()}/empty.mat: expected samples, found none")
@@ -220,7 +220,7 @@ def test_plans_are_no_protocols(lab: Path, name: str, right: str, wrong: str, sa
     plan = Path("raw/campaign") / f"{name}.yaml"
     plan.write_text(right, encoding="utf-8")
     checked = check_paths()
-    assert (checked.plans, checked.findings) == ((plan,), ())
+    assert (checked.plans, checked.faults) == ([plan], [])
     plan.write_text(wrong, encoding="utf-8")
-    (finding,) = check_paths().findings
-    assert said in finding.message
+    (fault,) = check_paths().faults
+    assert said in fault

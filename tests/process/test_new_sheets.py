@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,7 @@ from labpipe.process.export_metadata import (
     facts_of_export,
     facts_of_folder,
 )
-from labpipe.process.protocol_match import Fit, KnownFacts, all_protocols, match_protocols
-from labpipe.process.raw_folder import InspectedExport
+from labpipe.process.protocol_match import Fit, all_protocols, match_protocols
 from labpipe.process.sheet_inference import InferredTest, infer_test, infer_tests
 from labpipe.process.sheet_writing import (
     new_from_sheet,
@@ -264,7 +264,7 @@ def test_facts_of_days_exports_and_folders(approved: Approve) -> None:
 
 def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:
     doubtful_day = Fact("date", "", "b.csv", "3/4/2026")
-    both = combine_facts(
+    agreed, left_open = combine_facts(
         [
             Fact("date", "2026-03-04", "a.mat"),
             doubtful_day,
@@ -274,14 +274,16 @@ def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:
             Fact("type", "A2", FOLDER),
         ]
     )
-    assert both.facts["date"].where == "a.mat and take.csv"
-    assert list(both.facts) == ["date", "type"]
-    assert both.open == ("operator: jk in a.mat, vl in take.csv; left out, write the correct one",)
-    alone = combine_facts([doubtful_day])
-    assert dict(alone.facts) == {}
-    assert alone.open == (
-        "date: '3/4/2026' in b.csv can be read day first or month first; left out",
-    )
+    assert agreed["date"].where == "a.mat and take.csv"
+    assert list(agreed) == ["date", "type"]
+    assert left_open == {
+        "operator": "operator: jk in a.mat, vl in take.csv; left out, write the correct one"
+    }
+    agreed, left_open = combine_facts([doubtful_day])
+    assert agreed == {}
+    assert left_open == {
+        "date": "date: '3/4/2026' in b.csv can be read day first or month first; left out"
+    }
 
 
 TIME: Floats = np.linspace(0.0, 120.0, 1201)
@@ -292,15 +294,16 @@ def protocols() -> list[Protocol]:
     return all_protocols()
 
 
-def cell() -> InspectedExport:
+Export = tuple[Path, Recording]
+
+
+def cell() -> Export:
     """The load cell in volts, as the benches record it."""
     channel = Channel("Out1", "Model Root/Load Cell/Out1", np.sin(TIME))
-    return InspectedExport(
-        Path("f.mat"), Recording("dspace-mat", "", "", (Clock("time", TIME),), (channel,))
-    )
+    return Path("f.mat"), Recording("dspace-mat", "", "", (Clock("time", TIME),), (channel,))
 
 
-def take(*, body: str = "Clamp", length: float = 0.085, stroke: float = 0.053) -> InspectedExport:
+def take(*, body: str = "Clamp", length: float = 0.085, stroke: float = 0.053) -> Export:
     """A clamp that goes down, and markers along a wire."""
     down = np.zeros((len(TIME), 3))
     down[:, 1] = -stroke * np.clip(TIME / 60.0, 0.0, 1.0)
@@ -309,61 +312,58 @@ def take(*, body: str = "Clamp", length: float = 0.085, stroke: float = 0.053) -
     along = length + 0.006 - 0.004
     last = down + np.array([along, 0.0, 0.0])
     tracks = MarkerTracks(TIME, TIME, 10.0, ("Wire:Marker1",), last[:, None, :], bodies)
-    return InspectedExport(Path("t.csv"), Recording("motive-csv", markers=tracks))
+    return Path("t.csv"), Recording("motive-csv", markers=tracks)
 
 
 def frame(
     travel: float, speed: float, *, peak: float = 100.0, start: float = 0.0, name: str = "m.txt"
-) -> InspectedExport:
+) -> Export:
     """A pull on a load frame at a steady speed."""
     time = np.linspace(start, start + travel / speed, 400)
     clock = Clock("time", time)
     moved = Channel("Crosshead", "Crosshead", (time - start) * speed * 1e3, unit_in_file="mm")
     force = Channel("Load", "Load", peak * np.linspace(0.0, 1.0, 400), unit_in_file="N")
     recording = Recording("load-frame", "", "", (clock,), (moved, force), metadata={"dialect": "x"})
-    return InspectedExport(Path(name), recording)
+    return Path(name), recording
 
 
 def names(fits: Sequence[Fit]) -> list[str]:
     return [fit.protocol.name for fit in fits]
 
 
-def known(*names: str, length: float | None = None) -> KnownFacts:
-    return KnownFacts(names, length, of_campaign={"corrugated-tube": 20} if names else {})
-
-
 @pytest.mark.parametrize(
-    ("exports", "facts", "fitted"),
+    ("exports", "called", "fitted"),
     [
-        ([cell(), take()], known("A2-085-1", "A2", length=0.085), "wire-cantilever"),
-        ([cell(), take(length=0.1143)], known(), "taped-bundle"),
-        ([cell(), take(body="")], known(), "conduit-bundle"),
-        ([take()], known(), "markers-only"),
-        ([frame(0.05, 0.423e-3)], known(), "corrugated-tube"),
-        ([frame(0.04, 0.5e-3, peak=400.0)], known("pet-tape-1"), "pet-tape"),
-        ([frame(0.012, 0.1e-3)], known("22AWG tensile_3"), "tensile"),
-        ([frame(0.012, 0.1e-3)], known("tensile-1"), "tensile"),
+        ([cell(), take()], ("A2-085-1", "A2"), "wire-cantilever"),
+        ([cell(), take(length=0.1143)], (), "taped-bundle"),
+        ([cell(), take(body="")], (), "conduit-bundle"),
+        ([take()], (), "markers-only"),
+        ([frame(0.05, 0.423e-3)], (), "corrugated-tube"),
+        ([frame(0.04, 0.5e-3, peak=400.0)], ("pet-tape-1",), "pet-tape"),
+        ([frame(0.012, 0.1e-3)], ("22AWG tensile_3",), "tensile"),
+        ([frame(0.012, 0.1e-3)], ("tensile-1",), "tensile"),
     ],
 )
 def test_the_protocol_that_fits(
-    protocols: list[Protocol], exports: list[InspectedExport], facts: KnownFacts, fitted: str
+    protocols: list[Protocol], exports: list[Export], called: tuple[str, ...], fitted: str
 ) -> None:
     """Facts of the exports count before names, and names before the other tests."""
-    (fit,) = match_protocols(exports, protocols, facts)
+    siblings = [{"corrugated-tube": 20}] if called else []
+    length = 0.085 if "A2" in called else None
+    matching = partial(match_protocols, names=called, length=length, siblings=siblings)
+    (fit,) = matching(dict(exports), protocols)
     assert fit.protocol.name == fitted
     assert fit.faults == ()
-    assert {name for files in fit.files.values() for name in files} == {
-        export.path.name for export in exports
-    }
+    assert sorted(sum(fit.files.values(), ())) == sorted(path.name for path, _ in exports)
 
 
 def test_one_weak_sign_is_too_little(protocols: list[Protocol]) -> None:
-    among = KnownFacts(of_campaign={"corrugated-tube": 20})
-    undecided = names(match_protocols([frame(0.012, 0.1e-3)], protocols, among))
+    among = [{"corrugated-tube": 20}]
+    undecided = names(match_protocols(dict([frame(0.012, 0.1e-3)]), protocols, siblings=among))
     assert "tensile" in undecided
     assert "corrugated-tube" not in undecided, "a short pull is none of a tube"
     tape = frame(0.04, 0.5e-3, peak=400.0)
-    assert "tensile" in names(match_protocols([tape], protocols, KnownFacts()))
+    assert "tensile" in names(match_protocols(dict([tape]), protocols))
 
 
 @pytest.mark.parametrize(
@@ -385,22 +385,23 @@ def test_what_fits_alike_is_settled_by_most_of_the_others(
     of_campaign: dict[str, int],
     expected: str,
 ) -> None:
-    known = KnownFacts(of_type=of_type, of_campaign=of_campaign)
-    found = match_protocols([cell(), take(length=0.1)], protocols, known)
+    exports = dict([cell(), take(length=0.1)])
+    found = match_protocols(exports, protocols, siblings=[of_type, of_campaign])
     assert names(found) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
     if expected:
         share = f"{(of_type or of_campaign)[expected]} of " if not of_type.get("") else "9 of 10"
-        assert share in found[0].signs[-1].text
+        assert share in found[0].signs[-1][0]
 
 
 def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> None:
     parts = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, start=11.0, name="2.txt")]
-    for fit in match_protocols(parts, protocols, KnownFacts()):
+    for fit in match_protocols(dict(parts), protocols):
         assert fit.files == {"frame": ("1.txt", "2.txt")}
         assert not fit.unclear
 
 
 def test_nothing_fits_what_lacks_a_role(protocols: list[Protocol]) -> None:
     wire = [protocol for protocol in protocols if protocol.name == "wire-cantilever"]
-    assert match_protocols([cell()], wire, KnownFacts()) == []
-    assert match_protocols([cell(), take()], wire, KnownFacts(roles={"frame": ("m.txt",)})) == []
+    assert match_protocols(dict([cell()]), wire) == []
+    exports, roles = dict([cell(), take()]), {"frame": ("m.txt",)}
+    assert match_protocols(exports, wire, roles=roles) == []

@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 
 from labpipe.process.calibrated_signals import check_channels
-from labpipe.process.certificates import check_due, day_and_operator, instruments_of
+from labpipe.process.export_metadata import day_and_operator
 from labpipe.process.motion import Motion
 from labpipe.process.sanity_checks import (
+    check_due,
     check_rest,
     check_rig,
     check_signs,
     file_is_cut,
     find_cut_ends,
+    instruments_of,
 )
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol

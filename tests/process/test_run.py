@@ -23,9 +23,8 @@ from labpipe.process.output_paths import (
     recording_of,
     refuse_repeated,
 )
-from labpipe.process.raw_folder import folders_of_tests, read_folder
-from labpipe.process.run import Processed, process_test
-from labpipe.process.test_runner import Refused, Task, attempt
+from labpipe.process.run import Processed, Refused, Task, attempt, process_test
+from labpipe.process.sheet_inference import folders_of_tests, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import InputFile, Specimen, TestResult
@@ -349,7 +348,7 @@ def test_what_is_no_export_is_said(tmp_path: Path, name: str, content: bytes, wh
 
     found = read_folder(tmp_path)
 
-    assert found.exports == ()
+    assert found.exports == {}
     said = {**found.unread, **found.others}
     assert list(said) == [name]
     assert said[name].startswith(why)

@@ -8,8 +8,7 @@ import pytest
 import yaml
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.harness_file import END, START, Clip, Grip, HarnessFile, Plane
-from labpipe.protocol.harness_reach import start_of
+from labpipe.protocol.harness_file import END, START, Clip, Grip, HarnessFile, Plane, start_of
 from labpipe.protocol.load import load_harness
 
 WHOLE = """\

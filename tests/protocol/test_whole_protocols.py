@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import Fault, ProtocolError
+from labpipe.protocol.cross_checks import result_names
 from labpipe.protocol.load import (
     dump_protocol,
     find_protocol,
@@ -20,7 +21,6 @@ from labpipe.protocol.load import (
     protocol_folders,
     shipped_folder,
 )
-from labpipe.protocol.outline import result_names
 from labpipe.protocol.schema import (
     AlignNone,
     AlignTurningPoints,

@@ -9,12 +9,14 @@ from typing import get_args
 import pytest
 
 from labpipe.errors import Fault
-from labpipe.protocol.stress_curve import StressPoint, curve_fault, curve_of
 from labpipe.protocol.wire_rows import (
     COLUMNS,
     NEEDED,
+    StressPoint,
     WireRow,
     column_name,
+    curve_fault,
+    curve_of,
     field_of,
     heading_faults,
     parse_row,
@@ -65,7 +67,7 @@ def test_every_column_with_its_range_and_default_is_documented(repository: Path)
     documented = dict(re.findall(r"^\| `(\w+)` \| ([^|]*) \|", page, flags=re.MULTILINE))
     assert set(documented) == set(WireRow.model_fields)
     for name, column in COLUMNS.items():
-        low, high, default = column.least, column.most, getattr(SILENT, field_of(name), None)
+        low, high, default = column.minimum, column.maximum, getattr(SILENT, field_of(name), None)
         assert f"| {name.replace('_', ' ')} | {low:.10g} to {high:.10g} |" in page
         assert math.isfinite(high * column.factor)
         if isinstance(default, float) and name not in NEEDED:

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from labpipe.protocol.campaign_plan import parse_name_pattern
 from labpipe.protocol.grammar import validated
-from labpipe.protocol.name_patterns import parse_name_pattern
 from labpipe.protocol.values import (
     FileStem,
     QuantityText,
@@ -113,7 +113,7 @@ def test_a_quantity_written_reads_back_as_the_same_float(
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:
         value = number * si_factor(unit, quantity.of.unit)
-        assert value in (0.0, float("inf")) or value > quantity.of.most
+        assert value in (0.0, float("inf")) or value > quantity.of.maximum
         return
 
     assert quantity.parse(quantity.written(value)) == value

@@ -105,7 +105,7 @@ CLOCKS: dict[str, tuple[Clock, bool]] = {
     "lost samples": (Clock("time", np.delete(np.arange(100) * 0.001, [40, 41, 42])), False),
     "long steps": (Clock("time", ON_CHANGE), False),
     "written on change": (Clock("OnChange", ON_CHANGE), False),
-    "a rate that varies, not said": (Clock("time", REDUCED), False),
+    "a rate that varies, not stated": (Clock("time", REDUCED), False),
     "a rate that varies": (Clock("time", REDUCED), True),
     "a rate that might vary": (Clock("time", REDUCED[:100]), True),
     "repeated": (Clock("time", np.array([0.0, 1.0, 1.0, 2.0, 3.0])), False),

@@ -28,7 +28,7 @@ from labpipe.readers.controldesk import (
     load_export,
     written_date,
 )
-from labpipe.readers.mat5 import parse_mat5
+from labpipe.readers.dspace_mat import parse_mat5
 from labpipe.records.recording import Recording
 from tests.approved import Approve
 from tests.builders.controldesk import (

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
 from labpipe.readers.motive_rows import RowExport, parse_rows
-from labpipe.readers.motive_table import Header, derived_rate, parse_header, unique_names
-from labpipe.readers.tracking import longest, runs, track_notes
+from labpipe.readers.motive_takes import Header, derived_rate, parse_header, unique_names
+from labpipe.readers.tracking import track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
 from tests.approved import Approve
@@ -394,19 +394,6 @@ def test_a_point_of_no_body(tmp_path: Path) -> None:
     assert notes(parse_file(file))["anonymous_markers"] == (
         "11 points in 11 frames belong to no body and have no identity: left out"
     )
-
-
-@given(st.lists(st.booleans()))
-def test_runs_are_the_flags(flags: list[bool]) -> None:
-    array = np.array(flags, dtype=np.bool_)
-    rebuilt = np.zeros(len(flags), dtype=np.bool_)
-    stretches = runs(array)
-    for run in stretches:
-        assert not rebuilt[max(run.first - 1, 0) : run.last + 1].any()
-        rebuilt[run.first : run.last + 1] = True
-    np.testing.assert_array_equal(rebuilt, array)
-    assert sum(run.length for run in stretches) == sum(flags)
-    assert longest(stretches) == max(len(s) for s in "".join("01"[f] for f in flags).split("0"))
 
 
 def test_notes_on_tracks() -> None:

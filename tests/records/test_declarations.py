@@ -33,7 +33,7 @@ def test_the_example_is_in_the_range_and_the_shown_unit_fits(quantity: Quantity)
     example = parse_quantity(quantity.example, quantity.unit)
 
     assert si_factor(quantity.shown, quantity.unit) > 0.0
-    assert quantity.least <= example <= quantity.most
+    assert quantity.minimum <= example <= quantity.maximum
     assert quantity.above is None or example > quantity.above
 
 

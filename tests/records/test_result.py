@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.records.causes import contribution
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, widened
+from labpipe.records.estimates import Estimate, add_errors
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.quality import (
     Doubt,
@@ -60,8 +60,8 @@ def test_shares_of_the_variance() -> None:
 def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool) -> None:
     interval = Interval(7.0, 11.0)
     found = Result("energy.1", 10.0, "J", interval, estimate=estimate)
-    assert found.apart == (estimate if is_apart else None)
-    assert replace(found, interval=None).apart is None
+    assert found.distinct_estimate == (estimate if is_apart else None)
+    assert replace(found, interval=None).distinct_estimate is None
 
 
 @pytest.mark.parametrize(
@@ -73,10 +73,10 @@ def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool
     ids=["lopsided", "without its value: about its middle"],
 )
 def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) -> None:
-    assert widened(Estimate(1.0, 3.0, 9), 4.0) == Estimate(1.0, 5.0, 9)
+    assert add_errors(Estimate(1.0, 3.0, 9), 4.0) == Estimate(1.0, 5.0, 9)
     estimate = Estimate(1.0, 0.1, 9, given)
-    assert widened(estimate) == estimate
-    wide = widened(estimate, 0.1).interval
+    assert add_errors(estimate) == estimate
+    wide = add_errors(estimate, 0.1).interval
     assert wide is not None
     assert (wide.lower, wide.upper) == pytest.approx((lower, upper), rel=1e-6)
 
@@ -95,7 +95,7 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
     """Of all of it, of each, and of one long stretch where there are too many."""
     stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
-    found = doubtful_stretches("force", note, "recorder", most=2)
+    found = doubtful_stretches("force", note, "recorder", max_stretches=2)
     assert found.note.severity is Severity.WARNING
     assert [doubt.during for doubt in found.doubts] == during
     assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}

@@ -8,10 +8,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 
-from labpipe.report.group_tables import Cell, Table
+from labpipe.report.page_tables import Cell, Table
 
-MOST_LINES = 12
+MAX_LINES = 12
 NUMBER = re.compile(r"\d[\d.]* × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|\d+\.\d+|[\d.]+(?= %)|\d{2,}")  # noqa: RUF001
 
 
@@ -25,8 +26,9 @@ def _of_axes(axes: Axes) -> Iterator[str]:
     if axes.get_xlabel() or axes.get_ylabel():
         yield f"{axes.get_xlabel()} | {axes.get_ylabel()}"
     yield from (text.get_text() for text in axes.texts)
-    legend = axes.get_legend()
-    yield from (text.get_text() for text in legend.get_texts()) if legend else ()
+    for legend in axes.get_children():
+        if isinstance(legend, Legend):
+            yield from (text.get_text() for text in legend.get_texts())
 
 
 def _ends(values: object) -> str:
@@ -41,11 +43,12 @@ def _ends(values: object) -> str:
 
 
 def _drawn(axes: Axes) -> Iterator[str]:
-    """How many lines and areas there are, and how far the first dozen lines reach."""
-    lines, areas = axes.lines, len(axes.collections) + len(axes.patches)
+    """How many lines and areas there are, and how far the first dozen lines reach; no keys."""
+    lines = [line for line in axes.lines if np.size(line.get_xdata())]
+    areas = len(axes.collections) + len(axes.patches)
     if lines or areas:
         yield f"  {len(lines)} lines, {areas} areas"
-    for line in lines[:MOST_LINES]:
+    for line in lines[:MAX_LINES]:
         x, y = line.get_data()
         yield f"  {np.size(y)} points: {_ends(x)} | {_ends(y)}"
 

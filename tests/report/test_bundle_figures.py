@@ -117,7 +117,7 @@ def test_a_view_has_the_line_in_mm_with_its_radius() -> None:
     assert corners.max(axis=0) == pytest.approx([104.0, 104.0])
 
 
-def test_many_rows_are_several_figures_with_whole_groups() -> None:
+def test_many_rows_are_several_figures() -> None:
     groups = grouped([*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))])
     places = [replace(PLACE, group=group.name) for group in groups for _ in range(MAX_ROWS - 4)]
     name = "between-slipping-and-sticking"

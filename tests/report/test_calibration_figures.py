@@ -13,12 +13,14 @@ from matplotlib.figure import Figure
 
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import ExternalCurveComparison
-from labpipe.report.calibration_agreement import external_figure, external_pages, validation_figure
 from labpipe.report.calibration_figures import (
     calibration_card,
+    external_figure,
+    external_pages,
     plot_profile,
     plot_residuals,
     shapes_figure,
+    validation_figure,
 )
 from labpipe.report.calibration_summary import (
     BentShape,

@@ -1,4 +1,4 @@
-"""What needs a look: concerns, and a line per cause, ranked by what it does to a number."""
+"""What needs a look: issues, and a line per cause, ranked by what it does to a number."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy import stats
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report.group_tables import note_table
 from labpipe.report.issues import Kind, find_causes, find_issues, find_notes
+from labpipe.report.page_tables import note_table
 from labpipe.statistics import groups
 from tests.builders.bundle_campaigns import bundle_sample
 from tests.builders.campaigns import build_group, build_sample, troubled_samples
@@ -34,8 +34,8 @@ def test_numbers_without_interval_and_samples_left_out() -> None:
     left_out = {"tt-s1a": (Reason("no_result", "no such result."),)}
     number = replace(group.numbers[1], left_out=left_out)
     group = replace(group, numbers=(number,), notes=(warning("short_overlap", "curves"),))
-    concerns = find_issues(campaign_of(group))
-    assert [(concern.kind, concern.test, concern.what) for concern in concerns] == [
+    issues = find_issues(campaign_of(group))
+    assert [(issue.kind, issue.test, issue.what) for issue in issues] == [
         (Kind.LEFT_OUT, "tt-s1a", "Stiffness, first region"),
         (Kind.WARNING, "", "curves"),
         (Kind.NO_INTERVAL, "tt-s1a", "Peak force, cycle 1"),
@@ -88,7 +88,7 @@ def test_one_cause_in_many_tests_is_one_line() -> None:
     samples[0] = replace(samples[0], results=(replace(samples[0].results[0], reasons=both),))
     (cause,) = find_causes(campaign_of(replace(first, samples=tuple(samples)), second))
     assert cause.subject == "3 tests in 2 groups"
-    assert [concern.code for concern in cause.concerns] == ["switch, drift", "drift", "drift"]
+    assert [issue.code for issue in cause.issues] == ["switch, drift", "drift", "drift"]
     assert find_causes(campaign_of(first))[0].subject == "2 tests of A"
 
 
@@ -123,7 +123,7 @@ def test_a_note_that_no_number_rests_on_is_no_cause() -> None:
     gap, drift = warning("gap_left", "Marker5", "no position, 30 frames"), warning("drift", "force")
     campaign = campaign_of(group_of(TEN, "c", quality={"a": (gap,), "c": (gap, drift)}))
     (cause,) = find_causes(campaign)
-    assert (cause.kind, len(cause.concerns)) == (Kind.DOUBTFUL, 1)
+    assert (cause.kind, len(cause.issues)) == (Kind.DOUBTFUL, 1)
     (note,) = find_notes(campaign)
     assert (note.code, note.subject, note.effect) == ("gap_left", "2 tests of A", None)
     table = note_table(campaign)

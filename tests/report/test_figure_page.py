@@ -4,30 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from labpipe.records.arrays import Floats
-from labpipe.report.figure_page import (
-    titled_page,
-)
 from labpipe.report.marker_figures import Rig, rig_of
 from labpipe.report.plot_thinning import extremes, simplify_line, worst
 from tests.store.builders_result import build_result
-
-
-def drawn(heading: str) -> bytes:
-    page = titled_page(heading, "", width_mm=90, height_mm=20)
-    page.set_layout_engine("none")
-    pixels: Any = FigureCanvasAgg(page)
-    pixels.draw()
-    return bytes(pixels.buffer_rgba())
 
 
 @given(

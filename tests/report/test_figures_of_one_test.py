@@ -23,15 +23,16 @@ from labpipe.records.curve import (
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, TestResult
 from labpipe.report import marker_figures
-from labpipe.report.bending_figure import draw_moment_curvature
-from labpipe.report.curve_figures import (
+from labpipe.report.figure_page import style
+from labpipe.report.figures import (
     Treatment,
     draw_force_displacement,
+    draw_moment_curvature,
     draw_stiffness_lines,
+    draw_timeline,
     treatment,
     treatment_of_force,
 )
-from labpipe.report.figure_page import style
 from labpipe.report.marker_figures import (
     FLAG_COLOURS,
     Rig,
@@ -41,7 +42,6 @@ from labpipe.report.marker_figures import (
     plot_flags,
     plot_shapes,
 )
-from labpipe.report.timeline_figure import draw_timeline
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
 from tests.report.figure_words import all_words

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from labpipe.records.curve import FittedLine
 from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
 from labpipe.report.figure_page import style
-from labpipe.report.group_dots import dot_rows, draw_dots, numbers_to_draw
-from labpipe.report.group_figures import MAX_SLIP_PANELS, draw_slips, group_drawings, stems
-from labpipe.report.group_plots import (
-    draw_curves,
-    draw_group_laws,
-    draw_group_shapes,
-    draw_lines,
-    draw_scaled,
-)
+from labpipe.report.group_figures import group_drawings
+from labpipe.report.group_panels import MAX_SLIP_PANELS, file_panels
+from labpipe.report.page_facts import stems
 from labpipe.statistics.mean_curves import without_band
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
@@ -37,7 +31,6 @@ def test_figures_that_a_group_has_data_for() -> None:
         (build_group("A", [], scaled=False), ["curves"]),
     ):
         assert sorted(drawing.name for drawing in group_drawings(group)) == sorted(names)
-    assert numbers_to_draw(build_group("A", [build_sample("s1", "a")])) == []
 
 
 def test_file_names() -> None:
@@ -48,16 +41,16 @@ def test_file_names() -> None:
 def test_rows_are_samples_spool_means_and_the_mean() -> None:
     group = build_group("A", troubled_samples())
     number = group.numbers[1]
-    rows = dot_rows(group, number)
-    assert [row.label for row in rows] == [
+    plot = file_panels(group)["numbers"][1]
+    assert plot.y.names == (
         "tt-s1a", "tt-s1b", "tt-s1c", "mean of s1",
         "tt-s2a", "tt-s2b", "tt-s2c", "mean of s2", "mean",
-    ]  # fmt: skip
-    assert rows[0].is_open
-    assert rows[5].note == "no number"
-    assert math.isnan(rows[5].value)
+    )  # fmt: skip
+    dots = {float(line.y[0]): line for line in plot.lines if not line.look.startswith("interval")}
+    assert dots[0].look == "doubtful c0"
+    assert -5.0 not in dots  # it has no number
     assert number.mean is not None
-    assert rows[-1].value == number.mean.chosen.mean
+    assert dots[-8.0].x == pytest.approx(1e-3 * number.mean.chosen.mean)
 
 
 @pytest.fixture(autouse=True)
@@ -95,23 +88,21 @@ def test_words(approved: Approve) -> None:
     segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
     segments = build_group("A", [replace(build_sample("s1", "a"), lines=(segment,))])
     two, three = (without_band(replace(group.band, n=count)) for count in (2, 3))
-    pages = {name: draw_curves(build_group("A", odd)) for name, odd in samples.items()}
-    pages |= {
-        "six samples": draw_curves(group),
-        "three curves": draw_curves(replace(group, band=three)),
-        "two curves": draw_curves(replace(group, band=two)),
-        "scaled": draw_scaled(group),
-        "numbers": draw_dots(group),
-        "numbers, one doubtful": draw_dots(troubled),
-        "numbers, an outlier": draw_dots(replace(group, numbers=(number,))),
-        "slips": draw_slips(group),
-        "too many slips": draw_slips(build_group("A", many)),
-        "lines": draw_lines(group),
-        "segments": draw_lines(segments),
-        "shapes": draw_group_shapes(bent()),
-        "laws": draw_group_laws(bent()),
-        "laws of three": draw_group_laws(bent(3)),
-        "no shapes": draw_group_shapes(group),
-        "no laws": draw_group_laws(group),
+    odd = {name: build_group("A", chosen) for name, chosen in samples.items()}
+    drawn = {f"{name}: curves": figure("curves", chosen) for name, chosen in odd.items()}
+    drawn |= {f"six samples: {name}": figure(name, bent()) for name in file_panels(bent())}
+    drawn |= {
+        "three curves": figure("curves", replace(group, band=three)),
+        "two curves": figure("curves", replace(group, band=two)),
+        "numbers, one doubtful": figure("numbers", troubled),
+        "numbers, an outlier": figure("numbers", replace(group, numbers=(number,))),
+        "too many slips": figure("slips", build_group("A", many)),
+        "segments": figure("lines", segments),
+        "laws of three": figure("moment", bent(3)),
     }
-    approved(all_words(pages))
+    approved(all_words(drawn))
+
+
+def figure(name: str, group: Group) -> Figure:
+    """Draw a figure of a group by its name."""
+    return next(drawing.draw() for drawing in group_drawings(group) if drawing.name == name)

@@ -15,6 +15,7 @@ from labpipe.records.group import Campaign, DrawnLaw, DrawnShapes, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_panels import group_panels
 from labpipe.report.issues import find_causes
+from labpipe.report.lab_report import count_words, fill_template, open_decisions
 from labpipe.report.page_facts import (
     PageTests,
     days_words,
@@ -23,18 +24,8 @@ from labpipe.report.page_facts import (
     operators_words,
     report_id,
 )
-from labpipe.report.page_plots import (
-    FULL,
-    Axis,
-    Line,
-    Plot,
-    path_steps,
-    svg,
-    tick_words,
-    ticks,
-)
-from labpipe.report.page_tests import page_file, test_rows
-from labpipe.report.summary_page import count_words, open_decisions
+from labpipe.report.page_plots import FULL, Axis, Line, Plot
+from labpipe.report.page_tables import page_file, rows_of_tests
 from tests.builders.campaigns import (
     build_campaign,
     build_group,
@@ -42,7 +33,6 @@ from tests.builders.campaigns import (
     six_samples,
 )
 
-test_rows.__test__ = False  # type: ignore[attr-defined] # a function of the page, no test
 STEMS = ["a", "b", "c"]
 
 
@@ -103,18 +93,20 @@ def test_decided_and_rejected() -> None:
     out = replace(samples[1], label="c/x")
     group = build_group("A", [kept])
     campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
-    one, two = test_rows(campaign, PageTests(campaign, ["a"]), {"a": "A"})
-    assert (one.decided, one.decision, one.day) == ("accept", "fine (me)", "2026-03-02")
-    assert (two.decided, two.decision, two.why) == ("reject", "bent (me)", "Rejected: bent (me)")
-    assert two.page == "tests/c__x.html" == page_file("c/x")
-    odd = replace(two, page=page_file("a#1 50 %?"))
-    assert odd.address == "tests/a%231%2050%20%25%3F.html"
+    one, two = rows_of_tests(campaign, PageTests(campaign, ["a"]), {"a": "A"})
+    assert (one["decided"], one["words"], one["why"]) == ("accept", "fine (me)", "")
+    shown = two["decided"], two["words"], two["why"]
+    assert shown == ("reject", "bent (me)", "Rejected: bent (me)")
+    assert two["page"] == "tests/c__x.html" == page_file("c/x")
+    odd = Campaign("S", (build_group("A", [replace(kept, label="a#1 50 %?")]),))
+    (row,) = rows_of_tests(odd, PageTests(odd, ["a"]), {"a": "A"})
+    assert row["address"] == "tests/a%231%2050%20%25%3F.html"
 
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
     open_ones = open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
-    assert {decision.line.head for decision in open_ones} == {"Failed", "Doubtful", "Outlier"}
+    assert {decision.cause.heading for decision in open_ones} == {"Failed", "Doubtful", "Outlier"}
     assert count_words(campaign, open_ones).endswith(" 3 to decide")
     first = campaign.groups[0]
     decided = tuple(replace(sample, decided="fine (me)") for sample in first.samples)
@@ -157,26 +149,26 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
     noise = np.random.default_rng(7)
     x, y = np.sort(noise.uniform(0, 10, 120)), noise.uniform(-1, 9, 120)
     y[40] = np.nan
-    first, second = points(path_steps(Line("curve", x, y), X, Y), X, Y)
+    first, second = points(Line("curve", x, y).steps(X, Y), X, Y)
     np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / FULL)
     np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / FULL)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
 def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
-    values = ticks(Axis("", "", low, high), 6)
-    assert 3 <= len(values) <= 7
-    assert low <= values[0] * (1 + 1e-9) + 1e-12
-    assert values[-1] <= high * (1 + 1e-9)
-    steps = np.diff(values)
-    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
-    assert len(set(tick_words(values))) == len(values)
+    shares, texts = zip(*Axis("", "", low, high).marks(6), strict=True)
+    assert 3 <= len(shares) <= 7
+    assert -1e-9 <= min(shares) <= max(shares) <= 1 + 1e-9
+    values = np.array([float(text.replace("\u2212", "-")) for text in texts])
+    np.testing.assert_allclose(np.diff(values), values[1] - values[0], rtol=1e-6)
+    np.testing.assert_allclose(low + np.array(shares) * (high - low), values, rtol=1e-6, atol=1e-12)
 
 
 def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
     line = Line("curve c0", np.array([0.0, 10.0]), np.array([0.0, 8.0]), test=3, group='a"b')
     plot = Plot("curves", "g", "<b>", "", Axis('"mm" <', "mm", 0.0, 10.0), Y, [line])
-    root = ElementTree.fromstring(str(svg(plot)))
+    template = '{% from "plots.html" import svg %}{{ svg(plot) }}'
+    root = ElementTree.fromstring(fill_template(template, plot=plot))
     assert root.get("aria-label") == "<b>"
     (area,) = (element for element in root.iter() if element.get("class") == "area")
     assert [area.get(f"data-{name}") for name in ("x0", "x1", "y0", "y1")] == [

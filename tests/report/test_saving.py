@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import get_args
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from labpipe.errors import StoreError
 from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
-from labpipe.report.calibration_figures import save_calibration_figures
+from labpipe.report.calibration_figures import calibration_drawings
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.figure_page import titled_page
+from labpipe.report.figure_page import new_page, titled
 from labpipe.report.figures import FIGURES, save_figures
 from labpipe.report.lab_report import write_report
 from labpipe.report.saving import (
@@ -26,7 +25,7 @@ from labpipe.report.saving import (
     inline_svg,
     save_pages,
 )
-from labpipe.report.wire_figures import save_wire_figures
+from labpipe.report.wire_figures import wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
@@ -37,16 +36,16 @@ RESULT = build_result(half_cycle=1.0)
 
 
 def page() -> Figure:
-    figure = titled_page("title", "", width_mm=25.4, height_mm=25.4)
+    figure = new_page(width_mm=25.4, height_mm=25.4)
     figure.subplots().plot([0.0, 1.0])
-    return figure
+    return titled(figure, "title")
 
 
 def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
     """The SVG does not depend on the PNG; letters are lines, so that no font changes them."""
     wanted = [FigureToSave("a", page, "How to\x07 read it.", "One & two")]
-    both = save_pages(wanted, tmp_path / "both", what="figures", again="draw", png=True)
-    (alone,) = save_pages(wanted, tmp_path / "alone", what="figures", again="draw")
+    both = save_pages(wanted, tmp_path / "both", png=True)
+    (alone,) = save_pages(wanted, tmp_path / "alone")
     assert [path.name for path in both] == ["a.svg", "a.png"]
     assert alone.read_bytes() == both[0].read_bytes()
     assert list((tmp_path / "alone").iterdir()) == [alone]
@@ -82,23 +81,10 @@ def test_an_inline_drawing_is_small_and_named_and_its_ids_are_its_own() -> None:
     element = inline(title='Force <of> "A2"')
     attributes = {"role": "img", "aria-label": 'Force <of> "A2"', "viewBox": "0 0 100 50"}
     assert attributes.items() <= ET.fromstring(element).attrib.items()
-    assert not re.findall(r"made today|<\?xml|style=|figure_1|<g|<svg[^>]* width", element)
+    assert not re.findall(r"made today|<\?xml|style=|figure_1|<svg[^>]* width", element)
     for part in ('d="M 1.23 2 3 4 5 -6.5"', "a &lt; b", 'id="a2-mark"', 'href="#a2-mark"',
                  'clip-path="url(#a2-clip)"'):  # fmt: skip
         assert part in element
-
-
-def test_long_lines_are_steps_that_do_not_add_up_to_an_error() -> None:
-    x, y = np.linspace(0.0, 100.0, 300), np.random.default_rng(1).uniform(0.0, 50.0, 300)
-    points = " L ".join(f"{a:.6f} {b:.6f}" for a, b in zip(x, y, strict=True))
-    drawing = f'<svg xmlns="http://www.w3.org/2000/svg"><path d="M {points} M 1.26 2 L 3 4"/></svg>'
-    path = re.search(r' d="M(.*?)"', inline(drawing.encode()))
-    assert path is not None
-    line, other = path[1].split("M")
-    first, steps = (re.findall(r"-?[\d.]+", part) for part in line.split("l"))
-    drawn = np.cumsum(np.array([*first, *steps], dtype=float).reshape(-1, 2), axis=0)
-    np.testing.assert_allclose(drawn, np.column_stack([x, y]), atol=0.0551)  # to 0.01, then to 0.1
-    assert other == "1.3 2l1.7 2"
 
 
 @pytest.mark.slow
@@ -113,8 +99,8 @@ def test_any_name_is_drawn(tmp_path: Path, name: str) -> None:
 
 SAVE: dict[str, Callable[[Path], object]] = {
     "figures": lambda path: save_figures(build_result(half_cycle=0.2, cycles=1), path),
-    "wire figures": lambda path: save_wire_figures([wire_table("A1")], path),
-    "calibration figures": lambda path: save_calibration_figures(report(), path),
+    "wire figures": lambda path: save_pages(wire_drawings([wire_table("A1")]), path),
+    "calibration figures": lambda path: save_pages(calibration_drawings(report()), path),
     "report": lambda path: write_report(Campaign("Synthetic", ()), path),
     "calibration": lambda path: save_calibration_workbook(report(), path / "a.xlsx"),
     "wires": lambda path: save_wire_workbook([wire_table("A1")], path / "a.xlsx"),
@@ -133,6 +119,6 @@ def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
         save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()
     with pytest.raises(StoreError, match="Is a directory"):
-        save_pages([FigureToSave("a", page)], tmp_path, what="figures", again="draw", png=True)
+        save_pages([FigureToSave("a", page)], tmp_path, png=True)
     assert {path.name for path in tmp_path.iterdir()} == {"x", "a.png", "a.svg"}
     approved(messages)

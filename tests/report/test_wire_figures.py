@@ -21,15 +21,17 @@ from labpipe.report.wire_figures import (
     cantilever_figure,
     comparison_figure,
     moment_figure,
+    plot_section,
+    section_figure,
     stiffness_figure,
+    strand_patches,
 )
-from labpipe.report.wire_sections import plot_section, section_figure, strand_patches
 from labpipe.report.wire_workbook import (
-    SUMMARY,
     orientation_spread,
     row_error,
     save_wire_workbook,
     shown_rows,
+    summary_record,
 )
 from labpipe.wire.cantilever_curve import force_at
 from tests.approved import Approve
@@ -164,7 +166,7 @@ def test_sheets_of_two_wires_and_a_refused_one(tmp_path: Path) -> None:
 
 def test_numbers_of_a_wire_in_the_units_of_the_headings() -> None:
     table = wire_table("C4")
-    row = {column.heading: column.value(table) for column in SUMMARY}
+    row = summary_record(table)
     texts = {"strands": 37, "layers": "1 + 6 + 12 + 18", "lay angles (deg)": "12; -15; 12"}
     assert {head: row[head] for head in texts} == texts
     for head, value in {
@@ -181,14 +183,12 @@ def test_numbers_of_a_wire_in_the_units_of_the_headings() -> None:
 
 
 def test_force_on_the_curve_and_none_beyond_its_end() -> None:
-    end_load = next(column.value for column in SUMMARY if "end load at 5 mm" in column.heading)
     middle = (TABLE.tip_deflection[3] + TABLE.tip_deflection[4]) / 2.0
     assert TABLE.tip_force[3] < force_at(TABLE, middle) < TABLE.tip_force[4]
     assert force_at(TABLE, TABLE.tip_deflection[-1]) == TABLE.tip_force[-1]
-    assert end_load(TABLE) == force_at(TABLE, 5e-3)
+    assert summary_record(TABLE)["end load at 5 mm (N)"] == force_at(TABLE, 5e-3)
     short = replace(TABLE, tip_deflection=TABLE.tip_deflection[:2], tip_force=TABLE.tip_force[:2])
     assert np.isnan(force_at(short, 5e-3))
-    assert end_load(short) is None
     # PHYSICS: of the friction moment, which is all but the whole moment when slip begins
     assert orientation_spread(TABLE) == pytest.approx(11.0, abs=1.0)
 

@@ -25,8 +25,8 @@ from labpipe.report.wording import (
 from labpipe.report.workbook_file import (
     NumberCell,
     column_place,
+    ends_record,
     format_in_column,
-    interval_cells,
     number_cell,
     number_format,
     percent_cell,
@@ -64,7 +64,7 @@ def test_digits_are_those_that_the_interval_supports(
 
 def test_digits_asked_for_and_an_estimate_that_stands_apart() -> None:
     assert write_number(1.23456, None, digits=3).text == "1.23"
-    number = write_number(51.881, Interval(51.68, 51.86), apart=51.77)
+    number = write_number(51.881, Interval(51.68, 51.86), estimate=51.77)
     assert number.text == "51.881 (estimate 51.770, 51.680 to 51.860)"
 
 
@@ -128,14 +128,14 @@ def test_half_of_the_interval_where_it_is_as_wide_to_both_sides(
 
 
 def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:
-    cells = interval_cells(0.0522841, Interval(0.046271, 0.058296), 1e3)
-    assert [cell and cell.form for cell in cells] == ["0.0"] * 3
-    values = [cell and cell.value for cell in cells]
+    cells = list(ends_record(0.0522841, Interval(0.046271, 0.058296), 1e3).values())
+    assert [cell.form for cell in cells if isinstance(cell, NumberCell)] == ["0.0"] * 3
+    values = [cell.value for cell in cells if isinstance(cell, NumberCell)]
     assert values == pytest.approx([52.2841, 46.271, 58.296])
-    turned = interval_cells(1.0, Interval(0.9, 1.2), -1.0)
-    assert [cell and cell.value for cell in turned] == [-1.0, -1.2, -0.9]
+    turned = list(ends_record(1.0, Interval(0.9, 1.2), -1.0).values())
+    assert [cell.value for cell in turned if isinstance(cell, NumberCell)] == [-1.0, -1.2, -0.9]
     assert number_cell(74683.0, Interval(70000.0, 79000.0)) == NumberCell(74683.0, "0")
-    assert interval_cells(1.0, None)[1:] == (None, None)
+    assert list(ends_record(1.0, None).values())[1:] == [None, None]
     assert [number_cell(value, None) for value in (None, math.nan)] == [None, None]
     assert [percent_cell(value) for value in (None, math.nan)] == [None, None]
     assert percent_cell(0.382) == NumberCell(0.382, "0.0%")

@@ -243,7 +243,7 @@ def noise_of_drops(seed: int, memory: float, deviation: float = 0.04) -> Floats:
 
 def pull(begin: float, length: float, drop: float, extra: Floats) -> PullCurve:
     lost = drop * np.clip((NUMBER - begin) / length, 0.0, 1.0)
-    return PullCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, most=10, blurred=0)
+    return PullCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, longest=10, blurred=0)
 
 
 @pytest.mark.slow
@@ -284,4 +284,4 @@ def test_what_is_no_fall() -> None:
     assert fit_load_drop(whole, 3) is fit_load_drop(whole, COUNT - 3) is None
     force = 1.2 * np.round(0.1 * NUMBER / 1.2)
     force[150:260] = force[150]
-    assert fit_load_drop(PullCurve(STEP * NUMBER, force, most=10, blurred=0), 205) is None
+    assert fit_load_drop(PullCurve(STEP * NUMBER, force, longest=10, blurred=0), 205) is None

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,16 +27,9 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.curve_replicates import (
-    ForceSamples,
-    PeakSamples,
-    add_back,
-    cuts_of,
-    loading_of,
-    replicate_curves,
-    traced,
-)
+from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
 from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
+from labpipe.results.sample_noise import SampleNoise
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import measure
@@ -183,37 +177,17 @@ def test_a_force_of_which_a_part_is_unknown_leaves_the_displacement_alone() -> N
         assert not np.isnan(given.moved(found.smooth, 1.0).displacement).any()
 
 
-@pytest.mark.parametrize("count", [20_000, 20_001])
-def test_a_long_record_has_the_noise_of_single_samples(count: int) -> None:
-    """Its largest sample is one sample, however many there are."""
-    test = straight(count, 1000.0)
+def test_a_long_record_has_the_noise_of_its_means_and_peaks_that_of_single_samples() -> None:
+    """Blocks of three samples of 1 N."""
+    test = straight(18_000, 1000.0)
     found = curves(test)
-    assert len(found.smooth.time) <= 20_000
-    assert len(found.measured.time) == count
-    assert np.std(off(found)) == pytest.approx(1.0, rel=0.03)
+    assert len(found.smooth.time) == 6000
+    assert len(found.measured.time) == 18_000
+    assert np.std(off(found)) == pytest.approx(3**-0.5, rel=0.03)
     assert found.smooth.force == pytest.approx(10.0 * found.smooth.time, abs=0.5)
-    high = top(next(iter(found.traces())))[0].mean() - found.smooth.force.max()
-    assert 0.0 < high < 4.0
-
-
-def test_hum_is_not_folded_away() -> None:
-    """Two samples a swing, taken in blocks of two: every other one would stand still."""
-    time = np.arange(40_000) / 1000.0
-    hum = 3.0 * np.where(np.arange(40_000) % 2 == 0, 1.0, -1.0)
-    test = recorded(time, time, time + hum + 0.1 * RNG(0).normal(size=40_000))
-    assert noise(test) == pytest.approx(3.0, rel=0.05)
-
-
-@pytest.mark.parametrize("at", [35_000, 35_001, 35_002])
-def test_no_block_lies_over_a_failure(at: int) -> None:
-    """Wherever it falls in a block of three: noise and force at it are those of the loading."""
-    found = curves(broken(at, 50_000))
-    end = found.smooth.failed_at
-    assert end is not None
-    assert found.smooth.force[end] == pytest.approx(100.0, abs=0.15)
-    assert found.smooth.force[end + 1] == pytest.approx(0.0, abs=0.15)
-    assert found.smooth.time[end] == pytest.approx(at * 1e-3, abs=3e-3)
-    assert np.std(off(found, slice(end + 1))) == pytest.approx(0.1, rel=0.1)
+    samples = SampleNoise.around(test, found.smooth, "force", slice(0, 6000), 5999)
+    assert samples is not None
+    assert np.std(samples.deviations) == pytest.approx((2 / 3) ** 0.5, rel=0.03)
 
 
 def test_blocks_begin_anew_at_turns() -> None:
@@ -386,14 +360,14 @@ def test_sizes() -> None:
     assert not np.array_equal(found.draws(width), found.draws(thickness))
 
 
-@pytest.mark.parametrize(("count", "step"), [(800, 1.0), (40_000, 0.5)])
+@pytest.mark.parametrize(("count", "step"), [(800, 1.0), (18_000, 1 / 3)])
 def test_a_step_is_one_of_the_curve(count: int, step: float) -> None:
-    """In blocks of two it is half of one of the grid."""
+    """In blocks of three it is a third of one of the grid."""
     test = straight(count)
     given, found = inputs(test)[STEP], curves(test)
     assert given.law == "step"
-    assert given.moved(found.smooth, 1.0).beyond == pytest.approx(step)
-    assert given.moved(found.smooth, -0.5).beyond == pytest.approx(-0.5 * step)
+    assert given.moved(found.smooth, 1.0).beyond == pytest.approx(step, rel=1e-3)
+    assert given.moved(found.smooth, -0.5).beyond == pytest.approx(-0.5 * step, rel=1e-3)
 
 
 def test_a_branch_without_force() -> None:
@@ -563,73 +537,62 @@ def curve() -> Trace:
     return Trace(time, time, force_at(time), (up, down))
 
 
-def plainly_smoothed(rows: Floats) -> Floats:
-    """Means of 15 samples, at both ends the straight line through the outermost 15."""
-    half, count = WINDOW // 2, rows.shape[1]
-    found = np.array([np.convolve(row, np.ones(WINDOW) / WINDOW, "same") for row in rows])
-    number = np.arange(WINDOW)
-    for row, made in zip(rows, found, strict=True):
-        for part, end in (
-            (slice(WINDOW), slice(half)),
-            (slice(count - WINDOW, None), slice(-half, None)),
-        ):
-            line = np.polyval(np.polyfit(number, row[part], 1), number)
-            made[end] = np.clip(line[end], row[part].min(), row[part].max())
-    return found
-
-
-def top_of(samples: ForceSamples | None, trace: Trace, sense: float = 1.0) -> PeakSamples:
-    """The only cycle."""
-    assert samples is not None
-    found = samples.of_cycle(trace, slice(0, 501), sense)
-    assert found is not None
-    return found
-
-
 def test_the_largest_of_all_samples_in_noise() -> None:
-    """Mean and spread as those of the noise itself, filtered on either side of the corner."""
-    time = SINGLE * np.arange(float(2000))
-    noisy = force_at(time) + NOISE * RNG(0).normal(size=2000)
-    trace = curve()
-    samples = ForceSamples.of(evidence(noisy), trace)
+    """Mean and spread as those of 1000 records with such noise; blocks of three samples of 1 N."""
+    test = straight(18_000, 1000.0)
+    trace = curves(test).smooth
+    samples = SampleNoise.around(test, trace, "force", slice(0, 6000), 5999)
     assert samples is not None
-    of_frames = 0.5 * NOISE * RNG(1).normal(size=(2000, 501))
-    raised = top_of(samples, trace).raised(of_frames)
-    assert raised is not None
-
-    near = slice(900, 1100)
-    rows = force_at(time)[near] + NOISE * RNG(2).normal(size=(2000, 200))
-    (cut,) = set(samples.cuts) - {0, 2000, int(np.searchsorted(time, trace.time[-1], "right")), 2}
-    parts = [plainly_smoothed(row) for row in (rows[:, : cut - 900], rows[:, cut - 900 :])]
-    by_hand = np.hstack(parts).max(axis=1) - samples.smooth.max()
-    assert np.mean(raised) == pytest.approx(np.mean(by_hand), abs=0.12 * float(np.std(by_hand)))
-    assert np.std(raised) == pytest.approx(np.std(by_hand), rel=0.06)
+    rows = RNG(2).normal(size=(1000, 3000))
+    noise = np.zeros((1000, 6000))
+    noise[:, -1000:] = rows.reshape(1000, -1, 3).mean(axis=2)
+    for sense in (1.0, -1.0):
+        falling = replace(samples, smooth=sense * samples.smooth)
+        raised = sense * falling.raised(noise, sense)
+        by_hand = (samples.smooth[-3000:] + sense * rows[:, -len(samples.smooth) :]).max(axis=1)
+        by_hand -= samples.smooth.max()
+        # Deviations of one record: 5 % of the mean.
+        assert np.mean(raised) == pytest.approx(np.mean(by_hand), rel=0.05)
+        assert np.std(raised) == pytest.approx(np.std(by_hand), rel=0.08)
 
 
 def test_without_noise_nothing_is_raised() -> None:
-    """But for what the filter takes off a corner: nothing, as it ends there."""
-    samples = ForceSamples.of(evidence(force_at(SINGLE * np.arange(float(2000)))), curve())
+    samples = around_turn(force_at(SINGLE * np.arange(2000.0)))
     assert samples is not None
-    raised = top_of(samples, curve()).raised(np.zeros((3, 501)))
-    assert raised == pytest.approx(np.zeros(3), abs=0.02)
+    assert samples.raised(np.zeros((3, 501)), 1.0) == pytest.approx(np.zeros(3), abs=1e-9)
     assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
+    assert samples.drawn((2, 3)) == pytest.approx(np.zeros((2, 3)), abs=1e-9)
 
 
-def test_what_is_left_to_the_curve() -> None:
-    """Hardly more samples than frames, none that is filtered, a gap, a plateau that is too long."""
-    for rate, filters in ((0.03, True), (SINGLE, False)):
-        force = force_at(rate * np.arange(np.round(20.0 / rate)))
-        assert ForceSamples.of(evidence(force, rate=rate, filters=filters), curve()) is None
-    trace = curve()
-    samples = ForceSamples.of(evidence(force_at(SINGLE * np.arange(2000.0))), trace)
+def test_samples_of_an_unfiltered_force_have_all_noise_themselves() -> None:
+    """A frame has one of its samples, not their mean, so that noise of frames is not added."""
+    noisy = force_at(SINGLE * np.arange(2000.0)) + NOISE * RNG(0).normal(size=2000)
+    samples = around_turn(noisy, filters=False)
     assert samples is not None
-    trace.force[100] = np.nan
-    assert samples.of_cycle(trace, slice(0, 501), 1.0) is None
-    assert samples.of_cycle(trace, slice(101, 501), 1.0) is not None
-    noisy = 100.0 + NOISE * RNG(0).normal(size=40_000)
-    trace = replace(curve(), force=np.full(501, 100.0))
-    samples = ForceSamples.of(evidence(noisy, rate=5e-4), trace)
-    assert top_of(samples, trace).raised(np.zeros((2, 501))) is None
+    assert np.std(samples.deviations) == pytest.approx(NOISE, rel=0.05)
+    raised = samples.raised(1e3 * np.ones((400, 501)), 1.0)
+    assert 0.5 * NOISE < raised.mean() < 4.0 * NOISE
+
+
+def test_single_samples_deviate_from_their_block() -> None:
+    noisy = force_at(SINGLE * np.arange(2000.0)) + NOISE * RNG(0).normal(size=2000)
+    samples = around_turn(noisy)
+    assert samples is not None
+    assert np.std(samples.drawn((4000,))) == pytest.approx(0.75**0.5 * NOISE, rel=0.06)
+
+
+def test_a_curve_with_all_samples_needs_no_more_of_them() -> None:
+    force = force_at(0.03 * np.arange(667.0))
+    assert around_turn(force, rate=0.03) is None
+    gap = np.where(np.abs(np.arange(2000) - 1000) < 995, np.nan, 1.0)
+    assert around_turn(gap) is None
+
+
+def around_turn(force: Floats, **options: Any) -> SampleNoise | None:
+    trace = curve()
+    return SampleNoise.around(
+        evidence(force, **options), trace, "force", slice(0, 501), trace.branches[0].stop
+    )
 
 
 def test_pieces_begin_behind_the_time_of_a_turn() -> None:

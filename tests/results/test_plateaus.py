@@ -27,7 +27,7 @@ ONSET = SCALE * np.log(10.0)
 
 
 def tangents_of(d: Floats, f: Floats) -> Tangents:
-    return Tangents.of(d, f, over=OVER)
+    return Tangents.of(d, f, length=OVER)
 
 
 def onset(force: Floats, initial: float = INITIAL, below: float = 0.1) -> tuple[float, float]:
@@ -80,7 +80,7 @@ def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
     found = []
     for off in (0.0, 1.0, -1.0):
         path: Floats = even * (1.0 + off * last_bits)
-        tangents = Tangents.of(path, force, over=OVER)
+        tangents = Tangents.of(path, force, length=OVER)
         place, level = tangents.onset(force, np.array(INITIAL), slope_below=0.1)
         found.append([float(tangents.slope_at_end(force)), float(place), float(level)])
     np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-10)
@@ -168,19 +168,19 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
 
 
 def test_says_why_not() -> None:
-    short = or_failure(Tangents.of)(D[:200], SOFT[:200], over=OVER)
+    short = or_failure(Tangents.of)(D[:200], SOFT[:200], length=OVER)
     assert short == Failure("not_reached", "the branch is 9.95 mm long, twice 5 mm is needed")
-    none = or_failure(Tangents.of)(D, np.full(len(D), np.nan), over=OVER)
+    none = or_failure(Tangents.of)(D, np.full(len(D), np.nan), length=OVER)
     assert isinstance(none, Failure)
     assert none.code == "not_reached"
-    sparse = or_failure(Tangents.of)(D[::50], SOFT[::50], over=OVER)
+    sparse = or_failure(Tangents.of)(D[::50], SOFT[::50], length=OVER)
     assert sparse == Failure("too_few_samples", "3 samples in the stretch, 8 are needed")
     jump = np.concatenate([np.linspace(0.0, 0.04, 100), np.linspace(0.0499, 0.05, 100)])
-    stuck = or_failure(Tangents.of)(jump, jump, over=OVER)
+    stuck = or_failure(Tangents.of)(jump, jump, length=OVER)
     assert stuck == Failure("no_travel", "the displacement jumps over the stretch")
     for at in (0.0451, 0.0453, 0.0457, 0.0459, 0.0463):
         two = np.concatenate([np.linspace(0.0, 0.0449, 100), np.repeat([at, 0.05], 10)])
-        assert or_failure(Tangents.of)(two, two, over=OVER) == stuck
+        assert or_failure(Tangents.of)(two, two, length=OVER) == stuck
 
 
 def test_what_a_corner_hides() -> None:

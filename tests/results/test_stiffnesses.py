@@ -97,11 +97,13 @@ def test_slope_says_why_not() -> None:
 def test_value_at_a_turn_is_that_of_the_parabola() -> None:
     """Of 800 samples the first 50; time counts from the turn, in mid-step."""
     values = 3.0 + 0.5 * (TIME - 0.03) - 2.0 * (TIME - 0.03) ** 2
-    turn = turn_at(TIME, values, at=0.03, first=0, stop=len(TIME))
+    turn = turn_at(TIME, values, turn_time=0.03, first=0, stop=len(TIME))
     assert turn(values) == pytest.approx(3.0, abs=1e-12)
     np.testing.assert_allclose(turn(np.array([values, 2.0 * values])), [3.0, 6.0])
     values[5] = np.nan
-    assert turn_at(TIME, values, at=0.03, first=0, stop=len(TIME))(values) == pytest.approx(3.0)
+    assert turn_at(TIME, values, turn_time=0.03, first=0, stop=len(TIME))(values) == pytest.approx(
+        3.0
+    )
 
 
 BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
@@ -110,7 +112,7 @@ BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
 def unloading(sense: float) -> tuple[Callable[[Floats, Floats], Floats], Floats, Floats]:
     """Back from 50 mm, under 300 (d - 10 mm)^2; read from 1 to 10 mm off the turn."""
     path, force = sense * (0.05 - UP), sense * 300.0 * (0.05 - UP - 0.01) ** 2
-    slope, _ = unloading_slope(TIME, path, force, BRANCH, over=0.01, sense=sense)
+    slope, _ = unloading_slope(TIME, path, force, BRANCH, length=0.01, sense=sense)
     return slope, path, force
 
 
@@ -125,7 +127,7 @@ def test_a_row_that_is_higher_throughout_is_read_from_the_same_samples() -> None
     found, path, force = unloading(1.0)
     rows = path + np.array([[0.0], [0.003], [-0.02]])
     np.testing.assert_allclose(found(rows, force), found(path, force), rtol=1e-9)
-    begun = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    begun = loading_slope(TIME, UP, taking_up(UP), length=0.005)
     rows = UP + np.array([[0.0], [0.003], [-0.02]])
     one = begun.of(UP, taking_up(UP))
     np.testing.assert_allclose(begun.of(rows, taking_up(UP)), one, rtol=1e-9)
@@ -142,12 +144,12 @@ def test_loading_is_read_behind_the_take_up() -> None:
 
     80 mN less move the zero of 20 N/m by 4 mm, to where there are 800 x 4 mm more N/m.
     """
-    slope = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    slope = loading_slope(TIME, UP, taking_up(UP), length=0.005)
     assert slope.take_up.of(UP, taking_up(UP)) == pytest.approx(0.005, abs=2e-4)
     plain, lower = slope.of(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
     assert plain == pytest.approx(22.0, rel=5e-3)
     assert lower - plain == pytest.approx(3.2, rel=0.03)
-    assert isinstance(or_failure(loading_slope)(TIME, UP, -UP, over=0.005), Failure)
+    assert isinstance(or_failure(loading_slope)(TIME, UP, -UP, length=0.005), Failure)
 
 
 def test_loading_of_replicates_is_off_as_tests_are() -> None:
@@ -157,10 +159,10 @@ def test_loading_of_replicates_is_off_as_tests_are() -> None:
     force = 40.0 * np.minimum(np.maximum(up - 0.005, 0.0), 0.002) + taking_up(up)
     path = up + noise_rows(kind, 2e-5, shape, seed=1)
     forces = force + noise_rows(kind, 2e-3, shape, seed=2)
-    alone = [loading_slope(time, d, f, over=over) for d, f in zip(path, forces, strict=True)]
+    alone = [loading_slope(time, d, f, length=over) for d, f in zip(path, forces, strict=True)]
     tests = [float(fit.of(d, f)) for fit, d, f in zip(alone, path, forces, strict=True)]
     measured = alone[-1]
-    smooth = loading_slope(time, up, force, over=over, like=measured)
+    smooth = loading_slope(time, up, force, length=over, like=measured)
     off = smooth.of_each(
         up + noise_rows(kind, 2e-5, shape, seed=3), force + noise_rows(kind, 2e-3, shape, seed=4)
     ) - float(smooth.of(up, force))
@@ -195,12 +197,12 @@ def test_between_samples_the_window_begins_with_the_motion() -> None:
     force = 60.0 * way - 1.5e3 * way**2
     force += np.where(way > 0.0, 0.0, 2e-3) * (np.arange(400) > 0)
     time = 0.05 * np.arange(400.0)
-    found = loading_slope(time, way, force, over=0.005)
+    found = loading_slope(time, way, force, length=0.005)
     assert found.first == 1
     assert float(found.of(way, force)) > 52.8
     at = np.arange(16 * 399 + 1) / 16.0
     fine = [np.interp(at, np.arange(400), each) for each in (time, way, force)]
-    between = loading_slope(*fine, over=0.005, like=found, steps=16)
+    between = loading_slope(*fine, length=0.005, like=found, steps=16)
     assert between.first / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
     assert float(between.of(*fine[1:])) == pytest.approx(52.66, abs=0.06)
 

@@ -46,8 +46,8 @@ def pushed(inputs: Mapping[str, float]) -> RodPath:
     section = Section(law, 3e-4, mass_per_length=0.006)
     length = LENGTH * float(np.exp(inputs.get("length_factor", 0.0)))
     line = straight_line(length, NODES, section)
-    natural = np.tile([0.0, inputs.get("free_curvature", 0.0), 0.0], (NODES - 1, 1))
-    line = Line(line.lengths, section, line.positions, line.frames, natural)
+    rest_curvature = np.tile([0.0, inputs.get("free_curvature", 0.0), 0.0], (NODES - 1, 1))
+    line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
     share = np.interp(np.arange(STEPS + 1), [0, 4, STEPS], [0.0, 1.0, 0.0])
     force = share[:, None] * np.array([0.0, 0.0, -0.025])
     held = Held(0, np.zeros(3), line.frames[0])
@@ -56,7 +56,7 @@ def pushed(inputs: Mapping[str, float]) -> RodPath:
 
 @pytest.mark.slow
 def test_bands_hold_as_many_draws_as_they_say() -> None:
-    bands = bands_of(pushed, [BELIEF], at=(4, -1))
+    bands = bands_of(pushed, [BELIEF], steps=(4, -1))
     assert bands is not None
     assert not bands.notes
     held, free = bands.states
@@ -81,7 +81,7 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
 
     tips = []
     for solvers in ([pushed], [stiffer], [pushed, stiffer]):
-        bands = bands_of(solvers, [BELIEF] * len(solvers), at=(4,))
+        bands = bands_of(solvers, [BELIEF] * len(solvers), steps=(4,))
         assert bands is not None
         shares = bands.states[0].shares["positions"]
         assert set(shares) == {"law_factor", "length_factor", "free_curvature"}

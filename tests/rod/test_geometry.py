@@ -36,13 +36,13 @@ def test_a_line_along_points_is_not_twisted() -> None:
     t = np.linspace(0.0, 6.0, 61)
     helix = np.stack([np.cos(t), np.sin(t), 0.3 * t], axis=1)
     line = line_along(helix, SECTION, is_formed=True)
-    np.testing.assert_allclose(line.natural[:, 2], 0.0, atol=1e-12)
-    bends = np.linalg.norm(line.natural, axis=1)
+    np.testing.assert_allclose(line.rest_curvature[:, 2], 0.0, atol=1e-12)
+    bends = np.linalg.norm(line.rest_curvature, axis=1)
     np.testing.assert_allclose(bends, 1.0 / (1.0 + 0.3**2), rtol=1e-3)
     steps = np.diff(helix, axis=0)
     along = matrices(line.frames)[:, :, 2]
     np.testing.assert_allclose(along, steps / np.linalg.norm(steps, axis=1)[:, None], atol=1e-14)
-    assert not np.any(line_along(helix, SECTION).natural)
+    assert not np.any(line_along(helix, SECTION).rest_curvature)
 
 
 def test_a_line_knows_its_frames_at_the_nodes() -> None:
@@ -76,7 +76,7 @@ REFUSED: list[Callable[[], object]] = [
     lambda: Section(LAW, 1e-3, axial_stiffness=100.0, coupling=1.0),
     lambda: Section(LAW, 1e-3, mass_per_length=np.nan),
     lambda: line_of(lengths=np.array([0.1, 0.0])),
-    lambda: line_of(natural=np.zeros((2, 3))),
+    lambda: line_of(rest_curvature=np.zeros((2, 3))),
     lambda: line_of(positions=np.full((3, 3), np.nan)),
     lambda: line_of(frames=2.0 * np.ones((2, 4))),
     lambda: line_along(np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]), SECTION),
@@ -160,7 +160,7 @@ def test_clamps_part_cells() -> None:
     assert supports.before.tolist() == [-2, 0, 1, -1, 2]
     assert supports.behind.tolist() == [0, 1, -1, 2, 3]
     assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
-    assert supports.natural[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
+    assert supports.rest_curvature[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
     assert supports.ends.tolist() == [0, 1, 2]
     assert supports.own == pytest.approx([1.0 - END_SHARE] * 3)
 

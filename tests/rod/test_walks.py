@@ -120,7 +120,7 @@ def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
     curl, errors = 3.0 / LENGTH, []
     for n in (10, 20, 40):
         straight = straight_line(LENGTH, n, linear_section())
-        line = replace(straight, natural=np.tile([0.0, curl, 0.0], (n - 1, 1)))
+        line = replace(straight, rest_curvature=np.tile([0.0, curl, 0.0], (n - 1, 1)))
         state = walked(line, [Held(0, line.positions[0], line.frames[0])], 1).last
         angle = curl * line.stations
         circle = np.stack([np.sin(angle), 0.0 * angle, 1.0 - np.cos(angle)], axis=1) / curl
@@ -225,9 +225,9 @@ def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above() -> None:
 
 def test_faults_of_boundaries_are_said() -> None:
     line = straight_line(LENGTH, 10, linear_section())
-    with pytest.raises(ValueError, match=r"boundary 1 \(Load\): node=11: allowed are 0 to 10"):
+    with pytest.raises(ValueError, match=r"boundary 1 \(Load\): node=11: expected 0 to 10"):
         follow(line, [clamp(line), Load(11, np.zeros(3))], steps=2)
-    with pytest.raises(ValueError, match=r"tip: force has 4 rows; allowed are 1 or steps \+ 1 = 3"):
+    with pytest.raises(ValueError, match=r"tip: force has 4 rows; expected 1 or steps \+ 1 = 3"):
         follow(line, [clamp(line), Load(-1, np.zeros((4, 3)), name="tip")], steps=2)
     with pytest.raises(ValueError, match="step 0: node 0 is held twice"):
         follow(line, [clamp(line), Held(0, line.positions[0])], steps=2)

@@ -37,7 +37,7 @@ def test_numbers_and_band_of_two_spools() -> None:
     assert number.mean is not None
     assert number.mean.chosen.mean == pytest.approx(52.28)
     assert not number.left_out
-    assert (group.band.n, group.band.over) == (2, "spool means")
+    assert (group.band.n, group.band.members) == (2, "spool means")
     np.testing.assert_allclose(group.band.mean, 52.28 * group.band.displacement)
     assert "not pooled over 6 samples" in said(group)["curve_pooling"]
     assert group.band_scaled is None
@@ -108,7 +108,7 @@ def test_two_lengths_are_two_parts() -> None:
         ({"length": "85 mm"}, ["t0", "t2"]),
         ({"length": "100.2 mm"}, ["t1", "t3"]),
     ]
-    assert [part.fields["length"] for part in divide(wires(85, None))] == ["85 mm", "not said"]
+    assert [part.fields["length"] for part in divide(wires(85, None))] == ["85 mm", "not stated"]
     lengths = [(96, 104, 100), (96, 104), (100, 104.9), (100, 105.1)]
     assert [len(divide(wires(*length))) for length in lengths] == [1, 2, 1, 2]
 
@@ -153,7 +153,7 @@ def test_types_spools_and_dimensions_that_differ() -> None:
     assert differing_fields(plain, other) == {}
     assert differing_fields(plain, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
     first = of(None, dimensions={"length": 0.1})
-    for length, words in ((0.1005, ""), (0.12, "120 mm"), (None, "not said")):
+    for length, words in ((0.1005, ""), (0.12, "120 mm"), (None, "not stated")):
         second = of(None, dimensions={"length": length} if length else {})
         expected = {"length": ("100 mm", words)} if words else {}
         assert differing_fields(first, second) == expected
@@ -291,6 +291,6 @@ def test_words_have_an_order() -> None:
         "number": ["7", "12", "19"],
         "taping": ["none", "coarse", "half-lap"],
         "conduit": ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"],
-        "cured": ["not said", "2 h", "24 h"],
+        "cured": ["not stated", "2 h", "24 h"],
     }.items():
         assert sorted(sorted(words), key=partial(field_order, name)) == words

@@ -38,7 +38,7 @@ def test_only_where_every_curve_has_data() -> None:
 
 def test_bands_of_two_and_of_three_curves() -> None:
     """Pointwise of two; curves of different slope depend on one number, with one band."""
-    band = mean_band(common_curves([line(1e3), line(1.2e3)]), over="spool means")
+    band = mean_band(common_curves([line(1e3), line(1.2e3)]), members="spool means")
     np.testing.assert_allclose(band.upper - band.mean, 12.7062 * 100 * band.displacement, rtol=1e-5)
     assert np.isnan(band.upper_all).all()
     assert str(band.reason).startswith("two_curves: no simultaneous band over two spool means")

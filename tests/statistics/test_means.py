@@ -42,7 +42,7 @@ def test_no_samples_and_one_sample_say_so() -> None:
     assert (one.mean, one.interval, one.n) == (3.0, None, 1)
     assert str(one.reason).endswith("scatter of two values, there is one spool")
     scatter = spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
-    assert np.isnan([scatter.within, scatter.between, scatter.share]).all()
+    assert np.isnan([scatter.within, scatter.between_spools, scatter.share]).all()
     assert scatter.share_upper == 1.0
 
 
@@ -204,4 +204,4 @@ def test_equivalence_where_the_interval_ends(change: float) -> None:
         assert equivalence_p(replace(contrast, margin=margin)) == pytest.approx(p)
     assert equivalence_p(replace(contrast, margin=1e9)) < 1e-6
     assert contrast.degrees == degrees
-    assert difference_p(replace(contrast, between=half)) == pytest.approx(0.1)
+    assert difference_p(replace(contrast, difference=half)) == pytest.approx(0.1)

@@ -85,7 +85,7 @@ def test_a_ratio_by_hand() -> None:
     contrast = found.contrast
     assert contrast is not None
     assert contrast.is_log
-    assert contrast.between == pytest.approx(log(1.2))
+    assert contrast.difference == pytest.approx(log(1.2))
     assert contrast.errors == pytest.approx((0.057735, 0.048113), rel=1e-4)
     assert contrast.margin == pytest.approx(log1p(0.1))
     squares = 0.057735**2, 0.048113**2

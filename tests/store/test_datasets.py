@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from labpipe.store.datasets import Target, fletcher32, same_content
 from labpipe.store.hdf5_objects import (
-    LEVEL,
+    COMPRESSION_LEVEL,
     get_number,
     get_text,
     has_attribute,
@@ -73,7 +73,7 @@ def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("values", [np.zeros((5, 3)), np.arange(4), np.zeros((0, 2), np.uint8)])
 def test_datasets_are_those_of_h5py(values: np.ndarray, tmp_path: Path) -> None:
     options = {"shuffle": True, "fletcher32": True, "track_times": False}
-    packing = {"compression": "gzip", "compression_opts": LEVEL}
+    packing = {"compression": "gzip", "compression_opts": COMPRESSION_LEVEL}
     chunk = tuple(max(size, 1) for size in values.shape)
     most = tuple(size or None for size in values.shape)
     with h5py.File(tmp_path / "a.h5", "w") as root:

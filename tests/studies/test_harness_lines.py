@@ -124,13 +124,13 @@ def test_a_spool_leaves_an_arc_that_is_at_rest(tmp_path: Path) -> None:
     chord = np.sin(angle) / 5.0, (1.0 - np.cos(angle)) / 5.0
     end = np.array([chord[0], chord[1] * np.sqrt(0.5), -chord[1] * np.sqrt(0.5)])
     assert line.positions[-1] == pytest.approx(end, rel=1e-3)
-    assert np.linalg.norm(line.natural[:, :2], axis=1) == pytest.approx(np.full(15, 5.0))
-    assert line.natural[:, 2] == pytest.approx(np.zeros(15), abs=1e-9)
+    assert np.linalg.norm(line.rest_curvature[:, :2], axis=1) == pytest.approx(np.full(15, 5.0))
+    assert line.rest_curvature[:, 2] == pytest.approx(np.zeros(15), abs=1e-9)
     more = line_of(tmp_path, arch(line=curl), free_curvature_1=1.0).line
-    assert np.linalg.norm(more.natural[:, :2], axis=1) == pytest.approx(np.full(15, 6.0)), (
+    assert np.linalg.norm(more.rest_curvature[:, :2], axis=1) == pytest.approx(np.full(15, 6.0)), (
         "the first free curvature is to the side of the spool"
     )
-    with pytest.raises(ValueError, match="allowed is a side of the line, not its direction"):
+    with pytest.raises(ValueError, match="must be a side of the line, not its direction"):
         line_of(tmp_path, arch(line=curl.replace("[0, 1, -1]", "[2, 0, 0]")))
 
 

@@ -208,6 +208,6 @@ def test_every_column_is_documented_with_its_range(repository: Path) -> None:
     for kind in (ProofStress, Conditions):
         for name, field in kind.model_fields.items():
             [column] = field.metadata
-            least = 0.1 if name == "modulus_mpa" else column.least
-            most = 10000.0 if name == "modulus_mpa" else column.most
+            least = 0.1 if name == "modulus_mpa" else column.minimum
+            most = 10000.0 if name == "modulus_mpa" else column.maximum
             assert f"`{name}` | {least:g} to {most:.10g}" in page

@@ -252,3 +252,17 @@ def test_noise_of_a_short_record_is_what_polynomials_leave(
         noise = estimate_noise([values], [values])
         spreads.append(noise.draw(count, 50, RNG(0)).std())
     assert 0.75 < np.median(spreads) / 0.002 < most
+
+
+def test_pieces_of_a_short_record_do_not_follow_slow_noise() -> None:
+    """A line in noise that is correlated over three samples, by its median over 40 records."""
+    lengths, times = list[int](), list[float]()
+    for seed in range(40):
+        kicks, noise = RNG(seed).normal(size=60), np.zeros(60)
+        for at in range(1, 60):
+            noise[at] = np.exp(-1.0 / 3.0) * noise[at - 1] + kicks[at]
+        values = 10.0 * np.arange(60.0) + noise
+        lengths.append(len(polynomial_pieces(values)))
+        times.append(estimate_noise([values], [values]).correlation_time)
+    assert np.mean(lengths) < 2.0
+    assert 1.7 < np.median(times) < 4.0

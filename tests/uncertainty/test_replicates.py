@@ -229,6 +229,23 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     assert (trace.steps, finer.steps, finer.finer(3).steps) == (1, 2, 6)
 
 
+def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:
+    """A knee at 2.25 samples, either way up; a gap, and a step that is not between its neighbours,
+    are divided evenly."""
+    fine = np.arange(0.0, 6.125, 0.25)
+    for sign in (1.0, -1.0):
+        knee = sign * np.minimum(4.0 * fine, 9.0 + 0.5 * (fine - 2.25))
+        trace = trace_of(knee[::4], 1e-3 * fine[::4])
+        finer = trace.finer(4, has_corners=True)
+        assert finer.force == pytest.approx(knee)
+        assert finer.displacement == pytest.approx(1e-3 * fine)
+    uneven = np.array([0.0, 1.0, 4.0, 5.0, np.nan, 7.0, 9.0])
+    trace = trace_of(uneven, np.arange(7.0))
+    assert np.array_equal(
+        trace.finer(2, has_corners=True).force, trace.finer(2).force, equal_nan=True
+    )
+
+
 def test_a_number_is_made_of_the_first_of_each_part() -> None:
     found = combine(shared, largest, reach)(TRACE)
     assert isinstance(found, Reading)

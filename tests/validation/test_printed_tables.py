@@ -82,11 +82,11 @@ VALUES = """
 def test_outliers_of_rosner() -> None:
     """Three are marked; one alone is not: the other two make the scatter large."""
     named = {str(at): float(value) for at, value in enumerate(VALUES.split())}
-    suspects = find_suspects(named, dict.fromkeys(named, "one"), most=10).below(0.05)
+    suspects = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=10).below(0.05)
     assert [suspect.value for suspect in suspects] == [6.01, 5.42, 5.34]
     assert {suspect.method for suspect in suspects} == {"generalised ESD test"}
     # 3.118 where 3.158 is needed
-    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), most=1).below(0.1)
+    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=1).below(0.1)
     assert alone.value == 6.01
     assert 0.05 < alone.p < 0.1
 
@@ -129,7 +129,7 @@ def test_two_spools_of_three_samples() -> None:
     """Means of spools, scatter within and between, pooled and not; they are not pooled."""
     found = nested_mean(FIRST_REGION)
     assert [found.spool_means[key].mean for key in "12"] == pytest.approx([57.44, 47.12], abs=5e-3)
-    assert (found.within, found.between) == pytest.approx((1.05, 7.27), abs=0.005)
+    assert (found.within, found.between_spools) == pytest.approx((1.05, 7.27), abs=0.005)
     pooled, over_spools = found.over_samples, found.over_spools
     assert over_spools is not None
     assert pooled.interval is not None

@@ -5,124 +5,84 @@ from __future__ import annotations
 import codecs
 import re
 import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
-from functools import cache
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
-from typing import Annotated, Any, Final, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args
 
-from labpipe.errors import ReadError, nearest
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+)
+
+from labpipe.errors import ReadError, error_text, nearest
 from labpipe.readers.raw_files import reading, unreadable
 
-Pattern = re.Pattern[str]
-
-KINDS: Final = ("text", "workbook")
-NAMES: Final = ("above units", "with units", "alone", "listed", "any")
-LAYOUTS: Final = ("one", "side by side", "blocks", "specimen above")
-BRACKETS: Final = ("", "()", "[]")
-DECIMALS: Final = (".", ",", "auto")
-_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_FIX = "Correct the card."
-_Check = Callable[[object, str, object], object]
 LAB_FOLDER = "dialects"
 """Folder of a lab's own cards, in the working folder beside ``protocols``."""
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_EXPECTED = {
+    "string_type": "text",
+    "string_pattern_mismatch": "text",
+    "bool_type": "true or false",
+    "float_type": "a number",
+    "finite_number": "a number",
+    "tuple_type": "a list in square brackets",
+    "dict_type": "a table of names",
+    "extra_forbidden": "a key of a card",
+    "missing": "this key",
+}
+"""What a value should be, by the type of error of pydantic."""
 
 
-def _error(source: object, key: str, expected: str, found: str, remedy: str) -> ReadError:
-    place = f"key {key}" if key else ""
-    return unreadable(source, place, expected, found, remedy)
+def _require(is_right: bool, expected: str) -> None:
+    if not is_right:
+        raise ValueError(expected)
 
 
-def _shown(value: object) -> str:
-    return repr(value)[:60]
-
-
-def _text(value: object, key: str, source: object) -> str:
-    if isinstance(value, str) and value.strip():
-        return value
-    raise _error(source, key, "text", _shown(value), _FIX)
-
-
-def _flag(value: object, key: str, source: object) -> bool:
-    if isinstance(value, bool):
-        return value
-    raise _error(source, key, "true or false", _shown(value), _FIX)
-
-
-def _number(value: object, key: str, source: object) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 10**300:
-        return float(value)
-    raise _error(source, key, "a number", _shown(value), _FIX)
-
-
-def _pattern(value: object, key: str, source: object) -> Pattern:
+def _compiled(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
     try:
-        return re.compile(_text(value, key, source), re.MULTILINE)
+        return re.compile(str(value), flags)
     except (re.error, OverflowError, RecursionError) as error:
-        raise _error(source, key, "a pattern", f"{_shown(value)} ({error})", _FIX) from error
+        message = "a pattern"
+        raise ValueError(message) from error
 
 
-def _group(value: object, key: str, source: object) -> Pattern:
-    pattern = _pattern(value, key, source)
-    if pattern.groups == 1:
-        return pattern
-    found = f"{pattern.groups} in {_shown(value)}"
-    raise _error(source, key, "a pattern with one group in round brackets", found, _FIX)
+def _one_group(pattern: re.Pattern[str]) -> re.Pattern[str]:
+    _require(pattern.groups == 1, "a pattern with one group in round brackets")
+    return pattern
 
 
-def _name_pattern(value: object, key: str, source: object) -> Pattern:
-    return re.compile(_pattern(value, key, source).pattern, re.IGNORECASE)
-
-
-def _encoding(value: object, key: str, source: object) -> str:
-    name = _text(value, key, source)
-    try:
-        codecs.lookup("ascii" if name == "detect" else name)
-    except LookupError as error:
-        raise _error(source, key, "the name of an encoding", _shown(value), _FIX) from error
+def _encoding(name: str) -> str:
+    is_known = name == "detect"
+    with suppress(LookupError):
+        is_known = is_known or bool(codecs.lookup(name))
+    _require(is_known, "the name of an encoding")
     return name
 
 
-def _separator(value: object, key: str, source: object) -> str:
-    if value == "blanks" or (isinstance(value, str) and len(value) == 1 and value.isascii()):
-        return " " if value == "blanks" else value
-    raise _error(source, key, 'one sign, or "blanks"', _shown(value), _FIX)
+def _separator(sign: str) -> str:
+    _require(sign == "blanks" or (len(sign) == 1 and sign.isascii()), 'one sign, or "blanks"')
+    return " " if sign == "blanks" else sign
 
 
-def _one_of(choices: tuple[str, ...]) -> _Check:
-    def check(value: object, key: str, source: object) -> object:
-        if value in choices:
-            return value
-        expected = f"one of {', '.join(map(repr, choices))}"
-        close = nearest(str(value), list(choices), most=1)[0]
-        raise _error(source, key, expected, _shown(value), f"Nearest: '{close}'.")
-
-    return check
-
-
-def _list_of(check: _Check) -> _Check:
-    def check_items(value: object, key: str, source: object) -> object:
-        if not isinstance(value, list):
-            raise _error(source, key, "a list in square brackets", _shown(value), _FIX)
-        return tuple(check(item, key, source) for item in value)
-
-    return check_items
+_Text = Annotated[str, Field(pattern=r"\S")]
+_Flag = Annotated[bool, Field(strict=True)]
+_Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+_Pattern = Annotated[re.Pattern[str], BeforeValidator(partial(_compiled, flags=re.MULTILINE))]
+_NamePattern = Annotated[re.Pattern[str], BeforeValidator(partial(_compiled, flags=re.IGNORECASE))]
+_Group = Annotated[_Pattern, AfterValidator(_one_group)]
+_Encoding = Annotated[_Text, AfterValidator(_encoding)]
+_Separator = Annotated[str, AfterValidator(_separator)]
 
 
-def _table_of(check: _Check) -> _Check:
-    def check_items(value: object, key: str, source: object) -> object:
-        if not isinstance(value, dict):
-            raise _error(source, key, "a table of names", _shown(value), _FIX)
-        checked = {str(name): check(item, f"{key}.{name}", source) for name, item in value.items()}
-        return MappingProxyType(checked)
-
-    return check_items
-
-
-@dataclass(frozen=True, slots=True)
-class Card:
+class Card(BaseModel):
     """A dialect: rules to recognise and read the export of one program.
 
     Parameters
@@ -159,49 +119,43 @@ class Card:
     source : file of the card, for messages
     """
 
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
     name: str
-    about: Annotated[str, _text]
-    recognise: Annotated[tuple[Pattern, ...], _list_of(_pattern)]
-    time: Annotated[tuple[Pattern, ...], _list_of(_name_pattern)]
-    names: Annotated[str, _one_of(NAMES)]
-    program: Annotated[str, _text] = ""
-    kind: Annotated[str, _one_of(KINDS)] = "text"
-    fallback: Annotated[bool, _flag] = False
-    blank: Annotated[bool, _flag] = False
-    version: Annotated[Pattern | None, _group] = None
-    model: Annotated[Pattern | None, _group] = None
-    encodings: Annotated[tuple[str, ...], _list_of(_encoding)] = ("utf-8", "cp1252")
-    separators: Annotated[tuple[str, ...], _list_of(_separator)] = ("\t", ";", ",")
-    decimal: Annotated[str, _one_of(DECIMALS)] = "auto"
-    decimal_pattern: Annotated[Pattern | None, _group] = None
-    brackets: Annotated[str, _one_of(BRACKETS)] = ""
-    name_starts: Annotated[Pattern | None, _pattern] = None
-    header_words: Annotated[tuple[str, ...], _list_of(_text)] = ()
-    listed: Annotated[Pattern | None, _group] = None
-    start: Annotated[Pattern | None, _pattern] = None
-    units: Annotated[Mapping[str, str], _table_of(_text)] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
-    time_unit: Annotated[str, _text] = ""
-    variable_rate: Annotated[bool, _flag] = False
-    words: Annotated[tuple[str, ...], _list_of(_text)] = ()
-    missing: Annotated[tuple[float, ...], _list_of(_number)] = ()
-    last_zeros: Annotated[tuple[str, ...], _list_of(_text)] = ()
-    last_code: Annotated[Mapping[str, float], _table_of(_number)] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
-    stated_rows: Annotated[str, _text] = ""
-    stated_columns: Annotated[str, _text] = ""
-    layout: Annotated[str, _one_of(LAYOUTS)] = "one"
+    about: _Text
+    recognise: tuple[_Pattern, ...]
+    time: tuple[_NamePattern, ...]
+    names: Literal["above units", "with units", "alone", "listed", "any"]
+    program: _Text = ""
+    kind: Literal["text", "workbook"] = "text"
+    fallback: _Flag = False
+    blank: _Flag = False
+    version: _Group | None = None
+    model: _Group | None = None
+    encodings: tuple[_Encoding, ...] = ("utf-8", "cp1252")
+    separators: tuple[_Separator, ...] = ("\t", ";", ",")
+    decimal: Literal[".", ",", "auto"] = "auto"
+    decimal_pattern: _Group | None = None
+    brackets: Literal["", "()", "[]"] = ""
+    name_starts: _Pattern | None = None
+    header_words: tuple[_Text, ...] = ()
+    listed: _Group | None = None
+    start: _Pattern | None = None
+    units: Mapping[str, _Text] = {}
+    time_unit: _Text = ""
+    variable_rate: _Flag = False
+    words: tuple[_Text, ...] = ()
+    missing: tuple[_Number, ...] = ()
+    last_zeros: tuple[_Text, ...] = ()
+    last_code: Mapping[str, _Number] = {}
+    stated_rows: _Text = ""
+    stated_columns: _Text = ""
+    layout: Literal["one", "side by side", "blocks", "specimen above"] = "one"
     source: str = ""
 
-
-_CHECKS: Final[Mapping[str, _Check]] = {
-    name: hint.__metadata__[0]
-    for name, hint in get_type_hints(Card, include_extras=True).items()
-    if get_origin(hint) is Annotated
-}
-"""Check of each key of a card."""
+    def fits(self, text: str) -> bool:
+        """Return whether all patterns of the card are found in a text."""
+        return bool(self.recognise) and all(pattern.search(text) for pattern in self.recognise)
 
 
 def parse_card(text: str, *, name: str, source: object) -> Card:
@@ -224,107 +178,66 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
         reported at once), or keys contradict each other.
     """
     if not _NAME.fullmatch(name):
-        expected = "a name of small letters, digits and hyphens"
-        raise _error(source, "", expected, f"'{name}'", "Rename the file of the card.")
+        expected, remedy = "a name of small letters, digits and hyphens", "Rename the file."
+        raise unreadable(source, "", expected, f"'{name}'", remedy)
     try:
         keys = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and huge numbers
-        remedy = "Correct the line named there."
-        raise _error(
-            source, "", "a card in TOML", f"text that is none ({error})", remedy
-        ) from error
-    return _card(keys, name, source)
-
-
-def _card(keys: Mapping[str, object], name: str, source: object) -> Card:
-    values, messages = _check_keys(keys, source)
-    if messages:
-        raise ReadError("\n".join(messages))
-    card = Card(name=name, source=str(source), **values)
-    _check_combinations(card, source)
+        found, remedy = f"text that is none ({error})", "Correct the line named there."
+        raise unreadable(source, "", "a card in TOML", found, remedy) from error
+    try:
+        card = Card.model_validate({"name": name, "source": str(source), **keys})
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        raise ReadError("\n".join(_fault_text(fault, source) for fault in faults)) from error
+    _require_keys(card)
     return card
 
 
-def _check_keys(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any], list[str]]:
-    """Return the values of the keys, and messages on wrong ones."""
-    values: dict[str, Any] = {}
-    messages = []
-    for key, value in keys.items():
-        try:
-            values[key] = _CHECKS.get(key, _unknown)(value, key, source)
-        except ReadError as fault:
-            messages.append(str(fault))
-    for needed in fields(Card):
-        must = needed.default is MISSING and needed.default_factory is MISSING
-        if must and needed.name not in keys and needed.name != "name":
-            messages.append(
-                str(_error(source, needed.name, "this key", "none", "Add it to the card."))
-            )
-    return values, messages
+def _fault_text(fault: Any, source: object) -> str:
+    key = ".".join(part for part in fault["loc"] if isinstance(part, str))
+    expected = _EXPECTED.get(fault["type"], "")
+    found, remedy = repr(fault["input"])[:60], "Correct the card."
+    if fault["type"] == "missing":
+        found, remedy = "none", "Add it to the card."
+    elif fault["type"] == "extra_forbidden":
+        close = nearest(key, [*Card.model_fields], limit=3)
+        found, remedy = "another one", f"Nearest: {', '.join(close)}."
+    elif fault["type"] == "literal_error":
+        expected = f"one of {', '.join(map(repr, get_args(Card.model_fields[key].annotation)))}"
+    elif not expected:
+        why = fault["ctx"]["error"]
+        expected = str(why)
+        found += f" ({why.__cause__})" if why.__cause__ else ""
+    return error_text(source, f"key {key}", expected=expected, found=found, remedy=remedy)
 
 
-def _unknown(value: object, key: str, source: object) -> object:  # noqa: ARG001
-    close = ", ".join(nearest(key, list(_CHECKS), most=3))
-    raise _error(source, key, "a key of a card", "none", f"Nearest: {close}.")
-
-
-def _check_combinations(card: Card, source: object) -> None:
+def _require_keys(card: Card) -> None:
+    """Refuse a card that lacks what its kind of names needs."""
     needs = {
         "alone": ("header_words", bool(card.header_words)),
         "listed": ("listed", card.listed is not None and card.start is not None),
         "with units": ("brackets", bool(card.brackets)),
     }
-    key, has = needs.get(card.names, ("", True))
-    if not has:
+    key, has_key = needs.get(card.names, ("", True))
+    if not has_key:
         also = " (and `start`)" if key == "listed" else ""
         expected = f"this key{also}, as names = '{card.names}'"
-        raise _error(source, key, expected, "none", "Add it to the card.")
+        raise unreadable(card.source, f"key {key}", expected, "none", "Add it to the card.")
     if not card.recognise and not card.blank:
         remedy = "Give text that every export of the program contains."
-        raise _error(source, "recognise", "at least one pattern", "none", remedy)
+        raise unreadable(card.source, "key recognise", "at least one pattern", "none", remedy)
 
 
 @cache
-def shipped_cards(kind: str | None = None) -> Mapping[str, Card]:
-    """Load the cards of labpipe, by name.
-
-    Parameters
-    ----------
-    kind : of the exports, ``text`` or ``workbook``; None for all
-    """
-    return {
-        name: _card(keys, name, f"{name}.toml")
-        for name, keys in _shipped_keys().items()
-        if kind is None or keys.get("kind", "text") == kind
-    }
-
-
-def shipped_names() -> tuple[str, ...]:
-    """Return the names of the cards of labpipe, in order."""
-    return tuple(_shipped_keys())
-
-
-@cache
-def _shipped_keys() -> Mapping[str, Mapping[str, object]]:
+def shipped_cards() -> Mapping[str, Card]:
+    """Load the cards of labpipe, by name."""
     folder = resources.files("labpipe.readers.load_frame") / "dialects"
-    cards = [file for file in folder.iterdir() if file.name.endswith(".toml")]
-    files = {file.name.removesuffix(".toml"): file for file in cards}
-    return {name: tomllib.loads(files[name].read_text(encoding="utf-8")) for name in sorted(files)}
-
-
-def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
-    """Load a lab's own cards, by name.
-
-    Parameters
-    ----------
-    folder : their folder; ``dialects`` in the working folder if None
-
-    Raises
-    ------
-    ReadError
-        If a card is wrong, or has the name of a card of labpipe.
-    """
-    return {file.stem: _lab_card(file) for file in lab_card_files(folder)}
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
+    texts = {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
+    return {
+        name: parse_card(text, name=name, source=f"{name}.toml") for name, text in texts.items()
+    }
 
 
 def lab_card_files(folder: Path | None = None) -> list[Path]:
@@ -332,21 +245,31 @@ def lab_card_files(folder: Path | None = None) -> list[Path]:
 
     Parameters
     ----------
-    folder : as for `lab_cards`
+    folder : their folder; ``dialects`` in the working folder if None
     """
     cards_folder = Path(LAB_FOLDER) if folder is None else folder
     return sorted(cards_folder.glob("*.toml")) if cards_folder.is_dir() else []
 
 
-def _lab_card(file: Path) -> Card:
-    if file.stem in shipped_names():
-        raise unreadable(
-            file,
-            "",
-            "a name of its own",
-            f"'{file.stem}', which is a card of labpipe",
-            "Rename the file, and name the new dialect in the protocol.",
-        )
-    with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
-        text = file.read_text(encoding="utf-8")
-    return parse_card(text, name=file.stem, source=file)
+def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
+    """Load a lab's own cards, by name.
+
+    Parameters
+    ----------
+    folder : as for `lab_card_files`
+
+    Raises
+    ------
+    ReadError
+        If a card is wrong, or has the name of a card of labpipe.
+    """
+    cards = {}
+    for file in lab_card_files(folder):
+        if file.stem in shipped_cards():
+            found = f"'{file.stem}', which is a card of labpipe"
+            remedy = "Rename the file, and name the new dialect in the protocol."
+            raise unreadable(file, "", "a name of its own", found, remedy)
+        with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
+            text = file.read_text(encoding="utf-8")
+        cards[file.stem] = parse_card(text, name=file.stem, source=file)
+    return cards

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 from labpipe.errors import ReadError
+from labpipe.readers.channels import plain_name
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.raw_files import unreadable
 from labpipe.readers.text_cells import (
     are_units,
     bare_unit,
+    has_dimension_of,
     hold_units,
     is_number,
     is_sample,
@@ -21,16 +24,39 @@ from labpipe.readers.text_cells import (
     without_brackets,
 )
 
-MAX_HEADER_LINES = 400
-"""Lines searched for the header; the longest real one has 56."""
-
 _REMEDY = "Export the test again with names and units, or name another dialect."
 _CARD_REMEDY = (
     "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
 )
+_TIME_WORDS = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
 Rows = Sequence[Sequence[str]]
-Fault = Callable[[int, str, str], ReadError]
-"""Error of a row: its index, expected and found."""
+_Cells = tuple[str, ...]
+_Titles = tuple[_Cells, _Cells, int]
+"""Names, units, and the number of rows that hold them."""
+_Fault = Callable[[int, str, str], ReadError]
+"""Error of a row, counted upwards from 1 above the samples: expected and found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The rows above the samples.
+
+    Parameters
+    ----------
+    names : of the columns, without surrounding blanks
+    units : of the columns, without brackets; empty if not stated
+    first : index of the first row of samples
+    above : the rows above the names
+    separator : between cells
+    specimens : the row above the names if it contains specimens, else empty
+    """
+
+    names: _Cells
+    units: _Cells
+    first: int
+    above: Rows
+    separator: str = ""
+    specimens: _Cells = ()
 
 
 def find_header(lines: Sequence[str], card: Card, path: object, first_line: int = 1) -> Header:
@@ -52,13 +78,15 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
     ReadError
         If there is no row of names, no required row of units, or no numbers.
     """
-    head = lines[:MAX_HEADER_LINES]
+    # The longest real header has 56 lines.
+    max_lines = 400
+    head = lines[:max_lines]
     if card.names == "listed":
         return _listed_titles(head, card, path)
     for separator in card.separators:
         rows = _rows_of(head, separator, card)
         if _first_sample_row(rows, card) is not None:
-            return header_of_rows(rows, card, path, first_line, separator=separator)
+            return header_of_rows(rows, card, path, f"line {first_line}", separator=separator)
     place = f"lines {first_line} to {first_line + len(head) - 1}"
     raise unreadable(path, place, "a row of names and rows of numbers below it", "none", _REMEDY)
 
@@ -74,54 +102,12 @@ def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]
     return rows
 
 
-def header_of_rows(
-    rows: Rows,
-    card: Card,
-    path: object,
-    first_line: int = 1,
-    *,
-    place: str = "line",
-    separator: str = "",
-) -> Header:
-    """Find names and units in rows of cells; parameters as in `find_header`.
-
-    Parameters
-    ----------
-    place : name of a row in messages: ``line``, or a sheet and ``row``
-    separator : separator of the cells
-    """
-    first = _first_sample_row(rows, card)
-    if first is None:
-        where = f"{place} {first_line}"
-        raise unreadable(
-            path, where, "a row of names and rows of numbers below it", "none", _REMEDY
-        )
-
-    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
-
-    def fault_with(remedy: str) -> Fault:
-        def fault(row: int, expected: str, found: str) -> ReadError:
-            at = filled[max(row, 0)] if filled else 0
-            return unreadable(path, f"{place} {first_line + at}", expected, found, remedy)
-
-        return fault
-
-    # Blank rows between title, names, units and numbers are ignored.
-    rows = [*(rows[i] for i in filled), *rows[first:]]
-    if separator == " ":
-        rows = join_names(rows, len(filled), card, fault_with(_CARD_REMEDY))
-    header = parse_titles(rows, len(filled), card, fault_with(_REMEDY))
-    return replace(header, separator=separator, first=first)
-
-
 def _first_sample_row(rows: Rows, card: Card) -> int | None:
     """Return the index of the first row of samples; None if there is none."""
-    if card.names == "alone":
-        for i, row in enumerate(rows):
-            if tuple(cell.strip() for cell in row[: len(card.header_words)]) == card.header_words:
-                return i + 1
-        return None
-    return next((i for i, row in enumerate(rows) if len(row) > 1 and is_sample(row)), None)
+    if card.names != "alone":
+        return next((i for i, row in enumerate(rows) if len(row) > 1 and is_sample(row)), None)
+    heads = (tuple(cell.strip() for cell in row[: len(card.header_words)]) for row in rows)
+    return next((i + 1 for i, head in enumerate(heads) if head == card.header_words), None)
 
 
 def _listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
@@ -130,94 +116,86 @@ def _listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
         raise unreadable(path, "", "a card with `listed` and `start`", card.name, _REMEDY)
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
-        found = f"none in {len(lines)} lines"
-        raise unreadable(
-            path, "", f"a line '{card.start.pattern}' before the numbers", found, _REMEDY
-        )
-    named = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
-    if not named:
+        expected = f"a line '{card.start.pattern}' before the numbers"
+        raise unreadable(path, "", expected, f"none in {len(lines)} lines", _REMEDY)
+    cells = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
+    if not cells:
         expected = f"names in lines '{card.listed.pattern}'"
         raise unreadable(path, f"lines 1 to {start}", expected, "none", _REMEDY)
     above = [split_line(line, "\t") for line in lines[:start]]
-    names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in named), strict=True)
+    names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
-    """The rows above the samples.
+def header_of_rows(
+    rows: Rows, card: Card, path: object, place: str, *, separator: str = ""
+) -> Header:
+    """Find names and units in rows of cells; blank rows among them are ignored.
 
     Parameters
     ----------
-    names : of the columns, without surrounding blanks
-    units : of the columns, without brackets; empty if not stated
-    first : index of the first row of samples
-    above : the rows above the names
-    separator : between cells
-    specimens : the row above the names if it contains specimens, else empty
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    first: int
-    above: Rows
-    separator: str = ""
-    specimens: tuple[str, ...] = ()
-
-
-def parse_titles(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
-    """Read names and units at the location stated in the card.
-
-    Parameters
-    ----------
-    rows : cells of the first rows of the export
-    first : index of the first row of samples
+    rows : of the head of the export
     card : rules for the header
-    fault : creates the error
+    path : named in errors
+    place : of the first row, such as ``line 1``
+    separator : separator of the cells
 
     Raises
     ------
     ReadError
-        If there is no row of names, or required units are missing.
+        As `find_header`.
     """
-    if card.names == "alone":
-        names = _stripped(rows[first - 1])
-        units = tuple(card.units.get(name, "") for name in names)
-        return Header(names, units, first, rows[: first - 1])
-    if card.names == "any":
-        return _any_titles(rows, first, fault)
-    if card.names == "with units":
-        return _titles_with_units(rows, first, card.brackets, fault)
-    return _titles_above_units(rows, first, card, fault)
+    first = _first_sample_row(rows, card)
+    if first is None:
+        expected = "a row of names and rows of numbers below it"
+        raise unreadable(path, place, expected, "none", _REMEDY)
+    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
+    above = [_stripped(rows[i]) for i in filled]
+
+    def fault(row: int, expected: str, found: str, remedy: str = _REMEDY) -> ReadError:
+        at = filled[max(len(filled) - row, 0)] if filled else 0
+        word, number = place.rsplit(" ", 1)
+        return unreadable(path, f"{word} {int(number) + at}", expected, found, remedy)
+
+    if separator == " " and card.name_starts is not None and len(above) > 1:
+        above[-2] = _joined_names(" ".join(rows[filled[-2]]), card.name_starts)
+        if len(above[-2]) != len(rows[first]):
+            text = " ".join(rows[filled[-2]])
+            found = f"{len(above[-2])} in {quoted([text])}" if text else "none"
+            raise fault(2, f"{len(rows[first])} names, one per column", found, _CARD_REMEDY)
+    names, units, n_rows = _titles([(), (), *above][-2:], card, fault)
+    above = above[:-n_rows]
+    specimens: _Cells = ()
+    has_specimens = card.names == "above units" and card.layout in {
+        "side by side",
+        "specimen above",
+    }
+    if above and has_specimens:
+        specimens = above.pop()
+    return Header(names, units, first, above, separator, specimens)
 
 
-def join_names(rows: Rows, first: int, card: Card, fault: Fault) -> Rows:
-    """Join the parts of names that contain blanks, by the pattern of their beginnings.
-
-    Parameters
-    ----------
-    rows, first, card, fault : as in `parse_titles`
-
-    Raises
-    ------
-    ReadError
-        If the number of names differs from that of columns.
-    """
-    at = first - 2
-    if card.name_starts is None or at < 0:
-        return rows
-    text = " ".join(rows[at])
-    starts = [match.start() for match in card.name_starts.finditer(text)]
-    cuts = [0, *(start for start in starts if start), len(text)] if text else []
-    names = [text[a:b].strip() for a, b in pairwise(cuts)]
-    width = len(rows[first])
-    if len(names) != width:
-        found = f"{len(names)} in {quoted([text])}" if text else "none"
-        raise fault(at, f"{width} names, one per column", found)
-    return [*rows[:at], names, *rows[at + 1 :]]
+def _titles(rows: Sequence[_Cells], card: Card, fault: _Fault) -> _Titles:
+    """Read names and units from the two rows above the samples."""
+    above, last = rows
+    match card.names:
+        case "alone":
+            return last, tuple(card.units.get(name, "") for name in last), 1
+        case "any":
+            return _any_titles(last, above, fault)
+        case "with units":
+            return _titles_with_units(last, card.brackets, fault)
+        case _:
+            return _titles_above_units(last, above, card, fault)
 
 
-def _stripped(row: Sequence[str]) -> tuple[str, ...]:
+def _joined_names(text: str, starts: re.Pattern[str]) -> _Cells:
+    """Split a line into names that contain blanks, by the pattern of their beginnings."""
+    cuts = [0, *(match.start() for match in starts.finditer(text) if match.start()), len(text)]
+    return tuple(text[a:b].strip() for a, b in pairwise(cuts)) if text else ()
+
+
+def _stripped(row: Sequence[str]) -> _Cells:
     """Return cells without surrounding blanks, and without blank cells at the end."""
     cells = [cell.strip() for cell in row]
     while cells and not cells[-1]:
@@ -225,80 +203,89 @@ def _stripped(row: Sequence[str]) -> tuple[str, ...]:
     return tuple(cells)
 
 
-def _padded(cells: tuple[str, ...], width: int) -> tuple[str, ...]:
+def _padded(cells: _Cells, width: int) -> _Cells:
     return cells + ("",) * (width - len(cells))
 
 
-def _titles_with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:
-    cells = _stripped(rows[first - 1]) if first else ()
-    pairs = [name_and_unit(cell, brackets) for cell in cells]
-    if not any(pairs):
+def _titles_with_units(cells: _Cells, brackets: str, fault: _Fault) -> _Titles:
+    if not any(name_and_unit(cell, brackets) for cell in cells):
         expected = f"names with their units in {brackets} above the numbers"
-        raise fault(first - 1, expected, quoted(cells))
-    names = [pair[0] if pair else cell for pair, cell in zip(pairs, cells, strict=True)]
-    units = [pair[1] if pair else "" for pair in pairs]
-    return Header(tuple(names), tuple(units), first, rows[: first - 1])
+        raise fault(1, expected, quoted(cells))
+    names, units = zip(
+        *(name_and_unit(cell, brackets) or (cell, "") for cell in cells), strict=True
+    )
+    return names, units, 1
 
 
-def _titles_above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
-    units = _stripped(rows[first - 1]) if first else ()
-    kind = f"a row of units{f' in {card.brackets}' if card.brackets else ''} above the numbers"
-    names = _stripped(rows[first - 2]) if first > 1 else ()
+def _titles_above_units(units: _Cells, names: _Cells, card: Card, fault: _Fault) -> _Titles:
     bare = [bare_unit(cell, card.brackets) for cell in units if cell]
     are_known = bool(card.brackets) or hold_units(_without_names(units, names))
     if not bare or None in bare or not are_known or any(is_number(cell) for cell in units):
-        raise fault(first - 1, kind, quoted(units))
+        brackets = f" in {card.brackets}" if card.brackets else ""
+        raise fault(1, f"a row of units{brackets} above the numbers", quoted(units))
     if _lacks_names(names, units):
         expected = "a row of names, then a row of units, above the numbers"
-        raise fault(first - 1, expected, f"{quoted(names)} above {quoted(units)}")
+        raise fault(1, expected, f"{quoted(names)} above {quoted(units)}")
     width = max(len(names), len(units))
-    stated = tuple(
-        bare_unit(cell, card.brackets) or ""
-        for cell in _without_names(_padded(units, width), names)
-    )
-    specimens, above = _specimens(rows, first - 2, card)
-    return Header(_padded(names, width), stated, first, above, specimens=specimens)
+    stated = _without_names(_padded(units, width), names)
+    bare_units = tuple(bare_unit(cell, card.brackets) or "" for cell in stated)
+    return _padded(names, width), bare_units, 2
 
 
-def _without_names(units: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
+def _without_names(units: _Cells, names: _Cells) -> _Cells:
     """Return units without those that repeat the name above, as for a counter."""
-    above = _padded(names, max(len(names), len(units)))
+    above = _padded(names, len(units))
     return tuple("" if unit == name else unit for unit, name in zip(units, above, strict=False))
 
 
-def _lacks_names(names: tuple[str, ...], units: tuple[str, ...]) -> bool:
+def _lacks_names(names: _Cells, units: _Cells) -> bool:
     """Return whether a unit has no name, or all names are equal."""
-    beside = zip(_padded(names, len(units)), units, strict=False)
-    unnamed = any(unit and not name for name, unit in beside)
+    unnamed = any(
+        unit and not name for name, unit in zip(_padded(names, len(units)), units, strict=False)
+    )
     same = len(names) > 1 and len(set(names)) == 1
     return unnamed or same or any(is_number(name) for name in names[:1])
 
 
-def _specimens(rows: Rows, names: int, card: Card) -> tuple[tuple[str, ...], Rows]:
-    """Return the row of specimens above the names, if the card has one, and the rows above."""
-    if card.layout not in {"side by side", "specimen above"} or names < 1:
-        return (), rows[:names]
-    return tuple(cell.strip() for cell in rows[names - 1]), rows[: names - 1]
-
-
-def _any_titles(rows: Rows, first: int, fault: Fault) -> Header:
+def _any_titles(cells: _Cells, above: _Cells, fault: _Fault) -> _Titles:
     """Read names with units in their cells, above units, or without units."""
-    cells = _stripped(rows[first - 1]) if first else ()
     if not any(cells) or any(is_number(cell) for cell in cells):
-        raise fault(first - 1, "a row of names above the numbers", quoted(cells))
-    has_both = any(_is_name_with_unit(cell) for cell in cells)
-    above = _stripped(rows[first - 2]) if first > 1 else ()
+        raise fault(1, "a row of names above the numbers", quoted(cells))
+    bracketed = [name_and_unit(cell, kind) for cell in cells for kind in ("()", "[]")]
+    has_both = any(pair is not None and pair[0] for pair in bracketed)
     stated = _without_names(cells, above)
     if not has_both and are_units(stated) and not _lacks_names(above, cells):
         width = max(len(above), len(cells))
         units = tuple(without_brackets(cell) for cell in _padded(stated, width))
-        return Header(_padded(above, width), units, first, rows[: first - 2])
-    pairs = [name_and_unit(cell) or (cell, "") for cell in cells]
-    names, stated = zip(*pairs, strict=True)
-    return Header(names, stated, first, rows[: first - 1])
+        return _padded(above, width), units, 2
+    names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
+    return names, units, 1
 
 
-def _is_name_with_unit(cell: str) -> bool:
-    """Return whether a cell is a name followed by a unit in brackets."""
-    pairs = (name_and_unit(cell, brackets) for brackets in ("()", "[]"))
-    return any(pair is not None and pair[0] for pair in pairs)
+def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
+    """Find the column of time.
+
+    Parameters
+    ----------
+    names, units : of the columns
+    card : has patterns of the name, preferred first
+
+    Returns
+    -------
+    Its index: the column whose whole name matches the first pattern, with or without the prefix of
+    a channel number or an underscore (``_Time``); else the only column in a unit of time whose name
+    contains a word for time. None if there is no such column, or several. Columns of text are
+    ignored.
+    """
+    names = ["" if name in card.words else name for name in names]
+    for called in (names, [plain_name(name) for name in names]):
+        for pattern in card.time:
+            for i, name in enumerate(called):
+                if pattern.fullmatch(name):
+                    return i
+    timed = [
+        i
+        for i, (name, unit) in enumerate(zip(names, units, strict=False))
+        if _TIME_WORDS.search(name) and has_dimension_of(unit, "s")
+    ]
+    return timed[0] if len(timed) == 1 else None

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
 
-from labpipe.errors import ReadError, error_text, nearest
-from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards, shipped_names
-from labpipe.readers.load_frame.column_titles import Header, find_header, header_of_rows
-from labpipe.readers.load_frame.frame_recording import time_column
-from labpipe.readers.load_frame.frame_workbook import sheet_head
+from labpipe.errors import ReadError, nearest
+from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards
+from labpipe.readers.load_frame.column_titles import (
+    Header,
+    find_header,
+    header_of_rows,
+    time_column,
+)
+from labpipe.readers.load_frame.tables import sheet_head
 from labpipe.readers.raw_files import (
-    HEAD_BYTES,
-    Content,
+    as_content,
     decode,
     is_binary,
     is_blank,
-    read_beginning,
+    read_head,
     unreadable,
 )
-from labpipe.readers.sheet_cells import as_text
 from labpipe.readers.workbooks import is_workbook, open_sheets
 
 _SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")
@@ -45,17 +48,20 @@ def recognise_card(path: Path) -> Card | None:
     ReadError
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
-    heads = _Heads(path)
-    lab, shipped = lab_cards(), shipped_cards("workbook" if heads.is_workbook else "text")
+    kind = "workbook" if is_workbook(path) else "text"
+    fits = _sheet_test(path) if kind == "workbook" else _text_test(path)
+    shipped = shipped_cards().values()
     ranks = (
-        list(lab.values()),
-        [card for card in shipped.values() if not card.fallback],
-        [card for card in shipped.values() if card.fallback],
+        lab_cards().values(),
+        [card for card in shipped if not card.fallback],
+        [card for card in shipped if card.fallback],
     )
     for cards in ranks:
-        fitting = [card for card in cards if heads.fit(card)]
+        fitting = [card for card in cards if card.kind == kind and fits(card)]
         if len(fitting) > 1:
-            raise ReadError(_ambiguous([card.name for card in fitting], path))
+            found = f"one that fits {' and '.join(card.name for card in fitting)}"
+            remedy = "Name the `dialect` in the protocol."
+            raise unreadable(path, "", "an export that one card recognises", found, remedy)
         if fitting:
             return fitting[0]
     return None
@@ -79,115 +85,78 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     ReadError
         If there is no such card, or the export fits another one or none.
     """
-    lab = lab_cards()
-    known = [*shipped_names(), *lab]
+    cards: Mapping[str, Card] = {**shipped_cards(), **lab_cards()}
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
-    _refuse_unknown(allowed, known, path)
+    for name in allowed:
+        if name not in cards:
+            close = ", ".join(nearest(name, list(cards), limit=3))
+            remedy = f"Nearest: {close}. A lab's own cards are in the folder dialects."
+            expected = f"one of the {len(cards)} cards"
+            raise unreadable(path, f"dialect '{name}'", expected, "no such card", remedy)
     card = recognise_card(path)
     if card is not None and (not allowed or card.name in allowed):
         return card
     if len(allowed) == 1 and (card is None or card.fallback):
-        return lab.get(allowed[0]) or shipped_cards()[allowed[0]]
-    expected = f"an export of the dialect {' or '.join(allowed or known)}"
-    what = "one that no card recognises" if card is None else f"one of the dialect {card.name}"
+        return cards[allowed[0]]
+    expected = f"an export of the dialect {' or '.join(allowed or cards)}"
+    found = "one that no card recognises" if card is None else f"one of the dialect {card.name}"
     remedy = "Name the right file, or change `dialect` in the protocol."
-    raise unreadable(path, "", expected, what, remedy)
+    raise unreadable(path, "", expected, found, remedy)
 
 
-def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) -> None:
-    for name in allowed:
-        if name not in known:
-            close = ", ".join(nearest(name, list(known), most=3))
-            raise unreadable(
-                path,
-                f"dialect '{name}'",
-                f"one of the {len(known)} cards",
-                "no such card",
-                f"Nearest: {close}. A lab's own cards are in the folder dialects.",
-            )
+def _text_test(path: Path) -> Callable[[Card], bool]:
+    """Return the test of whether a card fits a text."""
+    # Characters searched for the patterns of a card; the longest real header has 3300.
+    head_length = 16384
+    content = as_content(read_head(path))
+    if is_blank(content.data):
+        return lambda card: card.blank and bool(content.written_in)
+    if is_binary(content):
+        return lambda _: False
 
-
-def _ambiguous(names: Sequence[str], path: Path) -> str:
-    return error_text(
-        path,
-        "",
-        expected="an export that one card recognises",
-        found=f"one that fits {' and '.join(names)}",
-        remedy="Name the `dialect` in the protocol.",
-    )
-
-
-class _Heads:
-    """The head of a file, decoded for each card."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.is_workbook = is_workbook(path)
-        self.content = Content(b"") if self.is_workbook else read_beginning(path)
-        self.decoded: dict[tuple[str, ...], str] = {}
-
-    def fit(self, card: Card) -> bool:
-        """Return whether the head fits a card."""
-        if (card.kind == "workbook") is not self.is_workbook:
-            return False
-        if self.is_workbook:
-            return self._fit_sheets(card)
-        if is_blank(self.content.data):
-            return card.blank and bool(self.content.written_in)
-        if is_binary(self.content) or not card.recognise:
-            return False
-        text = self._text(card)
-        return _matches(card, text) and (not card.fallback or self._finds_header(card, text))
-
-    def _text(self, card: Card) -> str:
-        # Characters searched for the patterns of a card; the longest real header has 3300.
-        head_length = 16384
-        if card.encodings not in self.decoded:
-            try:
-                data = self.content.data[:HEAD_BYTES]
-                text = decode(data, self.content, card.encodings, self.path)
-            except ReadError:
-                text = ""
-            text = _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))
-            self.decoded[card.encodings] = text[:head_length]
-        return self.decoded[card.encodings]
-
-    def _finds_header(self, card: Card, text: str) -> bool:
-        """Return whether a fallback card finds names and units, not only matching text."""
+    @cache
+    def text_in(encodings: tuple[str, ...]) -> str:
         try:
-            header = find_header(text.split("\n"), card, self.path)
+            text = decode(content.data, content, encodings, path)
         except ReadError:
-            return False
-        return _is_test_header(header, card)
+            return ""
+        return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
 
-    def _fit_sheets(self, card: Card) -> bool:
-        try:
-            sheets = open_sheets(self.path)
-        except ReadError:
-            return False
-        return any(
-            _matches(card, sheet_head(rows))
-            and (not card.fallback or self._reads_sheet(card, rows))
-            for rows in sheets.values()
+    def fits(card: Card) -> bool:
+        text = text_in(card.encodings)
+        return card.fits(text) and (
+            not card.fallback
+            or _is_test_header(partial(find_header, text.split("\n"), card, path), card)
         )
 
-    def _reads_sheet(self, card: Card, rows: Sequence[Sequence[object]]) -> bool:
-        text = [[as_text(cell) for cell in row] for row in rows[:60]]
-        try:
-            header = header_of_rows(text, card, self.path)
-        except ReadError:
-            return False
-        return _is_test_header(header, card)
+    return fits
 
 
-def _is_test_header(header: Header, card: Card) -> bool:
+def _sheet_test(path: Path) -> Callable[[Card], bool]:
+    """Return the test of whether a card fits one of the sheets of a workbook."""
+    try:
+        heads = [sheet_head(rows) for rows in open_sheets(path).values()]
+    except ReadError:
+        return lambda _: False
+
+    def fits(card: Card) -> bool:
+        fitting = (head for head in heads if card.fits("\n".join(map("\t".join, head))))
+        if not card.fallback:
+            return any(True for _ in fitting)
+        headers = (partial(header_of_rows, head, card, path, "row 1") for head in fitting)
+        return any(_is_test_header(find, card) for find in headers)
+
+    return fits
+
+
+def _is_test_header(find: Callable[[], Header], card: Card) -> bool:
     """Return whether there is time, and another unit or a name of force or travel."""
+    try:
+        header = find()
+    except ReadError:
+        return False
     time = time_column(header.names, header.units, card)
     if time is None:
         return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time)
-    return has_units or _matches(card, "\t".join(header.names))
-
-
-def _matches(card: Card, text: str) -> bool:
-    return bool(card.recognise) and all(pattern.search(text) for pattern in card.recognise)
+    return has_units or card.fits("\t".join(header.names))

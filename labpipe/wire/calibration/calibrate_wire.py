@@ -168,7 +168,7 @@ def _parameter(
         is_open_above=any(trace.is_open_above for trace in profiles_),
         at_bound=_reached_bound(result, number),
         verdict=Identifiability.WELL,
-        words="",
+        explanation="",
         profiles=tuple(map(_profile, profiles_)),
         conflict=conflict,
     )
@@ -179,7 +179,7 @@ def _parameter(
     )
     ends = _interval_at_99(result, number, parameter)
     parameter = replace(parameter, verdict=_verdict(result, number, parameter, others, ends))
-    return replace(parameter, words=describe_parameter(parameter, others, ends))
+    return replace(parameter, explanation=describe_parameter(parameter, others, ends))
 
 
 def _interval_at_99(
@@ -217,7 +217,7 @@ def _verdict(
         log_error=parameter.log_error,
         prior_error=prior,
         contradicts=conflict is not None and conflict.contradicts,
-        is_apart=len(parameter.intervals) > 1 or has_other_value(parameter, others),
+        is_split=len(parameter.intervals) > 1 or has_other_value(parameter, others),
     )
 
 
@@ -236,23 +236,25 @@ def _fixed_parameter(result: CalibrationFit, number: int, value: float) -> Calib
         is_open_above=False,
         at_bound="",
         verdict=Identifiability.FIXED,
-        words="",
+        explanation="",
         source=result.settings.choices[name].source if name in result.settings.choices else "",
     )
     return replace(
         parameter,
-        words=describe_parameter(parameter) if acts else f"{NAMES[name]} does not act on this wire",
+        explanation=describe_parameter(parameter)
+        if acts
+        else f"{NAMES[name]} does not act on this wire",
     )
 
 
 def _reached_bound(result: CalibrationFit, number: int) -> str:
     """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
-    at, problem = result.fit.point.logs[number], result.problem
+    value, problem = result.fit.point.logs[number], result.problem
     pull = float(pull_of(problem, result.levels, result.fit)[number])
-    if at <= problem.lower[number] and pull < -min_bound_slope:
+    if value <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
-    return "upper" if at >= problem.upper[number] and pull > min_bound_slope else ""
+    return "upper" if value >= problem.upper[number] and pull > min_bound_slope else ""
 
 
 def _profile(trace: Trace) -> Profile:
@@ -264,13 +266,13 @@ def _prior_conflict(result: CalibrationFit, number: int) -> PriorConflict:
     name = PARAMETERS[number]
     precision = result.problem.precision.copy()
     precision[number] = 0.0
-    alone = replace(result.problem, precision=precision)
+    problem = replace(result.problem, precision=precision)
     fits = [
-        search(alone, result.levels, valley.fit.point, result.free) for valley in result.valleys
+        search(problem, result.levels, valley.fit.point, result.free) for valley in result.valleys
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     spread = uncertainty(
-        alone, fit, result.free, result.levels, is_scatter_known=result.is_scatter_known
+        problem, fit, result.free, result.levels, is_scatter_known=result.is_scatter_known
     )
     variance = float(spread.covariance[number, number])
     prior_variance = 1.0 / result.problem.precision[number]
@@ -397,9 +399,9 @@ def _level_notes(
 
 def _parameter_notes(parameter: CalibratedParameter) -> Iterator[QualityNote]:
     if parameter.at_bound:
-        yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.words)
+        yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.explanation)
     if parameter.verdict is Identifiability.NOT:
-        yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.words)
+        yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.explanation)
     if parameter.conflict is not None and parameter.conflict.contradicts:
         yield QualityNote(
             "prior_contradicts_data", Severity.WARNING, parameter.name, parameter.conflict.message

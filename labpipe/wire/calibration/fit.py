@@ -226,19 +226,19 @@ def log_error_of(factor: float) -> float:
 def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     unknown = sorted(set(choices) - set(PARAMETERS))
     if unknown:
-        message = f"{unknown[0]!r}: allowed are {', '.join(PARAMETERS)}"
+        message = f"{unknown[0]!r}: expected one of {', '.join(PARAMETERS)}"
         raise ValueError(message)
     if not (np.isfinite(gain) and 0.0 <= gain < 1.0):
-        message = f"gain={gain!r}: allowed are numbers from 0 to below 1"
+        message = f"gain={gain!r}: must be >= 0 and < 1"
         raise ValueError(message)
     for name, choice in choices.items():
         for what in ("value", "lower", "upper"):
             number = getattr(choice, what)
             if number is not None and not (np.isfinite(number) and number > 0.0):
-                message = f"{name}: {what}={number!r}: allowed are finite numbers > 0"
+                message = f"{name}: {what}={number!r}: must be finite and > 0"
                 raise ValueError(message)
         if choice.factor is not None and not (np.isfinite(choice.factor) and choice.factor > 1.0):
-            message = f"{name}: factor={choice.factor!r}: allowed are finite numbers > 1"
+            message = f"{name}: factor={choice.factor!r}: must be finite and > 1"
             raise ValueError(message)
 
 
@@ -280,8 +280,6 @@ _LABELS: Mapping[str, str] = {
 
 WELL = 2.0
 """Span of an interval, upper over lower, below which a parameter is well identified."""
-HOPELESS = 100.0
-"""Span of an interval, upper over lower, above which a parameter is not identified."""
 
 
 def verdict_of(
@@ -292,7 +290,7 @@ def verdict_of(
     log_error: float,
     prior_error: float,
     contradicts: bool = False,
-    is_apart: bool = False,
+    is_split: bool = False,
     span_with_others: float = 1.0,
 ) -> Identifiability:
     """Return the verdict on an interval.
@@ -305,10 +303,12 @@ def verdict_of(
     log_error : standard error of the logarithm
     prior_error : that of its prior; infinite without one
     contradicts : whether prior and tests contradict each other
-    is_apart : whether it has several parts, or another solution lies outside of it
+    is_split : whether it has several parts, or another solution lies outside of it
     span_with_others : span that includes solutions just outside of the 95 % set, and the line on
         which insulation and copper trade off
     """
+    # Span of an interval, upper over lower, above which a parameter is not identified.
+    max_span = 100.0
     prior_share = 0.9  # error over that of the prior
     if at_bound:
         return Identifiability.AT_BOUND
@@ -316,11 +316,11 @@ def verdict_of(
         return Identifiability.AGAINST_PRIOR
     if log_error > prior_share * prior_error:
         return Identifiability.BY_PRIOR
-    if is_open or span > HOPELESS:
+    if is_open or span > max_span:
         return Identifiability.NOT
     if max(span, span_with_others) < WELL:
         return Identifiability.WELL
-    return Identifiability.TWO if is_apart else Identifiability.WEAKLY
+    return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
 def in_display_unit(name: str, *values: float) -> str:
@@ -359,7 +359,7 @@ def describe_parameter(
 
     Parameters
     ----------
-    parameter : without words
+    parameter : without explanation
     others : value and likelihood, over that of the best, of solutions just outside of the 95 % set
     ends : of what the tests allow at 99 %
     """

@@ -22,7 +22,7 @@ from itertools import groupby
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.law.loading_panels import NODES, LoadingLaw, panel_rule
+from labpipe.law.loading_panels import NODES_PER_PANEL, LoadingLaw, panel_rule
 from labpipe.law.loading_table import LoadingTable
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
@@ -39,7 +39,7 @@ from labpipe.wire.strand_bending import elastic_share, helix_factor, tube_moment
 _TABLE_STRAINS = (1e-9, 100.0, 32)
 """Range of rim strains of the copper's table, and its knots per decade. Scaling the strength shifts
 the strains."""
-_POINTS = 44  # of a loading curve
+_LOADING_POINTS = 44  # of a loading curve
 _MIN_GAP = 1e-6
 
 
@@ -216,9 +216,9 @@ def _exponent(material: object) -> float:
 def _copper(section: CrossSection, exponent: float) -> CopperPart:
     layers = [layer for layer in section.layers if _exponent(layer.material) == exponent]
     rim = max(layer.diameter for layer in layers) / 2.0
-    most = min(_TABLE_STRAINS[1], *(layer.material.largest_strain for layer in layers))
-    count = round(np.log10(most / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
-    curvature = np.geomspace(_TABLE_STRAINS[0], most, count) / rim * (1.0 - 1e-12)
+    max_strain = min(_TABLE_STRAINS[1], *(layer.material.largest_strain for layer in layers))
+    count = round(np.log10(max_strain / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
+    curvature = np.geomspace(_TABLE_STRAINS[0], max_strain, count) / rim * (1.0 - 1e-12)
     moment = np.zeros_like(curvature)
     for layer in layers:
         share = elastic_share(layer.material, curvature * layer.diameter / 2.0)
@@ -250,7 +250,7 @@ def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> L
     """
     _require_known(parts, values, largest_curvature)
     edges, points = _edges(parts, values, largest_curvature)
-    places, weights = panel_rule(NODES)
+    places, weights = panel_rule(NODES_PER_PANEL)
     width = np.diff(edges)[:, None]
     nodes = edges[:-1, None] + width * places
     at_edges = _bend(parts, values, edges[1:])
@@ -328,7 +328,7 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, In
     """Return panel edges, corners of friction and even points, and the indices of the points."""
     log_range = 8.0  # logarithm of the last over the first curvature
     spacing_power = 1.5  # knots are denser towards the last
-    even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, _POINTS) ** spacing_power)
+    even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, _LOADING_POINTS) ** spacing_power)
     corners = np.zeros(0)
     if parts.friction is not None:
         force = values[0] / parts.friction.coefficients

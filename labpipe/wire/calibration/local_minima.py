@@ -276,15 +276,16 @@ def line_of(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit
         return [fit]
     others = free.copy()
     others[_COPPER] = False
-    at, low, high = _strength(fit), float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
-    down = _follow(problem, levels, fit, others, _steps(at, low))
-    up = _follow(problem, levels, fit, others, _steps(at, high))
+    low, high = float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
+    strength = _strength(fit)
+    down = _follow(problem, levels, fit, others, _steps(strength, low))
+    up = _follow(problem, levels, fit, others, _steps(strength, high))
     return [*down[::-1], fit, *up]
 
 
-def _steps(at: float, bound: float) -> Floats:
-    count = int(np.ceil(abs(bound - at) / _STRIDE))
-    return np.linspace(at, bound, count + 1)[1:]
+def _steps(strength: float, bound: float) -> Floats:
+    count = int(np.ceil(abs(bound - strength) / _STRIDE))
+    return np.linspace(strength, bound, count + 1)[1:]
 
 
 def _follow(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: Floats) -> list[Fit]:
@@ -315,8 +316,8 @@ def _low_points(line: list[Fit]) -> Iterator[Fit]:
 
 def _hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
     """Return how far the line rises above two minima between them."""
-    between = [fit.objective for fit in line if _strength(one) < _strength(fit) < _strength(other)]
-    return max(between, default=-np.inf) - max(one.objective, other.objective)
+    heights = [fit.objective for fit in line if _strength(one) < _strength(fit) < _strength(other)]
+    return max(heights, default=-np.inf) - max(one.objective, other.objective)
 
 
 def local_minimum_of(

@@ -183,7 +183,7 @@ def curve_errors(
 
     Notes
     -----
-    Eqs. (3.28) and (3.29) of the source. SSE grows with the number of points.
+    Eqs. (3.28) and (3.29) of the dissertation. SSE grows with the number of points.
     """
     valid = np.isfinite(force) & np.isfinite(model)
     if not valid.any():
@@ -280,8 +280,8 @@ def compare_curves(
 
     Notes
     -----
-    RMSE is Eq. (3.29) of the source; it is divided by the largest force of the other curve at the
-    points compared.
+    RMSE is Eq. (3.29) of the dissertation; it is divided by the largest force of the other curve at
+    the points compared.
     """
     is_shared = _is_shared(curve, deflection)
     text = _left_out_text(curve, is_shared, deflection, of)

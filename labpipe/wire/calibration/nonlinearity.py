@@ -99,10 +99,10 @@ def _differences(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -
 
 def _weighed(problem: Problem, levels: Levels, fit: Fit, base: Fit) -> Floats:
     """Return the differences of priors, gain and offsets, over their standard deviations."""
-    here, there = base.point, fit.point
-    rests = [np.sqrt(problem.precision) * (there.logs - here.logs)]
+    base_point, fit_point = base.point, fit.point
+    rests = [np.sqrt(problem.precision) * (fit_point.logs - base_point.logs)]
     if problem.gain > 0.0:
-        rests.append(np.array([(there.gain - here.gain) / problem.gain]))
+        rests.append(np.array([(fit_point.gain - base_point.gain) / problem.gain]))
     if levels.scatter > 0.0:
-        rests.append((there.offsets - here.offsets) / levels.scatter)
+        rests.append((fit_point.offsets - base_point.offsets) / levels.scatter)
     return np.concatenate(rests)

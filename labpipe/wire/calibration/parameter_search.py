@@ -161,11 +161,11 @@ def search(
     return replace(fit, steps=steps, settled=steps < _MAX_STEPS)
 
 
-def _max_steps(here: Fit, lowest: float) -> int:
+def _max_steps(fit: Fit, lowest: float) -> int:
     """Return the number of steps allowed: few while far above a better fit."""
     max_far_steps = 8
     far_rise = 200.0  # above another fit: no quantile of so few samples is as large
-    return max_far_steps if here.objective - lowest > far_rise else _MAX_STEPS
+    return max_far_steps if fit.objective - lowest > far_rise else _MAX_STEPS
 
 
 def _evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
@@ -190,21 +190,21 @@ def products(
     return grams
 
 
-def _advance(problem: Problem, levels: Levels, here: Fit, step: Floats, gain: float) -> Fit | None:
+def _advance(problem: Problem, levels: Levels, fit: Fit, step: Floats, gain: float) -> Fit | None:
     """Evaluate a step, or part of it if a parabola has its minimum well before.
 
     In a narrow curved valley whole steps oscillate between its sides.
     """
     whole_share = 0.75  # of a step, from which the whole step is taken
     shortest_share = 0.1
-    whole = _try(problem, levels, _move(problem, here.point, step))
-    if whole is None:
+    full_step = _try(problem, levels, _move(problem, fit.point, step))
+    if full_step is None:
         return None
-    share = gain / max(whole.objective - here.objective + 2.0 * gain, gain)
+    share = gain / max(full_step.objective - fit.objective + 2.0 * gain, gain)
     if share > whole_share:
-        return whole
-    part = _try(problem, levels, _move(problem, here.point, max(share, shortest_share) * step))
-    return part if part is not None and part.objective < whole.objective else whole
+        return full_step
+    part = _try(problem, levels, _move(problem, fit.point, max(share, shortest_share) * step))
+    return part if part is not None and part.objective < full_step.objective else full_step
 
 
 def _try(problem: Problem, levels: Levels, point: Point) -> Fit | None:

@@ -112,5 +112,5 @@ def _notes(calibration: Calibration) -> Iterator[QualityNote]:
     for name in PARAMETERS:
         parameter = calibration.parameter(name)
         if parameter.is_open_below or parameter.is_open_above:
-            message = f"{parameter.words}; the bands treat its error as normal"
+            message = f"{parameter.explanation}; the bands treat its error as normal"
             yield QualityNote("not_identified", Severity.WARNING, name, message)

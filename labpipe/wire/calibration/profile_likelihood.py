@@ -100,9 +100,9 @@ def limit_of(result: CalibrationFit, valley: LocalMinimum) -> float:
     from the lowest minimum. The shape of the curves selects the minimum, so that this is the
     quantile of many points even where the level depends on few samples.
     """
-    here, there = result.fit.point, valley.fit.point
-    way = np.append(there.logs - here.logs, there.gain - here.gain)
-    return float(_limits(result, way[None, :])[0])
+    best_point, other_point = result.fit.point, valley.fit.point
+    difference = np.append(other_point.logs - best_point.logs, other_point.gain - best_point.gain)
+    return float(_limits(result, difference[None, :])[0])
 
 
 def reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[float, float]:
@@ -114,8 +114,8 @@ def reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[float, 
     number : of the parameter
     unlikely : height up to which the line is followed, over that of the 95 % set
     """
-    here = result.fit.point
-    ways = result.line.place - np.append(here.logs, here.gain)
+    best_point = result.fit.point
+    ways = result.line.place - np.append(best_point.logs, best_point.gain)
     height = np.sqrt(result.line.rise / np.maximum(_limits(result, ways), 1e-30) / unlikely)
     values, inside = result.line.place[:, number], height <= 1.0
     ends = [values[inside]]
@@ -243,9 +243,9 @@ class _Profile:
             result = min(result, plain, key=lambda fit: fit.objective)
         return float(np.sqrt(max(result.objective - self.fit.objective, 0.0))), result
 
-    def _search(self, there: Point) -> Fit:
+    def _search(self, point: Point) -> Fit:
         objective_tolerance = 1e-3
-        return search(self.problem, self.levels, there, self.others, enough=objective_tolerance)
+        return search(self.problem, self.levels, point, self.others, enough=objective_tolerance)
 
 
 def _shifted(walk: _Profile, start: Fit, shift: Floats, target: float) -> Point:

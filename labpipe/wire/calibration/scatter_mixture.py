@@ -48,10 +48,10 @@ def quantiles(
     error = np.sqrt(np.maximum(variance, 0.0) + sample_error**2)
     error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
     reach = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
-    least, most = (centre - reach).min(axis=1), (centre + reach).max(axis=1)
+    lowest, highest = (centre - reach).min(axis=1), (centre + reach).max(axis=1)
 
     def quantile_at(share: float) -> Floats:
-        low, high = least, most
+        low, high = lowest, highest
         for _ in range(halvings):
             middle = 0.5 * (low + high)
             below = stdtr(mixture.freedom, (middle[:, None] - centre) / error) @ mixture.chance
@@ -108,16 +108,16 @@ def _variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
     max_scatter_factor = 1000.0  # times the estimated scatter
     n_scatters = 64
     least_scatter = float(np.median(linear.grams[:, P, P])) ** -0.5
-    most = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
-    return np.geomspace(least_noise_share * least_scatter, most, n_scatters) ** 2
+    max_ratio = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
+    return np.geomspace(least_noise_share * least_scatter, max_ratio, n_scatters) ** 2
 
 
 def _solve(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     moves = np.append(free, problem.gain > 0.0)
     tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
-    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
-    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
+    deviations = np.append(fit.point.logs - problem.centre, fit.point.gain)
+    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * deviations
     matrix[range(P + 1), range(P + 1)] += tight
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
     if moves.any():

@@ -141,12 +141,12 @@ def estimate_levels(
         return Levels(noise, correlation, scatter)
     information = float(np.median(linear.grams[:, P, P]))
     grid = np.linspace(*log_ratios)
-    heights = [linear.estimate(float(np.exp(at)) / information)[1] for at in grid]
+    heights = [linear.estimate(float(np.exp(log_level)) / information)[1] for log_level in grid]
     best = int(np.argmin(heights))
-    around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     optimum = minimize_scalar(
-        lambda at: linear.estimate(float(np.exp(at)) / information)[1],
-        bounds=around,
+        lambda log_level: linear.estimate(float(np.exp(log_level)) / information)[1],
+        bounds=bracket,
         method="bounded",
         options={"xatol": 1e-3},
     )

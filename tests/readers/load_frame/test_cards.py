@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +34,7 @@ def test_the_keys_and_the_example_of_the_documentation(
 ) -> None:
     table = page(repository).partition("## 3. The keys")[2]
     documented = set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE))
-    assert documented | {"name", "source"} == {key.name for key in fields(Card)}
+    assert documented | {"name", "source"} == {*Card.model_fields}
     fenced = re.findall(r"^```(\w+)\n(.*?)^```$", page(repository), flags=re.MULTILINE | re.DOTALL)
     export, card = (next(text for kind, text in fenced if kind == k) for k in ("text", "toml"))
     file = tmp_path / "test-7.acme"

@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
+from labpipe.readers.load_frame import assemble
 from labpipe.readers.load_frame.cards import shipped_cards
-from labpipe.readers.load_frame.column_titles import find_header
-from labpipe.readers.load_frame.frame_recording import (
-    Export,
-    Table,
-    assemble,
-    time_column,
-)
+from labpipe.readers.load_frame.column_titles import find_header, time_column
+from labpipe.readers.load_frame.tables import Export, Table
 from tests.approved import Approve
 
 

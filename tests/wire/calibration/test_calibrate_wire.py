@@ -83,9 +83,9 @@ def test_what_is_identified_is_so_at_99_per_cent() -> None:
     (part,) = copper.intervals
     assert 1.7 < part.upper / part.lower < 1.8
     assert copper.verdict is Identifiability.WEAKLY
-    assert ", and at 99 % between 0.66" in copper.words
+    assert ", and at 99 % between 0.66" in copper.explanation
     assert modulus.verdict is Identifiability.WELL
-    assert "99 %" not in modulus.words
+    assert "99 %" not in modulus.explanation
 
 
 def test_one_sample_speaks_of_itself() -> None:
@@ -256,5 +256,5 @@ def test_a_friction_that_is_not_identified_and_one_that_does_not_act() -> None:
     without = calibrated(THREE[:2], Settings({"copper_scale": FIXED}, gain=0.005), strand)
     friction = without.parameter("radial_friction")
     assert np.isnan(friction.value)
-    assert friction.words == "phi = F_rad (mu_s + mu_p) does not act on this wire"
+    assert friction.explanation == "phi = F_rad (mu_s + mu_p) does not act on this wire"
     assert without.friction_separability is None

@@ -33,7 +33,7 @@ KNOWN = CalibratedParameter(
     is_open_above=False,
     at_bound="",
     verdict=Identifiability.WELL,
-    words="",
+    explanation="",
 )
 
 
@@ -50,10 +50,10 @@ KNOWN = CalibratedParameter(
         (1.9, {"prior_error": 0.11, "contradicts": True}, Identifiability.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "is_open": True}, Identifiability.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "at_bound": True}, Identifiability.AT_BOUND),
-        (1.9, {"is_apart": True}, Identifiability.WELL),
-        (2.1, {"is_apart": True}, Identifiability.TWO),
-        (1.9, {"is_apart": True, "span_with_others": 4.0}, Identifiability.TWO),
-        (101.0, {"is_apart": True}, Identifiability.NOT),
+        (1.9, {"is_split": True}, Identifiability.WELL),
+        (2.1, {"is_split": True}, Identifiability.TWO),
+        (1.9, {"is_split": True, "span_with_others": 4.0}, Identifiability.TWO),
+        (101.0, {"is_split": True}, Identifiability.NOT),
     ],
 )
 def test_verdicts(span: float, more: dict[str, bool], expected: Identifiability) -> None:
@@ -115,7 +115,7 @@ def test_words(approved: Approve) -> None:
     lines.append(describe_parameter(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
     names = ("a", "b", "radial_force")
     for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
-        lines.append(separability(names, matrix, "three").words.partition(" (singular")[0])
+        lines.append(separability(names, matrix, "three").explanation.partition(" (singular")[0])
     for name, values in (
         ("radial_friction", (0.0465123, 1e-5, 100.0)),
         ("insulation_modulus", (9.571e8, 1e11)),

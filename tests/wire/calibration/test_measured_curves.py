@@ -168,11 +168,13 @@ def test_external_curves() -> None:
 
 def test_words_of_what_is_not_compared(approved: Approve) -> None:
     rows = [np.array([0.0, 0.01, 0.02, 0.03, 0.09]), np.array([0.04, 0.05, 0.06])]
-    lines = [compare_curves(external(at, at), OTHER, LINE, BAND, "the tests").words for at in rows]
+    lines = [
+        compare_curves(external(at, at), OTHER, LINE, BAND, "the tests").explanation for at in rows
+    ]
     none = np.zeros(0)
     empty = compare_curves(external(OTHER, LINE), none, none, (none, none), "the tests")
     assert empty.errors is None
-    approved([*lines, empty.words])
+    approved([*lines, empty.explanation])
 
 
 def test_bands_of_two_solutions(calibration: Calibration) -> None:
@@ -204,7 +206,7 @@ def test_what_a_prediction_lacks(calibration: Calibration) -> None:
     exact = exact_curve("A2", 0.085, has_string=False)(D)
     assert nominal.force == pytest.approx(exact, abs=1e-5)
     levels = NoiseLevels(1.0, 0.0, 0.0, 0.005, 0.0, 100.0)
-    first = replace(calibration.parameters[0], is_open_below=True, words="phi is open")
+    first = replace(calibration.parameters[0], is_open_below=True, explanation="phi is open")
     doubtful = replace(calibration, levels=levels, parameters=(first, *calibration.parameters[1:]))
     notes = predict(doubtful, wire_of("A2"), 0.085, D).notes
     assert [note.code for note in notes] == ["one_sample", "not_identified"]

@@ -1,0 +1,477 @@
+"""Tables of a report's page: of each group, of all tests, of issues and methods."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from labpipe.records.causes import IS_COMMON
+from labpipe.records.group import Campaign, Group, GroupNumber, Sample
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
+from labpipe.report.budget_figures import (
+    COLOURS_OF_CAUSES,
+    OTHER_COLOUR,
+    bar_parts,
+    causes_in_key,
+    group_bars,
+)
+from labpipe.report.figure_page import split_pages
+from labpipe.report.issues import Cause, decision_words, find_notes, sentences
+from labpipe.report.page_facts import PageTest, PageTests, days_words, key_of, operators_words
+from labpipe.report.page_plots import Strip, clip_range, mean_strip
+from labpipe.report.wording import (
+    as_label,
+    count_of,
+    count_words,
+    display_of,
+    heading,
+    is_main,
+    mean_with_interval,
+    replace_names,
+    shown_in,
+    unit_words,
+    with_interval,
+    write_number,
+)
+
+DASH = "\u2013"
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Contents of a cell.
+
+    Parameters
+    ----------
+    text : large
+    small : below it
+    mark : behind the text: ``?`` for doubtful
+    tip : sentence or code shown on hover
+    sort : value by which the column is sorted, SI; None for the text
+    drawing : in place of the text
+    link : address on the page
+    """
+
+    text: str
+    small: str = ""
+    mark: str = ""
+    tip: str = ""
+    sort: float | None = None
+    drawing: Strip | None = None
+    link: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of the page; the first cell of a row is its heading.
+
+    Parameters
+    ----------
+    caption : title
+    heads : one per column
+    rows : cells
+    notes : sentences below it
+    """
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+
+
+MAX_SAMPLE_COLUMNS = 4
+"""Samples as columns of the table of numbers; larger groups have tables with a row per sample."""
+
+
+def about_group(group: Group) -> str:
+    """Describe a group: counts of samples and spools, protocol, days, operators."""
+    tested = f"tested {days_words(group.samples)} by {operators_words(group.samples)}"
+    return f"{count_words(group)}, protocol {group.protocol}, {tested}."
+
+
+def number_table(group: Group) -> Table:
+    """Return the table of a group: a row per number with mean, interval and few samples.
+
+    Parameters
+    ----------
+    group : with samples
+    """
+    n_drawn = 8
+    columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
+    heads = ("Number", "Plot", "Mean, 95 %", "n", "s", *(column.test for column in columns))
+    rows = tuple(
+        _number_row(group, number, columns, is_drawn=row < n_drawn)
+        for row, number in enumerate(group.numbers)
+    )
+    return Table("", heads, rows, tuple(_table_notes(group)))
+
+
+def _number_row(
+    group: Group, number: GroupNumber, columns: Sequence[Sample], *, is_drawn: bool
+) -> tuple[Cell, ...]:
+    unit = shown_in(number.name, number.unit, display_of(group))
+    head = Cell(heading(number.name, unit.unit), tip=number.name)
+    samples = [_sample_cell(number, column, unit.factor) for column in columns]
+    mean = number.mean
+    if mean is None:
+        nothing = Cell(DASH, tip="no sample has this number")
+        return head, Cell(""), nothing, Cell("0"), Cell(DASH), *samples
+    count = f"{mean.chosen.n}"
+    if not mean.is_pooled:
+        count = count_of(mean.chosen.n, "spool")
+    elif mean.chosen.n != len(group.samples):
+        count = f"{mean.chosen.n} of {len(group.samples)}"
+    return (
+        head,
+        Cell("", drawing=_number_strip(number) if is_drawn else None),
+        Cell(mean_with_interval(mean.chosen, unit.factor)),
+        Cell(count, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
+        Cell(write_number(mean.chosen.deviation, None, unit.factor, digits=2).value),
+        *samples,
+    )
+
+
+def _number_strip(number: GroupNumber) -> Strip:
+    """Draw samples, mean and interval of a number on their own scale."""
+    max_dots, max_reach = 12, 1.5  # reach of intervals beside the values, of their range
+    values = [value.value for value in number.values.values() if value.value is not None]
+    chosen = None if number.mean is None else number.mean.chosen
+    interval = None if chosen is None else chosen.interval
+    mean = nan if chosen is None else chosen.mean
+    ends = () if interval is None else (interval.lower, interval.upper)
+    dots = values if len(values) <= max_dots else ()
+    return mean_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
+
+
+def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
+    named = (result for result in sample.results if result.name == number.name)
+    result = number.values.get(sample.test) or next(named, None)
+    marked = any(outlier.sample == sample.test for outlier in number.outliers)
+    return result_cell(result, factor, is_outlier=marked)
+
+
+def result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
+    """Return the cell of a test's number: ``?`` marks a doubtful one, ``!`` an outlier.
+
+    Parameters
+    ----------
+    result : None if it was not requested
+    factor : from SI to the unit that is shown
+    is_outlier : marked as outlier
+    """
+    if result is None:
+        return Cell(DASH, tip="not requested")
+    if result.value is None:
+        return Cell(DASH)
+    mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
+    text = with_interval(result.value, result.interval, factor, estimate=result.distinct_estimate)
+    return Cell(text, mark=mark)
+
+
+def _table_notes(group: Group) -> Iterator[str]:
+    """Yield the notes on signs and averages of the table."""
+    if any(not number.mean.is_pooled for number in group.numbers if number.mean):
+        yield "n in spools: the mean is over spool means, each counted once."
+    names = [as_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
+    if names:
+        yield f"Set by the rig, not tested for outliers: {'; '.join(names)}."
+    spools = {sample.specimen.spool for sample in group.samples}
+    if len(spools) == 1 and len(group.samples) > 1:
+        yield "One spool: differences between spools are unknown; intervals hold for this spool."
+    yield from _interval_notes(group)
+    yield from _reason_notes(group)
+
+
+def _interval_notes(group: Group) -> Iterator[str]:
+    """Yield the reasons of missing and of very wide intervals of means."""
+    min_tests = 2
+    reasons: dict[Reason, list[str]] = {}
+    for member in group.numbers:
+        if member.mean is not None and member.mean.chosen.reason:
+            reasons.setdefault(member.mean.chosen.reason, []).append(as_label(member.name))
+    for why, names in reasons.items():
+        of = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
+        yield f"No interval of the mean: {sentences([why])} ({of})"
+    means = [number.mean for number in group.numbers if number.mean is not None]
+    if any(not mean.is_pooled and mean.chosen.n == min_tests for mean in means):
+        yield (
+            "Intervals over two spool means are wide because two values leave one degree of"
+            " freedom, where Student's t is 12.7. More samples of these spools hardly help; a"
+            " third spool reduces t to 4.3, a fourth to 3.2."
+        )
+
+
+def _reason_notes(group: Group) -> Iterator[str]:
+    """Yield the reasons of doubtful (?), missing and outlying (!) numbers with their tests."""
+    names = {number.name for number in group.numbers}
+    named: dict[str, dict[str, None]] = {}
+    for sample in group.samples:
+        for result in sample.results:
+            if result.name in names and result.status is not Status.OK:
+                sign = DASH if result.status is Status.FAILED else "?"
+                reason = f"{sign} {sentences(result.reasons)}"
+                named.setdefault(reason, {})[sample.test] = None
+    for reason, tests in named.items():
+        yield f"{reason} ({', '.join(tests)})"
+    outliers: dict[str, list[str]] = {}
+    for number in group.numbers:
+        for outlier in number.outliers:
+            outliers.setdefault(outlier.sample, []).append(as_label(number.name).lower())
+    for test, numbers in outliers.items():
+        yield f"! {test} is an outlier in {'; '.join(numbers)}. It is included in all means."
+
+
+def samples_tables(group: Group, tests: PageTests) -> list[Table]:
+    """Return tables with a row per sample for groups with many samples.
+
+    Parameters
+    ----------
+    group : any
+    tests : all of the page
+    """
+    numbers_per_table = 8
+    if len(group.samples) <= MAX_SAMPLE_COLUMNS:
+        return []
+    numbers = [number for number in group.numbers if is_main(number.name)]
+    parts = split_pages(numbers, numbers_per_table)
+    return [_samples_table(group, part, tests, at > 0) for at, part in enumerate(parts)]
+
+
+def _samples_table(
+    group: Group, numbers: Sequence[GroupNumber], tests: PageTests, is_more: bool
+) -> Table:
+    display = display_of(group)
+    scales = [shown_in(number.name, number.unit, display) for number in numbers]
+    heads = [heading(number.name, unit.unit) for number, unit in zip(numbers, scales, strict=True)]
+    rows = []
+    for sample in group.samples:
+        link = f"#t{tests.number[key_of(sample)]}"
+        named = [Cell(sample.test, link=link), Cell(sample.specimen.spool)]
+        values = [
+            _sample_cell(number, sample, unit.factor)
+            for number, unit in zip(numbers, scales, strict=True)
+        ]
+        rows.append((*([Cell(sample.test)] if is_more else named), *values))
+    caption = f"{group.name}: every sample{', continued' if is_more else ''}"
+    return Table(caption, ("Test", *([] if is_more else ["Spool"]), *heads), tuple(rows))
+
+
+def budget_parts(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the budgets of the first means, or of a single test, for a drawing.
+
+    Parameters
+    ----------
+    group : with or without samples
+
+    Returns
+    -------
+    Bars with ``name``, ``text`` and ``parts``; and the parts of the key, each cause once.
+    """
+    n_bars = 5
+    means = [bar for bar in group_bars(group, of_means=True) if bar.shares]
+    tests = [bar._replace(text="one test") for bar in group_bars(group, of_means=False)]
+    chosen = (means or tests)[:n_bars]
+    parts = bar_parts([bar.shares for bar in chosen])
+    bars = []
+    for bar, shares in zip(chosen, parts, strict=True):
+        starts = np.cumsum([0.0, *shares.values()]).tolist()
+        drawn = [
+            _cause_look(cause) | {"share": share, "start": start}
+            for (cause, share), start in zip(shares.items(), starts, strict=False)
+        ]
+        bars.append({"name": bar.name, "text": bar.text, "parts": drawn})
+    return bars, list(map(_cause_look, causes_in_key(parts)))
+
+
+def _cause_look(cause: str) -> dict[str, Any]:
+    colour = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
+    return {"cause": cause, "colour": colour, "is_common": IS_COMMON.get(cause, False)}
+
+
+def spool_mean_table(group: Group) -> Table:
+    """Return the table of spool means and of the decisions how to average them."""
+    spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
+    rows, above = [], ""
+    for number in group.numbers:
+        if number.mean is None:
+            continue
+        unit = shown_in(number.name, number.unit, display_of(group))
+        cells = [Cell(heading(number.name, unit.unit))]
+        for spool in spools:
+            mean = number.mean.spool_means.get(spool)
+            text, small = DASH, "no number"
+            if mean is not None:
+                text, small = mean_with_interval(mean, unit.factor), f"n = {mean.n}"
+            cells.append(Cell(text, small))
+        decision = str(number.mean.decision)
+        done, because = number.mean.decision.done, "; ".join(number.mean.decision.because)
+        cells.append(Cell("as above") if decision == above else Cell(done, because))
+        rows.append(tuple(cells))
+        above = decision
+    heads = ("Number", *(f"Spool {spool}" for spool in spools), "Decision")
+    return Table(f"{group.name}: spool means and their averaging", heads, tuple(rows))
+
+
+def slip_table(group: Group) -> Table | None:
+    """Return the slip table of a group; None without slips."""
+    display = display_of(group)
+    across, up = shown_in("", "m", display), shown_in("", "N", display)
+    rows = tuple(
+        (
+            Cell(sample.test),
+            Cell(with_interval(slip.position, slip.position_interval, across.factor)),
+            Cell(with_interval(slip.drop, slip.drop_interval, up.factor)),
+            Cell(decision_words(slip.decision)),
+        )
+        for sample in group.samples
+        for slip in sample.slips
+    )
+    units = unit_words(across.unit), unit_words(up.unit)
+    heads = ("Sample", f"Displacement ({units[0]})", f"Force lost ({units[1]})", "Treatment")
+    return Table(f"{group.name}: slips in the grips", heads, rows) if rows else None
+
+
+def cause_table(cause: Cause) -> Table:
+    """Return the table of a cause: a row per issue."""
+    rows = tuple(
+        (
+            Cell(concern.test or ", ".join(concern.tests) or "the whole group", concern.group),
+            Cell(concern.what or DASH),
+            Cell(concern.reason, tip=concern.code),
+        )
+        for concern in cause.issues
+    )
+    return Table(f"{cause.kind} ({len(cause.issues)})", ("Test", "What", "Why"), rows)
+
+
+def note_table(campaign: Campaign) -> Table | None:
+    """Return the table of notes without consequences, a row per kind; None without notes."""
+    rows = tuple(
+        (
+            Cell(note.issues[0].reason, tip=note.code),
+            Cell(str(len(note.issues))),
+            Cell(note.subject),
+        )
+        for note in find_notes(campaign)
+    )
+    heads = ("Note (first of its kind)", "Number", "Where")
+    return Table("Notes without consequences", heads, rows) if rows else None
+
+
+def method_tables(campaign: Campaign) -> list[Table]:
+    """Return a table per protocol of the methods of each number and its interval."""
+    methods: dict[str, dict[str, dict[str, None]]] = {}
+    for group in campaign.groups:
+        for sample in group.samples:
+            of_protocol = methods.setdefault(group.protocol, {})
+            for result in sample.results:
+                of_protocol.setdefault(result.name, {}).update(dict.fromkeys([result.method]))
+    return [
+        Table(
+            f"Protocol {protocol}: method of each number",
+            ("Number", "Method"),
+            tuple(
+                (
+                    Cell(as_label(name), tip=name),
+                    Cell(replace_names("; ".join(filter(None, method))) or _NO_METHOD),
+                )
+                for name, method in numbers.items()
+            ),
+        )
+        for protocol, numbers in methods.items()
+    ]
+
+
+_NO_METHOD = "No sample has this number."
+
+
+def rows_of_tests(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[Any]:
+    """Return the rows of the table of tests.
+
+    Parameters
+    ----------
+    campaign : with its groups
+    tests : of the page
+    stems : names of groups by their stems
+
+    Returns
+    -------
+    For each ``test``, its ``group``, its ``first`` main number, the decision (``decided``, as
+    ``accept`` or ``reject``, and its ``words``), the ``address`` of its page, and ``why`` it is
+    doubtful, failed or rejected.
+    """
+    mains = {
+        stem: next((number.name for number in group.numbers if is_main(number.name)), "")
+        for stem, group in zip(stems, campaign.groups, strict=False)
+    }
+    return [
+        {
+            "test": test,
+            "group": stems.get(test.stem, ""),
+            "first": _first_number_cell(test, mains.get(test.stem, "")),
+            "decided": "reject" if test.why else "accept" if test.sample.decided else "",
+            "words": test.why or test.sample.decided,
+            "page": (page := page_file(test.sample.label or test.sample.test)),
+            "address": quote(page, errors="replace"),
+            "why": problems_of(test),
+        }
+        for test in tests.every
+    ]
+
+
+def page_file(label: str) -> str:
+    """Name the page of a test, below the folder of the report.
+
+    Parameters
+    ----------
+    label : of the test
+
+    Examples
+    --------
+    >>> page_file("wires/A2-085-1")
+    'tests/wires__A2-085-1.html'
+    """
+    return f"tests/{label.replace('/', '__')}.html"
+
+
+def _first_number_cell(test: PageTest, main: str) -> Cell:
+    """Return the cell of the first main number with its unit, as the quantities differ."""
+    result = next((result for result in test.sample.results if result.name == main), None)
+    if result is None:
+        return Cell(DASH)
+    unit = shown_in(main, result.unit, test.sample.display)
+    cell = result_cell(result, unit.factor)
+    return Cell(cell.text, heading(main, unit.unit), cell.mark, cell.tip, result.value)
+
+
+def problems_of(test: PageTest) -> str:
+    """Return the reasons of doubtful and failed results of a test, or of its rejection.
+
+    Parameters
+    ----------
+    test : of the page
+    """
+    if test.why:
+        return f"Rejected: {test.why}"
+    doubtful = [result for result in test.sample.results if result.status is not Status.OK]
+    return sentences(reason for result in doubtful for reason in result.reasons)
+
+
+def export_table(tests: PageTests) -> Table:
+    """Return the table of recorded files of each test with their SHA-256.
+
+    Parameters
+    ----------
+    tests : of the page
+    """
+    rows = []
+    for test in tests.every:
+        sources = [f"{source.file}: {source.sha256}" for source in test.sample.inputs]
+        rows.append((Cell(test.sample.test), Cell("; ".join(sources) or DASH)))
+    return Table("Sources of the numbers", ("Test", "Recorded files with SHA-256"), tuple(rows))
