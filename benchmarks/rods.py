@@ -163,7 +163,7 @@ def against_mujoco() -> None:
         return
     from labpipe.decks.mujoco_sliders import DEFAULT_NODES as HINGES
     from labpipe.decks.mujoco_sliders import mujoco_plane_deck
-    from labpipe.law.table_sliders import sliders_of
+    from labpipe.law.loss_card import sliders_of
     from tests.builders.wire_tables import LENGTH, wire_table
     from tests.judges.rod_references import tips
 

@@ -63,7 +63,7 @@ from labpipe.store.read import read_drawable, read_result
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 from labpipe.studies.bundle_bounds import find_places
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 
 
 @dataclass(frozen=True, slots=True)

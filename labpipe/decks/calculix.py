@@ -22,9 +22,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.decks.deck_law import facts, mass_of, on_one_line
-from labpipe.decks.deck_losses import deck_losses, percent
+from labpipe.decks.deck_law import deck_losses, facts, mass_of, on_one_line, percent
 from labpipe.law.equivalent_material import EquivalentMaterial, equivalent_material
+from labpipe.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, frozen
 from labpipe.records.wire import WireTable
 
@@ -83,9 +83,7 @@ def half_bar(radius: float, length: float, *, n_along: int) -> BarMesh:
     ValueError
         If there is not one brick.
     """
-    if n_along < 1:
-        message = f"n_along={n_along}: must be an integer >= 1"
-        raise ValueError(message)
+    require("n_along", n_along, "a whole number >= 1", holds=n_along >= 1)
     nodes, bricks = _unit_bar(n_along)
     return BarMesh(nodes * [length, radius, radius], bricks, length, radius)
 
@@ -191,9 +189,7 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80
     along it, and the tip may turn: an end load normal to the clamped axis (PHYSICS 5). The tip is
     moved by 0.6 of the length, or as far as the wire's law goes.
     """
-    if n_steps < 1:
-        message = f"n_steps={n_steps}: must be an integer >= 1"
-        raise ValueError(message)
+    require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)
     diameter = 2.0 * table.layout.wire_radius
     material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     max_tip_share = 0.6  # of the length; less if the range of the law ends before

@@ -20,17 +20,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from xml.etree import ElementTree as Xml
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from labpipe.decks.deck_law import (
+    constant_loss,
+    deck_losses,
     facts,
+    first_frequency,
     linear_range,
     mass_of,
     on_one_line,
+    percent,
+    xml_comment,
 )
-from labpipe.decks.deck_losses import constant_loss, deck_losses, percent
+from labpipe.law.plays import require, require_positive
 from labpipe.records.wire import WireTable
 
 CABLE = "wire"
@@ -39,21 +44,10 @@ CABLE = "wire"
 
 @dataclass(frozen=True, slots=True)
 class _Cable:
-    """Numbers of the model, SI.
-
-    Parameters
-    ----------
-    stiffness : N m^2
-    torsional_stiffness : N m^2
-    length, radius : m
-    mass_per_length : kg/m
-    edges : number
-    """
+    """Numbers of the model: stiffness, N m^2, of bending, length, m, mass, kg/m, and edges."""
 
     stiffness: float
-    torsional_stiffness: float
     length: float
-    radius: float
     mass_per_length: float
     edges: int
 
@@ -64,22 +58,14 @@ class _Cable:
 
     @property
     def first_frequency(self) -> float:
-        """Return the first angular frequency of the clamped cable, rad/s."""
-        first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
-        stretch = np.sqrt(self.stiffness / self.mass_per_length)
-        return float(first_root**2 * stretch / self.length**2)
+        """First angular frequency of the clamped cable, rad/s."""
+        return first_frequency(self.stiffness, self.mass_per_length, self.length)
 
     @property
     def step(self) -> float:
         """Return the time step, s."""
         # more than 40 edges need shorter steps to keep the constraint on their lengths as stiff
         return 0.05 / self.first_frequency * min(1.0, 40 / self.edges)
-
-    @property
-    def steps_to_rest(self) -> int:
-        """Return the number of steps after which a load on the tip has settled."""
-        settling_time = 35.0  # over 1 / (first angular frequency)
-        return math.ceil(settling_time / self.first_frequency / self.step)
 
 
 def mujoco_deck(
@@ -114,50 +100,55 @@ def mujoco_deck(
     The deck states at which curvatures the constant stiffness is within 5 % of the wire's law
     (`linear_range`).
     """
-    cable = _Cable(
-        _slope_at_zero(table) if stiffness is None else stiffness,
-        table.torsional_stiffness,
-        table.spec.length if length is None else length,
-        table.layout.wire_radius,
-        mass_of(table),
-        edges,
-    )
-    _require_cable(cable)
-    root = Xml.Element("mujoco", model=on_one_line(table.name))
-    origin = _stiffness_origin(table) if stiffness is None else "as given"
-    for line in _comments(table, cable, origin):
-        # two hyphens would end an XML comment
-        root.append(Xml.Comment(f" {line.replace('--', '- -')} "))
-    _add_cable(root, cable)
-    Xml.indent(root)
-    return Xml.tostring(root, encoding="unicode") + "\n"
-
-
-def _require_cable(cable: _Cable) -> None:
     min_edges = 3
-    for name in ("stiffness", "length"):
-        value = getattr(cable, name)
-        if not (np.isfinite(value) and value > 0.0):
-            message = f"{name}={value!r}: must be finite and > 0"
-            raise ValueError(message)
-    if cable.edges < min_edges:
-        message = f"edges={cable.edges}: must be >= {min_edges}"
-        raise ValueError(message)
+    origin = "as given"
+    if stiffness is None:
+        stiffness, origin = _slope_at_zero(table)
+    length = table.spec.length if length is None else length
+    require_positive("stiffness", stiffness)
+    require_positive("length", length)
+    require("edges", edges, f">= {min_edges}", holds=edges >= min_edges)
+    cable = _Cable(stiffness, length, mass_of(table), edges)
+    comments = "\n".join(map(xml_comment, _comments(table, cable, origin)))
+    radius = table.layout.wire_radius
+    circle = np.pi / 4.0 * radius**4
+    mass = cable.mass_per_length * cable.spacing * (edges + 1)
+    places = ((np.arange(edges + 1) - 0.5) * cable.spacing).tolist()
+    points = "  ".join(f"{place:.9g} 0 0" for place in places)
+    elements = "  ".join(f"{edge} {edge + 1}" for edge in range(edges))
+    return f"""\
+<mujoco model={quoteattr(on_one_line(table.name))}>
+{comments}
+  <option timestep="{cable.step:.6g}" integrator="discrete" gravity="0 0 0" />
+  <worldbody>
+    <flexcomp name="{CABLE}" type="direct" dim="1" radius="{radius:.9g}" mass="{mass:.9g}" \
+point="{points}" element="{elements}">
+      <edge equality="true" solref="{2.0 * cable.step:.6g} 1" solimp="0.9999 0.9999 0.001" />
+      <contact contype="0" conaffinity="0" selfcollide="none" />
+      <elasticity young="{stiffness / circle:.9g}" \
+shear="{table.torsional_stiffness / (2.0 * circle):.9g}" \
+damping="{2.0 / cable.first_frequency:.6g}" />
+      <pin id="0 1" />
+    </flexcomp>
+  </worldbody>
+  <sensor>
+    <framepos name="tip" objtype="body" objname="{CABLE}_{edges}" />
+  </sensor>
+</mujoco>
+"""
 
 
-def _slope_at_zero(table: WireTable) -> float:
-    """Return the bending stiffness of the law at zero, N m^2."""
-    return float(table.secant_stiffness[1]) if table.slips_at_once else table.stick_stiffness
-
-
-def _stiffness_origin(table: WireTable) -> str:
-    """Describe the origin of the default stiffness."""
+def _slope_at_zero(table: WireTable) -> tuple[float, str]:
+    """Return the bending stiffness of the law at zero, N m^2, and its origin."""
     if table.slips_at_once:
-        return "the slope of the law at zero, its first secant, as strands slip at once"
-    return "the slope of the law at zero, while all strands stick"
+        origin = "the slope of the law at zero, its first secant, as strands slip at once"
+        return float(table.secant_stiffness[1]), origin
+    return table.stick_stiffness, "the slope of the law at zero, while all strands stick"
 
 
 def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
+    settling_time = 35.0  # over 1 / (first angular frequency)
+    steps_to_rest = math.ceil(settling_time / cable.first_frequency / cable.step)
     close = linear_range(table, cable.stiffness)
     if close is None:
         validity = "nowhere within 5 % of the wire's law"
@@ -174,57 +165,13 @@ def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
         f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2 ({origin}), "
         f"{validity}. The model has no limit there.",
         *deck_losses(table, loss, wide=1000),
-        f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, at constant "
+        f"Torsional stiffness {table.torsional_stiffness:.6g} N m2, at constant "
         f"length: the cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",
         f"Free length {cable.length:.6g} m, {cable.edges} edges; the first begins half an edge "
         f"inside the clamp, whose face is at x = 0.",
         f"Mass {cable.mass_per_length:.4g} kg/m of strands and insulation matters until rest only, "
         "as there is no gravity.",
-        f"Damping is critical in the first mode: at rest after {cable.steps_to_rest} steps.",
+        f"Damping is critical in the first mode: at rest after {steps_to_rest} steps.",
         "For MuJoCo 4.0 and later: a flex as a cable, integrator discrete.",
     )
-
-
-def _add_cable(root: Xml.Element, cable: _Cable) -> None:
-    Xml.SubElement(
-        root, "option", timestep=f"{cable.step:.6g}", integrator="discrete", gravity="0 0 0"
-    )
-    world = Xml.SubElement(root, "worldbody")
-    places = (np.arange(cable.edges + 1) - 0.5) * cable.spacing
-    flex = Xml.SubElement(
-        world,
-        "flexcomp",
-        name=CABLE,
-        type="direct",
-        dim="1",
-        radius=f"{cable.radius:.9g}",
-        mass=f"{cable.mass_per_length * cable.spacing * (cable.edges + 1):.9g}",
-        point="  ".join(f"{place:.9g} 0 0" for place in places),
-        element="  ".join(f"{edge} {edge + 1}" for edge in range(cable.edges)),
-    )
-    _add_elasticity(flex, cable)
-    sensors = Xml.SubElement(root, "sensor")
-    tip = f"{CABLE}_{cable.edges}"
-    Xml.SubElement(sensors, "framepos", name="tip", objtype="body", objname=tip)
-
-
-def _add_elasticity(flex: Xml.Element, cable: _Cable) -> None:
-    """Add stiffness, damping and clamp; edges of constant length; no contacts."""
-    Xml.SubElement(
-        flex,
-        "edge",
-        equality="true",
-        solref=f"{2.0 * cable.step:.6g} 1",
-        solimp="0.9999 0.9999 0.001",
-    )
-    Xml.SubElement(flex, "contact", contype="0", conaffinity="0", selfcollide="none")
-    circle = np.pi / 4.0 * cable.radius**4
-    Xml.SubElement(
-        flex,
-        "elasticity",
-        young=f"{cable.stiffness / circle:.9g}",
-        shear=f"{cable.torsional_stiffness / (2.0 * circle):.9g}",
-        damping=f"{2.0 / cable.first_frequency:.6g}",
-    )
-    Xml.SubElement(flex, "pin", id="0 1")

@@ -13,15 +13,14 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from labpipe.decks.deck_law import on_one_line
 from labpipe.decks.mujoco_sliders import (
     DEFAULT_NODES,
     RAMP,
     REST,
     Chain,
     Hinges,
-    comment,
-    default_lines,
+    model_text,
+    node_lines,
     space_hinges,
     tendon_lines,
 )
@@ -67,34 +66,19 @@ def line_deck(
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
     weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
     gravity = np.sum([np.zeros(3), *weight], axis=0)
-    text = [
-        f"<mujoco model={quoteattr(on_one_line(title))}>",
-        *map(comment, (*_comments(chain, boundaries), *sentences)),
-        '  <compiler angle="radian" />',
-        f'  <option timestep="{chain.unit_time:{_DIGITS}}" integrator="discrete" '
-        f'gravity="{_joined(gravity)}"><flag contact="disable" /></option>',
-        *default_lines(chain, hinges),
-        "  <custom>",
-        *_paths(every),
-        "  </custom>",
-        "  <worldbody>",
-        '    <site name="space" />',
-        *_chain_bodies(line, chain, hinges, [*every, *strings, *loads], base),
-        *_mocap_bodies(held, strings),
-        "  </worldbody>",
-        "  <equality>",
-        *_equalities(held, 2.0 * chain.unit_time),
-        "  </equality>",
-        "  <tendon>",
-        *tendon_lines(chain, hinges),
-        *_strings(strings),
-        "  </tendon>",
-        "  <actuator>",
-        *_loads(loads),
-        "  </actuator>",
-        "</mujoco>",
-    ]
-    return "\n".join(text) + "\n"
+    sections = {
+        "custom": _paths(every),
+        "worldbody": [
+            '    <site name="space" />',
+            *_chain_bodies(line, chain, hinges, [*every, *strings, *loads], base),
+            *_mocap_bodies(held, strings),
+        ],
+        "equality": _equalities(held, 2.0 * chain.unit_time),
+        "tendon": [*tendon_lines(chain, hinges), *_strings(strings)],
+        "actuator": _loads(loads),
+    }
+    comments = (*_comments(chain, boundaries), *sentences)
+    return model_text(title, comments, chain, hinges, sections, gravity=_joined(gravity))
 
 
 def _is_base(held: rod.Held) -> bool:
@@ -194,7 +178,7 @@ def _chain_bodies(
     tied: Sequence[rod.Held | rod.String | rod.Load],
     base: rod.Held | None,
 ) -> Iterator[str]:
-    """Return the chain, on its base or free in space; its end bodies are half as long."""
+    """Return the chain, on its base or free in space."""
     h, last = chain.spacing, chain.nodes
     frames = multiply(_frames_at(line, chain), _TO_BODY)
     sites = _sites(line, chain, tied)
@@ -203,18 +187,15 @@ def _chain_bodies(
     base_attributes = "><freejoint />" if base is None else ' mocap="true">'
     place = f'pos="{_joined(line.positions[0])}" quat="{_joined(frames[0])}"'
     yield f"    <body name={quoteattr(name)} {place}{base_attributes}"
-    yield from _geom_and_sites(chain, 0.5 * h, sites[0])
-    for node in range(1, last + 1):
-        begin, reach = (0.5 * h if node == 1 else h), (0.5 * h if node == last else h)
-        turn = multiply(conjugate(frames[node - 1]), frames[node])
-        place = f'pos="{begin:{_DIGITS}} 0 0" quat="{_joined(turn)}"'
-        yield f'    <body name="{prefix}_{node}" {place}>'
-        for name, axis, stiffness in hinges.axes:
-            yield (
-                f'      <joint name="{name}_{node}" axis="{axis}" '
-                f'stiffness="{stiffness / h:{_DIGITS}}" />'
-            )
-        yield from _geom_and_sites(chain, reach, sites[node])
+    for node in range(last + 1):
+        if node:
+            turn = multiply(conjugate(frames[node - 1]), frames[node])
+            begin = 0.5 * h if node == 1 else h
+            place = f'pos="{begin:{_DIGITS}} 0 0" quat="{_joined(turn)}"'
+            yield f'    <body name="{prefix}_{node}" {place}>'
+        yield from node_lines(chain, hinges, node)
+        for name, along in sites[node]:
+            yield f'      <site name={quoteattr(f"at_{name}")} pos="{along:{_DIGITS}} 0 0" />'
     yield "    " + "</body>" * (last + 1)
 
 
@@ -224,17 +205,6 @@ def _unused_prefix(names: Sequence[str]) -> str:
     while any(name.startswith(f"{prefix}_") for name in names):
         prefix = f"_{prefix}"
     return prefix
-
-
-def _geom_and_sites(
-    chain: Chain, reach: float, sites: Sequence[tuple[str, float]]
-) -> Iterator[str]:
-    yield (
-        f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
-        f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
-    )
-    for name, place in sites:
-        yield f'      <site name={quoteattr(f"at_{name}")} pos="{place:{_DIGITS}} 0 0" />'
 
 
 def _sites(

@@ -6,7 +6,7 @@ and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiffness K_
 h kappa_j, h being the length of wire that the node stands for. Hinge i is at (i + 1/2) h, so that
 the chain is of second order in h.
 
-In space a node has two hinges with the tendons of `law.slider_directions` on sums of their angles,
+In space a node has two hinges with the tendons of `law.sliders` on sums of their angles,
 in directions that are rotated from one node to the next; a third hinge twists.
 
 Springs that yield keep the effect of an overshoot. Therefore a load must be ramped and the joints
@@ -15,21 +15,26 @@ are damped; the deck states how long both take.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from labpipe.decks.deck_law import facts, mass_of, on_one_line
-from labpipe.decks.deck_losses import loss_text, percent
-from labpipe.decks.slider_table import no_sliders_text
-from labpipe.law.loss_card import DIRECTIONS
-from labpipe.law.plays import is_within
-from labpipe.law.slider_directions import TURNS, in_directions, turned
-from labpipe.law.sliders import MAX_SLIDERS, SliderLaw, as_plays
-from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
+from labpipe.decks.deck_law import (
+    facts,
+    first_frequency,
+    loss_text,
+    mass_of,
+    on_one_line,
+    percent,
+    xml_comment,
+)
+from labpipe.decks.lookup import DIRECTIONS, no_sliders_text
+from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
+from labpipe.law.plays import is_within, require, require_positive
+from labpipe.law.sliders import MAX_SLIDERS, TURNS, SliderLaw, as_plays, in_directions, turned
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
@@ -71,10 +76,9 @@ class Chain:
 
     @property
     def unit_time(self) -> float:
-        """Return the time step, s: one over the first angular frequency while nothing slides."""
-        first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
-        stretch = np.sqrt(self.law.first_stiffness / self.mass_per_length)
-        return float(self.length**2 / (first_root**2 * stretch))
+        """Time step, s: one over the first angular frequency while nothing slides."""
+        stiffness = self.law.first_stiffness
+        return 1.0 / first_frequency(stiffness, self.mass_per_length, self.length)
 
     @property
     def damping(self) -> float:
@@ -219,36 +223,21 @@ def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     """Return the sliders of a wire, or a deck with the reason why there are none."""
-    if not 1 <= sliders <= MAX_SLIDERS:
-        message = f"sliders={sliders}: must be from 1 to {MAX_SLIDERS}"
-        raise ValueError(message)
+    allowed = f"from 1 to {MAX_SLIDERS}"
+    require("sliders", sliders, allowed, holds=1 <= sliders <= MAX_SLIDERS)
     try:
         return sliders_of(table, sliders)
     except ValueError as error:
         name = on_one_line(table.name)
-        lines = "\n".join(map(comment, (*facts(table, name), no_sliders_text(error))))
+        lines = "\n".join(map(xml_comment, (*facts(table, name), no_sliders_text(error))))
         return f"<mujoco model={quoteattr(name)}>\n{lines}\n</mujoco>\n"
-
-
-def comment(line: str) -> str:
-    """Return an XML comment, in which two hyphens are not allowed.
-
-    Parameters
-    ----------
-    line : text
-    """
-    return f"  <!-- {line.replace('--', '- -')} -->"
 
 
 def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
     min_nodes = 3
     length = table.spec.length if length is None else length
-    if not (np.isfinite(length) and length > 0.0):
-        message = f"length={length!r}: must be finite and > 0"
-        raise ValueError(message)
-    if nodes < min_nodes:
-        message = f"nodes={nodes}: must be >= {min_nodes}"
-        raise ValueError(message)
+    require_positive("length", length)
+    require("nodes", nodes, f">= {min_nodes}", holds=nodes >= min_nodes)
     return Chain(
         law,
         length,
@@ -262,34 +251,50 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
 def _deck(
     table: WireTable, chain: Chain, hinges: Hinges, lines: tuple[str, ...], *, pulls: str
 ) -> str:
-    """Return the whole text, which is not built as a tree: a chain has thousands of springs."""
-    comments = [*_comments(table, chain), *lines]
+    """Return the whole text of a clamped wire."""
     gears = {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
-    model = quoteattr(on_one_line(table.name))
+    motors = [
+        f'    <motor name="pull_{axis}" site="tip" refsite="clamp" gear="{gears[axis]}" />'
+        for axis in pulls
+    ]
+    sections = {
+        "worldbody": ['    <site name="clamp" />', *_bodies(chain, hinges)],
+        "tendon": tendon_lines(chain, hinges),
+        "actuator": motors,
+        "sensor": ['    <framepos name="tip" objtype="site" objname="tip" />'],
+    }
+    return model_text(table.name, [*_comments(table, chain), *lines], chain, hinges, sections)
+
+
+def model_text(
+    name: str,
+    comments: Iterable[str],
+    chain: Chain,
+    hinges: Hinges,
+    sections: Mapping[str, Iterable[str]],
+    *,
+    gravity: str = "0 0 0",
+) -> str:
+    """Return the text of a model, which is not built as a tree: a chain has thousands of springs.
+
+    Parameters
+    ----------
+    name, comments : of the model
+    chain, hinges : of which it is made
+    sections : lines by element
+    gravity : m/s^2
+    """
     text = [
-        f"<mujoco model={model}>",
-        *map(comment, comments),
+        f"<mujoco model={quoteattr(on_one_line(name))}>",
+        *map(xml_comment, comments),
         '  <compiler angle="radian" />',
         f'  <option timestep="{chain.unit_time:{_DIGITS}}" integrator="discrete" '
-        'gravity="0 0 0"><flag contact="disable" /></option>',
+        f'gravity="{gravity}"><flag contact="disable" /></option>',
         *default_lines(chain, hinges),
-        "  <worldbody>",
-        '    <site name="clamp" />',
-        *_bodies(chain, hinges),
-        "  </worldbody>",
-        "  <tendon>",
-        *tendon_lines(chain, hinges),
-        "  </tendon>",
-        "  <actuator>",
-        *(
-            f'    <motor name="pull_{axis}" site="tip" refsite="clamp" gear="{gears[axis]}" />'
-            for axis in pulls
-        ),
-        "  </actuator>",
-        '  <sensor><framepos name="tip" objtype="site" objname="tip" /></sensor>',
-        "</mujoco>",
     ]
-    return "\n".join(text) + "\n"
+    for section, lines in sections.items():
+        text += [f"  <{section}>", *lines, f"  </{section}>"]
+    return "\n".join([*text, "</mujoco>"]) + "\n"
 
 
 def default_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
@@ -356,19 +361,32 @@ def _bodies(chain: Chain, hinges: Hinges) -> Iterator[str]:
     h, last = chain.spacing, chain.nodes
     for node in range(1, last + 1):
         place = 0.5 * h if node == 1 else h
-        reach = 0.5 * h if node == last else h
         yield f'    <body name="node_{node}" pos="{place:{_DIGITS}} 0 0">'
-        for name, axis, stiffness in hinges.axes:
-            yield (
-                f'      <joint name="{name}_{node}" axis="{axis}" '
-                f'stiffness="{stiffness / h:{_DIGITS}}" />'
-            )
-        yield (
-            f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
-            f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
-        )
+        yield from node_lines(chain, hinges, node)
     yield f'      <site name="tip" pos="{0.5 * h:{_DIGITS}} 0 0" />'
     yield "    " + "</body>" * last
+
+
+def node_lines(chain: Chain, hinges: Hinges, node: int) -> Iterator[str]:
+    """Return hinges and geometry of a body; the ends of the chain are half as long.
+
+    Parameters
+    ----------
+    chain : numbers of the model
+    hinges : of a node
+    node : number of the body; 0 is the base, which has no hinges
+    """
+    h = chain.spacing
+    reach = 0.5 * h if node in (0, chain.nodes) else h
+    for name, axis, stiffness in hinges.axes if node else ():
+        yield (
+            f'      <joint name="{name}_{node}" axis="{axis}" '
+            f'stiffness="{stiffness / h:{_DIGITS}}" />'
+        )
+    yield (
+        f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
+        f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
+    )
 
 
 def tendon_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:

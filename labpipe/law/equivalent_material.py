@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
-from labpipe.law.plays import require_positive
+from labpipe.law.plays import require, require_positive, require_rising
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 N_KNOTS = 24
@@ -156,19 +156,10 @@ def _plastic_moment(curvature: Floats, strain: Floats, radius: float) -> Floats:
 
 
 def _require_input(curvature: Floats, moment: Floats, elastic_share: float, n_knots: int) -> None:
-    if len(curvature) < 2 or len(moment) != len(curvature):
-        message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
-            f"at least 2"
-        )
-        raise ValueError(message)
-    finite = np.all(np.isfinite(curvature)) and np.all(np.isfinite(moment))
-    if not finite or np.any(np.diff(curvature, prepend=0.0) <= 0.0) or np.any(moment <= 0.0):
-        message = "curvatures must be finite, positive and increasing, moments positive"
-        raise ValueError(message)
-    if not 0.0 < elastic_share < 1.0 or n_knots < 2:
-        message = (
-            f"elastic_share={elastic_share!r}, n_knots={n_knots}: expected a share between 0 and "
-            f"1, and 2 points or more"
-        )
-        raise ValueError(message)
+    lengths = len(curvature), len(moment)
+    require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
+    require_rising("curvature", curvature)
+    holds = bool(np.all((moment > 0.0) & np.isfinite(moment * curvature)))
+    require("moment", moment.tolist(), "finite and > 0", holds=holds)
+    require("elastic_share", elastic_share, "between 0 and 1", holds=0.0 < elastic_share < 1.0)
+    require("n_knots", n_knots, ">= 2", holds=n_knots >= 2)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from labpipe.law.slider_directions import in_directions, turned
-from labpipe.law.sliders import SliderLaw, within_range
+from labpipe.law.sliders import SliderLaw, fit_sliders, in_directions, turned, within_range
 from labpipe.records.arrays import Floats, Ints
+from labpipe.records.wire import WireTable
 
 COUNTS = (4, 6, 8, 12)
 """Numbers of sliders on a card."""
@@ -220,3 +221,44 @@ def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
     behind = np.column_stack([points[:, 1:], worst])
     beyond = np.where((place == 0)[:, None], before, behind)
     return np.where((is_left | is_right)[:, None], swapped, beyond)
+
+
+SLIDERS = 12
+"""With fewer, the error of the residual curvature after unloading exceeds 2 %."""
+
+
+def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
+    """Fit sliders to a wire over its whole table.
+
+    Parameters
+    ----------
+    table : law of the wire
+    sliders : at most
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    return _fitted(table, sliders)
+
+
+@lru_cache(maxsize=16)  # tables are hashed by identity
+def _fitted(table: WireTable, sliders: int) -> SliderLaw:
+    return fit_sliders(table.curvature, table.moment, sliders)
+
+
+@lru_cache(maxsize=4)
+def table_card(table: WireTable) -> LossCard:
+    """Compute the loss card of a wire over its table.
+
+    Parameters
+    ----------
+    table : law of the wire
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    return card_of(table.curvature, table.moment, [sliders_of(table, most) for most in COUNTS])

@@ -1,4 +1,4 @@
-"""Moment-curvature laws, explicit in curvature as a function of moment and of its history.
+"""Moment-curvature laws as plays: curvature as a function of moment and of its history.
 
 Every law here is a spring in series with play operators (PHYSICS 4: strands that stick, slip and
 yield do so one after the other):
@@ -115,17 +115,12 @@ class PlayLaw(ArrayRecord):
 
     def __post_init__(self) -> None:
         require_positive("stiffness", self.stiffness)
-        if not self.largest_moment > 0.0:
-            message = f"largest_moment={self.largest_moment!r}: must be > 0"
-            raise ValueError(message)
+        require("largest_moment", self.largest_moment, "> 0", holds=self.largest_moment > 0.0)
         ArrayRecord.__post_init__(self)
         widths, compliances = self.half_widths, self.compliances
-        if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
-            message = f"half_widths={widths}: must be positive and increasing"
-            raise ValueError(message)
-        if not (np.all(np.isfinite(compliances)) and np.all(compliances >= 0.0)):
-            message = f"compliances={compliances}: must be finite and >= 0"
-            raise ValueError(message)
+        require_rising("half_widths", widths)
+        are_valid = bool(np.all((compliances >= 0.0) & np.isfinite(compliances)))
+        require("compliances", compliances.tolist(), "finite and >= 0", holds=are_valid)
 
 
 def unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
@@ -218,17 +213,28 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
     raise ValueError(message)
 
 
+def require(name: str, value: object, condition: str, *, holds: bool) -> None:
+    """Refuse a value of which a condition does not hold.
+
+    Raises
+    ------
+    ValueError
+        With the name, the value and the condition.
+    """
+    if not holds:
+        message = f"{name}={value!r}: must be {condition}"
+        raise ValueError(message)
+
+
 def require_positive(name: str, value: float) -> None:
     """Refuse a number that is not finite and positive.
 
     Raises
     ------
     ValueError
-        With the name, the value and what is allowed.
+        With the name, the value and the condition.
     """
-    if not (np.isfinite(value) and value > 0.0):
-        message = f"{name}={value!r}: must be finite and > 0"
-        raise ValueError(message)
+    require(name, value, "finite and > 0", holds=bool(0.0 < value < np.inf))
 
 
 def require_not_negative(name: str, value: float) -> None:
@@ -237,11 +243,21 @@ def require_not_negative(name: str, value: float) -> None:
     Raises
     ------
     ValueError
-        With the name, the value and what is allowed.
+        With the name, the value and the condition.
     """
-    if not (np.isfinite(value) and value >= 0.0):
-        message = f"{name}={value!r}: must be finite and >= 0"
-        raise ValueError(message)
+    require(name, value, "finite and >= 0", holds=bool(0.0 <= value < np.inf))
+
+
+def require_rising(name: str, values: Floats) -> None:
+    """Refuse numbers that are not positive and increasing.
+
+    Raises
+    ------
+    ValueError
+        With the name, the values and the condition.
+    """
+    holds = bool(np.all(np.diff(values, prepend=0.0) > 0.0))
+    require(name, values.tolist(), "positive and increasing", holds=holds)
 
 
 def require_finite(name: str, values: Floats | float) -> None:
@@ -250,8 +266,124 @@ def require_finite(name: str, values: Floats | float) -> None:
     Raises
     ------
     ValueError
-        With the name, the values and what is allowed.
+        With the name, the values and the condition.
     """
-    if not np.all(np.isfinite(values)):
-        message = f"{name}={np.asarray(values).tolist()}: must be finite"
+    holds = bool(np.all(np.isfinite(values)))
+    require(name, np.asarray(values).tolist(), "finite", holds=holds)
+
+
+def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
+    """Return the plays of a polygon through the origin and points of a first loading.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    moment : shape (n,), N m
+
+    Raises
+    ------
+    ValueError
+        If the moment does not grow (softens), or a later slope is above an earlier one (stiffens);
+        the message states the curvature.
+    """
+    rounding_share = 1e-7  # of the first slope, from differences of close corners
+    slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
+    if not np.all(slopes > 0.0):
+        at = curvature[int(np.argmin(slopes > 0.0))]
+        message = f"the law softens before curvature={at:.6g} 1/m: the moment must increase"
         raise ValueError(message)
+    if np.any(np.diff(slopes) > rounding_share * slopes[0]):
+        at = curvature[int(np.argmax(np.diff(slopes))) + 1]
+        message = f"the law stiffens before curvature={at:.6g} 1/m: the slope must not increase"
+        raise ValueError(message)
+    compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
+    return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
+
+
+def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
+    """Return the plays of the concave hull of points of a first loading.
+
+    Where the law stiffens, as it can by rounding of a table or under tension, the hull bridges its
+    corners; elsewhere it is that of `polygon_law`.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    moment : shape (n,), N m
+
+    Raises
+    ------
+    ValueError
+        If the moment does not grow, or the hull is more than 1 % of the moment above the law;
+        the message states the curvature.
+    """
+    max_bridged_share = 0.01  # of the moment: more would be another law
+    hull = _upper_corners(curvature, moment)
+    bridged = np.interp(curvature, np.append(0.0, curvature[hull]), np.append(0.0, moment[hull]))
+    excess = bridged / moment - 1.0
+    if np.any(excess > max_bridged_share):
+        at = int(np.argmax(excess))
+        limit = f"{100.0 * max_bridged_share:.0f} %"
+        message = (
+            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: its concave hull is "
+            f"{100.0 * excess[at]:.2g} % above it; expected at most {limit}"
+        )
+        raise ValueError(message)
+    return polygon_law(curvature[hull], moment[hull])
+
+
+def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
+    """Return the corners of the upper hull with the origin (Andrew's chain, 1979)."""
+    corners: list[int] = []
+    x, y = [0.0], [0.0]
+    for number, (k, m) in enumerate(zip(curvature.tolist(), moment.tolist(), strict=True)):
+        while len(x) > 1 and (m - y[-2]) * (x[-1] - x[-2]) >= (y[-1] - y[-2]) * (k - x[-2]):
+            del x[-1], y[-1], corners[-1]
+        x.append(k)
+        y.append(m)
+        corners.append(number)
+    return corners
+
+
+def stick_slip_law(
+    *,
+    stick_stiffness: float,
+    stick_moment: float,
+    slip_stiffness: float,
+    reference_moment: float,
+    hardening: float,
+    last_moment: float,
+    n_plays: int = 40,
+) -> PlayLaw:
+    """Return plays for stick, then a power law of slip and yield (Ramberg-Osgood beyond).
+
+    kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n), cut into plays.
+
+    Parameters
+    ----------
+    stick_stiffness : EI0, N m^2
+    stick_moment : Ms, N m, up to which everything sticks
+    slip_stiffness : EI1, N m^2: secant stiffness of the power law alone at Ms + `reference_moment`
+    reference_moment : M0, N m
+    hardening : n between 0 (perfectly plastic) and 1 (two straight lines)
+    last_moment : N m, end of the fit
+    n_plays : number of plays
+
+    Returns
+    -------
+    The law.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+    require_positive("slip_stiffness", slip_stiffness)
+    require_positive("reference_moment", reference_moment)
+    require("hardening", hardening, "between 0 and 1", holds=0.0 < hardening < 1.0)
+    knots = stick_moment + np.linspace(0.0, 1.0, n_plays + 1) ** 2 * (last_moment - stick_moment)
+    flow = ((knots - stick_moment) / reference_moment) ** (1.0 / hardening)
+    curvature = knots / stick_stiffness + reference_moment / slip_stiffness * flow
+    slopes = np.diff(curvature) / np.diff(knots)
+    compliances = np.diff(slopes, prepend=1.0 / stick_stiffness)
+    return PlayLaw(stick_stiffness, knots[:-1], np.maximum(compliances, 0.0))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.law.plays import require, require_rising
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 
@@ -72,22 +73,13 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
 
 
 def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
-    if max_points < 2:
-        message = f"max_points={max_points}: must be >= 2 points"
-        raise ValueError(message)
-    if len(curvature) < 2 or len(moment) != len(curvature):
-        message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
-            f"at least 2"
-        )
-        raise ValueError(message)
-    finite = np.isfinite(curvature) & np.isfinite(moment)
-    if not finite.all():
-        message = f"point {int(np.argmin(finite)) + 1} of the law is not finite"
-        raise ValueError(message)
-    if curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
-        message = "the law does not start at zero: expected increasing curvatures from 0"
-        raise ValueError(message)
+    require("max_points", max_points, ">= 2", holds=max_points >= 2)
+    lengths = len(curvature), len(moment)
+    require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
+    holds = bool(curvature[0] == moment[0] == 0.0 and np.isfinite(moment).all())
+    first = float(curvature[0]), float(moment[0])
+    require("first point", first, "(0, 0), and all moments finite", holds=holds)
+    require_rising("curvature", curvature[1:])
     if np.any(np.diff(moment) <= 0.0):
         first_drop = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
         message = f"the law softens before curvature={first_drop:.6g} 1/m: the moment must increase"

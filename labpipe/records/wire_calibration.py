@@ -281,14 +281,14 @@ class CalibratedParameter:
     name: str
     unit: str
     value: float
-    intervals: tuple[Interval, ...]
-    log_error: float
-    freedom: float
-    is_open_below: bool
-    is_open_above: bool
-    at_bound: str
-    verdict: Identifiability
-    explanation: str
+    intervals: tuple[Interval, ...] = ()
+    log_error: float = 0.0
+    freedom: float = np.inf
+    is_open_below: bool = False
+    is_open_above: bool = False
+    at_bound: str = ""
+    verdict: Identifiability = Identifiability.FIXED
+    explanation: str = ""
     profiles: tuple[Profile, ...] = ()
     conflict: PriorConflict | None = None
     source: str = ""

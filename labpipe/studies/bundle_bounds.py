@@ -11,21 +11,34 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError, error_text
-from labpipe.protocol.load import load_test_sheet
+from labpipe.process.output_paths import RESULT_FILE
+from labpipe.protocol.load import load_test_sheet, parse_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
-from labpipe.records.curve import Interval
+from labpipe.records.arrays import Ints
+from labpipe.records.curve import Curve, Interval
 from labpipe.records.group import BundlePlace, Group, Sample
-from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel, FrictionFit
+from labpipe.records.harness_bundle import (
+    ARRANGEMENTS,
+    PACKED,
+    Bundle,
+    BundleLoop,
+    BundleModel,
+    FrictionFit,
+)
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, bundle_figure, loop_figure
 from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
-from labpipe.studies.bundle_loops import bundle_loop, friction_as_json, processed_test
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.study_json import entries
+from labpipe.studies.wire_sheets import read_wire_sheet, wire_error
+from labpipe.units import GRAVITY
 from labpipe.wire.bundle_friction import fit_friction
 from labpipe.wire.bundle_model import bundle_model, share_of_bounds
 from labpipe.wire.bundle_packing import (
@@ -324,14 +337,7 @@ def _read_tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
         try:
             tables[name] = wire_table(specs[name])
         except ValueError as error:
-            message = error_text(
-                wires,
-                specs[name].place,
-                expected=f"a wire {name!r} that can be modelled",
-                found=f"this: {error}",
-                remedy="Check its row against the wire.",
-            )
-            raise ProcessingError(message) from error
+            raise wire_error(wires, specs[name], "a wire that can be modelled", error) from error
     return tables
 
 
@@ -364,8 +370,9 @@ def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBun
 
 
 _NUMBERS = (
-    *("low", "free", "high", "principal", "principal_angle", "neutral"),
+    *("low", "free", "high", "principal", "principal_angle", "neutral", "tensor"),
     *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
+    *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
 )
 
 
@@ -376,35 +383,115 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
     ----------
     modelled : a bundle
     """
-    model, layout = modelled.model, modelled.model.layout
+    model, friction = modelled.model, modelled.friction
+    slip, stick = model.is_doubtful, model.is_doubtful_stick
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
-        "name": modelled.name,
+        **entries(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
-        **{name: getattr(model, name) for name in _NUMBERS},
-        "tensor": model.tensor.tolist(),
         "wanted_packing_fraction": WANTED_FRACTION,
-        "wanted_bore": modelled.wanted_bore,
-        "conduits": [asdict(conduit) for conduit in modelled.conduits],
-        "curvature": model.curvature.tolist(),
-        "moment_slip": model.moment_slip.tolist(),
-        "moment_stick": model.moment_stick.tolist(),
-        "doubtful_curvature": model.doubtful_curvature if model.is_doubtful.any() else None,
-        "doubtful_curvature_stick": (
-            model.doubtful_curvature_stick if model.is_doubtful_stick.any() else None
-        ),
-        "doubtful": model.is_doubtful.tolist(),
-        "doubtful_stick": model.is_doubtful_stick.tolist(),
-        "layout": {
-            "arrangement": layout.arrangement,
-            "x": layout.x.tolist(),
-            "y": layout.y.tolist(),
-            "kind": layout.kind.tolist(),
-            "diameter": layout.diameter.tolist(),
-            "radius": layout.radius,
-        },
-        "notes": [asdict(note) for note in model.notes],
-        "friction": None if modelled.friction is None else friction_as_json(modelled.friction),
-        "no_friction": modelled.no_friction,
+        **entries(model, *_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
+        "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
+        "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
+        "friction": friction and friction_as_json(friction),
     }
+
+
+def processed_test(what: str) -> TestResult | None:
+    """Read a processed test; return None for anything else.
+
+    Parameters
+    ----------
+    what : a folder with a ``result.h5``, that file, or anything else
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be read.
+    """
+    path = Path(what)
+    with suppress(OSError):  # text that is too long for a file name
+        path = path / RESULT_FILE if path.is_dir() and (path / RESULT_FILE).exists() else path
+    return read_outcome(path) if path.suffix == ".h5" else None
+
+
+def bundle_loop(test: TestResult) -> BundleLoop:
+    """Return the cycles of a processed test as those of a cantilever.
+
+    Parameters
+    ----------
+    test : of a bundle, with the specimen's `length` (a cantilever) or `span` (bent between two
+        supports)
+
+    Returns
+    -------
+    The loop; of a cantilever with the weight of its test sheet. A span rests on both supports.
+
+    Raises
+    ------
+    ValueError
+        If the test has no curve, neither length nor span, or no kink.
+    """
+    # of the length; smaller deflections are within the error of the zero.
+    min_deflection_share = 1e-3
+    curve, dimensions = test.curve, test.specimen.dimensions
+    values = {result.name: result.value for result in test.results}
+    kink = values.get("kink_displacement"), values.get("kink_force")
+    if curve is None or not curve.branches:
+        message = "the test has no curve with branches"
+        raise ValueError(message)
+    if kink[0] is None or kink[1] is None:
+        message = "the test has no kink (kink_displacement, kink_force), where its wires slip"
+        raise ValueError(message)
+    if "length" not in dimensions and "span" not in dimensions:
+        message = "the test sheet has neither length nor span"
+        raise ValueError(message)
+    length = dimensions.get("length", dimensions.get("span", 0.0) / 2.0)
+    share = 1.0 if "length" in dimensions else 0.5  # two halves carry the force between supports
+    rows, branch = _thin_branches(curve, min_deflection_share * length)
+    slide = values.get("plateau_displacement")
+    self_weight = 0.0
+    if "length" in dimensions:
+        specimen = parse_protocol(test.protocol_yaml, test.test).specimen
+        self_weight = GRAVITY * (specimen.mass_per_length or 0.0)
+    return BundleLoop(
+        length=length,
+        deflection=curve.displacement[rows],
+        force=share * curve.force[rows],
+        branch=branch,
+        kink=(kink[0], share * kink[1]),
+        slide=np.inf if slide is None else slide,
+        self_weight=self_weight,
+    )
+
+
+def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
+    """Return the rows of evenly spaced points of all branches, and the number of their branch."""
+    points_per_branch = 30
+    rows, branches = [], []
+    for number, branch in enumerate(curve.branches):
+        inside = np.arange(branch.start, branch.stop)
+        inside = inside[
+            (curve.displacement[inside] > min_deflection) & np.isfinite(curve.force[inside])
+        ]
+        evenly = np.linspace(0.0, len(inside) - 1.0, min(points_per_branch, len(inside)))
+        rows.append(inside[np.round(evenly).astype(np.int64)])
+        branches.append(np.full(len(evenly), number, dtype=np.int64))
+    return np.concatenate(rows), np.concatenate(branches)
+
+
+_FRICTION = (
+    *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
+    *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
+)
+
+
+def friction_as_json(fit: FrictionFit) -> dict[str, object]:
+    """Return the friction of a bundle as lists and numbers, SI units.
+
+    Parameters
+    ----------
+    fit : of a processed test; a `slide_curvature` that is infinite becomes None
+    """
+    return entries(fit, *_FRICTION) | entries(fit.loop, "length", "deflection", "force", "branch")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from labpipe import __version__
 from labpipe.decks import write_decks
 from labpipe.errors import ProcessingError
 from labpipe.process.output_paths import find_results, refuse_repeated, shared_folder
@@ -19,23 +18,17 @@ from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     PARAMETERS,
-    CalibratedParameter,
     Calibration,
     CalibrationFailure,
-    CurveAgreement,
-    CurveErrors,
-    CurveMatch,
     ExternalCurveComparison,
     ParameterChoice,
-    Separability,
-    Solution,
 )
 from labpipe.report.calibration_figures import calibration_drawings
 from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.report.saving import pngs_of, save_pages
 from labpipe.store.replace import locked, replacing_together
-from labpipe.store.summaries import finite_or_none
+from labpipe.studies.calibration_file import calibration_json, comparison_json
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import (
     FirstLoading,
@@ -43,7 +36,6 @@ from labpipe.studies.first_loadings import (
     weight_note,
     with_self_weight,
 )
-from labpipe.studies.stress_tables import StatedCurve
 from labpipe.studies.validation import (
     bent_shapes,
     built_wire,
@@ -51,219 +43,15 @@ from labpipe.studies.validation import (
     default_sheet,
     drop_copies,
     insulation_notes,
-    mark_doubtful_parts,
     misfit_notes,
     require_wires,
     wire_to_calibrate,
 )
-from labpipe.studies.wire_specs import read_wires
+from labpipe.studies.wire_sheets import StatedCurve, read_wires
 from labpipe.wire.calibration.calibrate_wire import Settings, Wire, calibrate
+from labpipe.wire.calibration.prediction import tested_curvature
 from labpipe.wire.law_family import with_values
-from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import wire_table
-
-
-def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
-    """Return a comparison as lists and SI numbers; None where there is no number.
-
-    Parameters
-    ----------
-    comparison : of an external curve
-    """
-    curve = comparison.curve
-    return {
-        "name": curve.name,
-        "file": curve.file,
-        "source": curve.source,
-        "wire": curve.wire,
-        "length": curve.length,
-        "load": "normal" if curve.is_normal else "as tested",
-        "deflection": curve.deflection.tolist(),
-        "force": curve.force.tolist(),
-        "tests": None if comparison.tests is None else _match_json(comparison.tests),
-        "model": _match_json(comparison.model),
-        "quality": [asdict(note) for note in comparison.notes],
-    }
-
-
-def _match_json(match: CurveMatch) -> dict[str, object]:
-    errors = match.errors
-    return {
-        "n": 0 if errors is None else errors.n,
-        "left_out": match.left_out,
-        **_errors_json(errors),
-        "force": _numbers(match.reference),
-        "reason": match.explanation,
-    }
-
-
-def _errors_json(errors: CurveErrors | None) -> dict[str, float | None]:
-    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
-    return {
-        key: None if errors is None else finite_or_none(getattr(errors, name))
-        for key, name in names.items()
-    }
-
-
-def _numbers(values: Iterable[float]) -> list[float | None]:
-    return [finite_or_none(value) for value in values]
-
-
-SCHEMA = 2
-
-
-def calibration_json(
-    calibration: Calibration,
-    groups: Sequence[ValidationGroup],
-    left_out: Mapping[str, str],
-    tested: float = math.nan,
-) -> dict[str, object]:
-    """Return a calibration as lists and SI numbers; None where there is no number.
-
-    Parameters
-    ----------
-    calibration : of one wire
-    groups : tests that it is compared with
-    left_out : by file, why a test was not used
-    tested : 1/m, largest curvature in the tests
-    """
-    friction = calibration.friction_separability
-    return {
-        "schema": SCHEMA,
-        "labpipe": __version__,
-        "wire": calibration.wire,
-        "method": calibration.method,
-        "parameters": [_parameter_json(parameter) for parameter in calibration.parameters],
-        "solutions": [_solution_json(solution) for solution in calibration.solutions],
-        "widening": calibration.widening,
-        "tested_curvature": finite_or_none(tested),
-        "correlations": {
-            "names": list(PARAMETERS),
-            "values": [_numbers(row) for row in calibration.correlations],
-        },
-        "separability": _separability_json(calibration.separability),
-        "friction_separability": None if friction is None else _separability_json(friction),
-        "levels": {key: finite_or_none(value) for key, value in asdict(calibration.levels).items()},
-        "n_points": calibration.n_points,
-        "n_samples": calibration.n_samples,
-        "sse": calibration.sse,
-        "rmse": calibration.rmse,
-        "rmse_share": calibration.rmse_share,
-        "curves": [_curve_json(curve) for curve in calibration.curves],
-        "groups": [_group_json(group) for group in groups],
-        "left_out": dict(left_out),
-        "quality": [asdict(note) for note in calibration.notes],
-    }
-
-
-def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
-    interval, conflict = parameter.interval, parameter.conflict
-    lower, upper = (None, None) if interval is None else _numbers([interval.lower, interval.upper])
-    return {
-        "name": parameter.name,
-        "value": finite_or_none(parameter.value),
-        "unit": parameter.unit,
-        "lower": None if parameter.is_open_below else lower,
-        "upper": None if parameter.is_open_above else upper,
-        "level": None if interval is None else interval.level,
-        "intervals": _intervals(parameter),
-        "verdict": str(parameter.verdict),
-        "words": parameter.explanation,
-        "profiles": [
-            {
-                "value": _numbers(profile.value),
-                "deviance": _numbers(profile.deviance),
-                "threshold_below": finite_or_none(profile.threshold_below),
-                "threshold_above": finite_or_none(profile.threshold_above),
-            }
-            for profile in parameter.profiles
-        ],
-        "prior": None
-        if conflict is None
-        else {
-            "value": finite_or_none(conflict.centre),
-            "factor": finite_or_none(conflict.factor),
-            "source": conflict.source,
-            "without": finite_or_none(conflict.alone),
-            "size": finite_or_none(conflict.size),
-            "contradicts": conflict.contradicts,
-            "message": conflict.message,
-        },
-        "source": parameter.source,
-    }
-
-
-def _intervals(parameter: CalibratedParameter) -> list[list[float | None]]:
-    """Return the parts of the interval; None for an open end."""
-    ends = [
-        [finite_or_none(part.lower), finite_or_none(part.upper)] for part in parameter.intervals
-    ]
-    if ends and parameter.is_open_below:
-        ends[0][0] = None
-    if ends and parameter.is_open_above:
-        ends[-1][1] = None
-    return ends
-
-
-def _solution_json(solution: Solution) -> dict[str, object]:
-    return {
-        **dict(zip(PARAMETERS, _numbers(solution.values), strict=True)),
-        "rise": solution.rise,
-        "likelihood": solution.likelihood,
-        "in_95_percent_set": solution.is_allowed,
-        "rmse": solution.rmse,
-        "limit": solution.limit,
-        "covariance": solution.covariance.tolist(),
-        "mixture": {
-            "chance": solution.mixture.chance.tolist(),
-            "scatter": solution.mixture.scatter.tolist(),
-            "shift": solution.mixture.shift.tolist(),
-            "covariance": solution.mixture.covariance.tolist(),
-            "freedom": finite_or_none(solution.mixture.freedom),
-        },
-    }
-
-
-def _separability_json(separability: Separability) -> dict[str, object]:
-    return {
-        "names": list(separability.names),
-        "singular_values": _numbers(separability.singular_values),
-        "combinations": [_numbers(row) for row in separability.combinations],
-        "identified": dict(separability.are_identified),
-        "words": separability.explanation,
-    }
-
-
-def _curve_json(curve: CurveAgreement) -> dict[str, object]:
-    names = ("sample_factor", "sse", "rmse", "rmse_share", "runs_p")
-    return {
-        "test": curve.test,
-        "sample": curve.sample,
-        "length": curve.length,
-        **{name: finite_or_none(getattr(curve, name)) for name in names},
-        "lag_one": finite_or_none(curve.lag_one_correlation),
-    }
-
-
-def _group_json(group: ValidationGroup) -> dict[str, object]:
-    errors, prediction = group.errors, group.prediction
-    return {
-        "wire": group.wire,
-        "length": group.length,
-        "calibrating": group.is_calibrated,
-        "tests": list(group.samples),
-        "n": None if errors is None else errors.n,
-        "sse": None if errors is None else finite_or_none(errors.sse),
-        **_errors_json(errors),
-        "reasons": [] if group.reason is None else [asdict(group.reason)],
-        "prediction": None
-        if prediction is None
-        else {
-            name: _numbers(getattr(prediction, name))
-            for name in ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
-        },
-    }
-
 
 MODEL_FILE = "calibration.json"
 WORKBOOK_FILE = "calibration.xlsx"
@@ -367,7 +155,6 @@ def calibrate_tests(
     groups = compare(calibration, built, loadings)
     notes = (*notes, *misfit_notes(groups))
     calibration = replace(calibration, notes=(*calibration.notes, *filter(None, notes)))
-    groups = mark_doubtful_parts(groups, calibration, built, specs, loadings)
     done = Calibrated(
         folder=shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,

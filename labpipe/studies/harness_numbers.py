@@ -33,13 +33,11 @@ from labpipe.studies.harness_responses import (
     fields_of,
     heights_of,
     largest_of_sides,
-)
-from labpipe.studies.harness_section import Material
-from labpipe.studies.residual_curvature import (
     largest_unbending,
     residual_curvature,
     unloading_reason,
 )
+from labpipe.studies.harness_section import Material
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, ReadError, UsageError, error_text, nearest
+from labpipe.errors import ReadError, UsageError, error_text, nearest
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
 from labpipe.records.quality import QualityNote
@@ -28,7 +28,7 @@ from labpipe.rod.input_distributions import (
 from labpipe.rod.line import Section
 from labpipe.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.studies.harness_line import FREE_CURVATURES
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet, wire_error
 from labpipe.wire.law_family import (
     LAW_FACTOR,
     MASS_FACTOR,
@@ -180,13 +180,8 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
     try:
         table, families = wire_table(specs[0]), [family_of(spec) for spec in specs]
     except ValueError as error:
-        message = error_text(
-            *(sheet, f"{spec.place}, wire {spec.name!r}"),
-            expected="a wire whose law can be fitted by sliders",
-            found=f"this: {error}",
-            remedy="Check its row against the wire.",
-        )
-        raise ProcessingError(message) from error
+        expected = "a wire whose law can be fitted by sliders"
+        raise wire_error(sheet, spec, expected, error) from error
     limits = {"its table": float(table.curvature[-1]), _INSULATION_LIMIT: table.doubtful_curvature}
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature

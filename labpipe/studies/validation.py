@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, UsageError, error_text, nearest
+from labpipe.errors import UsageError, error_text, nearest
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
@@ -20,12 +20,12 @@ from labpipe.report.calibration_summary import BentShape, ValidationGroup
 from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
 from labpipe.store.read import read_result
 from labpipe.studies.first_loadings import FirstLoading, insulation_note
+from labpipe.studies.wire_sheets import wire_error
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
-from labpipe.wire.calibration.law_components import loading_curve, split_wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
-from labpipe.wire.calibration.prediction import predict
+from labpipe.wire.calibration.prediction import calibrated_curve, predict, tested_curvature
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -33,7 +33,6 @@ from labpipe.wire.cantilever import (
     held_level,
     straight,
 )
-from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import build, mass_per_length, straight_range
 
 STEPS = 6
@@ -68,7 +67,7 @@ def bent_shapes(
         return ()
     lift = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
     rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
-    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
+    parts = wire.parts
     largest_curvature, _ = parts.reach(parts.given)
     shapes = []
     for wanted in deepest * np.arange(1, STEPS + 1) / STEPS:
@@ -245,16 +244,10 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
     try:
         wire = build(spec)
     except ValueError as error:
-        message = error_text(
-            wires,
-            f"{spec.place}, wire '{spec.name}'",
-            expected="a wire that can be built",
-            found=f"this: {error}",
-            remedy="Check its row against the wire.",
-        )
-        raise ProcessingError(message) from error
+        raise wire_error(wires, spec, "a wire that can be built", error) from error
     weight = GRAVITY * mass_per_length(spec, wire.section)
-    return Wire(wire.section, wire.contacts, spec.orientation, weight)
+    linear_range = straight_range(spec)
+    return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
 
 
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
@@ -348,52 +341,6 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
     )
 
 
-def mark_doubtful_parts(
-    groups: Sequence[ValidationGroup],
-    calibration: Calibration,
-    wires: Mapping[str, Wire],
-    specs: Mapping[str, WireSpec],
-    loadings: Sequence[FirstLoading],
-) -> tuple[ValidationGroup, ...]:
-    """Set the deflection at which each prediction leaves the linear range of the insulation.
-
-    Parameters
-    ----------
-    groups : of `compare`
-    calibration, wires, loadings : as they were compared
-    specs : by name
-    """
-    curves = {
-        (loading.curve.wire, round(loading.curve.length, 6)): loading.curve for loading in loadings
-    }
-    return tuple(
-        replace(group, doubtful_deflection=_linear_up_to(group, calibration, wires, specs, curve))
-        for group in groups
-        for curve in [curves[group.wire, round(group.length, 6)]]
-    )
-
-
-def _linear_up_to(
-    group: ValidationGroup,
-    calibration: Calibration,
-    wires: Mapping[str, Wire],
-    specs: Mapping[str, WireSpec],
-    curve: MeasuredCurve,
-) -> float:
-    """Return the deflection, m, at which the curvature at the clamp reaches that limit."""
-    if group.prediction is None:
-        return np.inf
-    wire, calibrated = wires[group.wire], calibration.solutions[0].values
-    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
-    values = np.where(np.isnan(calibrated), parts.given, calibrated)
-    deepest = float(group.prediction.deflection[-1])
-    bent = loading_curve(
-        *(parts, values, group.length, curve.rig, deepest), self_weight=curve.self_weight
-    )
-    limit = straight_range(specs[group.wire])
-    return float(np.interp(limit, bent.clamp_curvature, bent.deflection, right=np.inf))
-
-
 def _compare_group(
     calibration: Calibration, wire: Wire, loadings: Sequence[FirstLoading]
 ) -> ValidationGroup:
@@ -401,16 +348,21 @@ def _compare_group(
     deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
     noise = float(np.mean([curve.read_error for curve in curves]))
     first = curves[0]
-    prediction, errors, reason = None, None, None
+    prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
     try:
         deflection = deepest * _GRID
         wire = replace(wire, self_weight=first.self_weight)
-        rig = first.rig
-        prediction = predict(calibration, wire, first.length, deflection, rig=rig, noise=noise)
+        specimen = wire, first.length
+        prediction = predict(calibration, *specimen, deflection, rig=first.rig, noise=noise)
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:
         errors = _errors(curves, prediction)
+        values = calibration.solutions[0].values
+        bent = calibrated_curve(wire, values, first.length, first.rig, deepest)
+        doubtful_deflection = float(
+            np.interp(wire.linear_range, bent.clamp_curvature, bent.deflection, right=np.inf)
+        )
     return ValidationGroup(
         wire=first.wire,
         length=first.length,
@@ -420,6 +372,7 @@ def _compare_group(
         prediction=prediction,
         errors=errors,
         reason=reason,
+        doubtful_deflection=doubtful_deflection,
     )
 
 

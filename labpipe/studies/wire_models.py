@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,9 +21,8 @@ from labpipe.report.saving import pngs_of, save_pages
 from labpipe.report.wire_figures import figure_names, wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
-from labpipe.store.summaries import finite_or_none
-from labpipe.studies.stress_tables import StatedCurve, describe_stress_tables
-from labpipe.studies.wire_specs import read_wires
+from labpipe.studies.study_json import entries
+from labpipe.studies.wire_sheets import StatedCurve, describe_stress_tables, read_wires, wire_error
 from labpipe.wire.wire_table import wire_table
 
 WORKBOOK_FILE = "wires.xlsx"
@@ -153,13 +152,8 @@ def make_tables(
         if isinstance(outcome, ModelledWire):
             modelled_wires.append(outcome)
         else:
-            refused[spec.name] = error_text(
-                sheet,
-                f"{spec.place}, wire '{spec.name}'",
-                expected="a wire that can be built and bent",
-                found=f"this: {outcome}",
-                remedy="Check its row against the wire.",
-            )
+            error = wire_error(sheet, spec, "a wire that can be built and bent", outcome)
+            refused[spec.name] = str(error)
     return tuple(modelled_wires), refused
 
 
@@ -278,41 +272,20 @@ def as_json(modelled: ModelledWires) -> dict[str, object]:
     }
 
 
-_ARRAYS = (
+_NUMBERS = (
+    *("stick_stiffness", "slip_stiffness", "axial_stiffness", "torsional_stiffness"),
+    *("free_torsional_stiffness", "stretch_twist_coupling", "mass_per_length"),
     *("curvature", "moment", "secant_stiffness", "tangent_stiffness"),
     *("stick", "slip", "bending", "plastic", "insulation", "insulation_share"),
-    *("lowest_moment", "highest_moment", "slip_onsets"),
+    *("lowest_moment", "highest_moment", "slip_onsets", "layout", "notes"),
 )
 
 
 def _wire(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
-    layout = table.layout
+    cantilever = entries(table, "tip_deflection", "doubtful_deflection", "rest", force="tip_force")
     return {
-        "stick_stiffness": table.stick_stiffness,
-        "slip_stiffness": table.slip_stiffness,
-        "axial_stiffness": table.axial_stiffness,
-        "torsional_stiffness": table.torsional_stiffness,
-        "free_torsional_stiffness": table.free_torsional_stiffness,
-        "stretch_twist_coupling": table.stretch_twist_coupling,
-        "mass_per_length": table.mass_per_length,
+        **entries(table, *_NUMBERS),
         "doubtful_curvature": table.doubtful_curvature if table.is_doubtful.any() else None,
-        **{name: getattr(table, name).tolist() for name in _ARRAYS},
-        "cantilever": {
-            "length": table.spec.length,
-            "tip_deflection": table.tip_deflection.tolist(),
-            "force": table.tip_force.tolist(),
-            "doubtful_deflection": finite_or_none(table.doubtful_deflection),
-            "rest": None if table.rest is None else asdict(table.rest),
-        },
-        "layout": {
-            "kind": layout.kind,
-            "x": layout.x.tolist(),
-            "y": layout.y.tolist(),
-            "layer": [int(number) for number in layout.layer],
-            "diameter": layout.diameter.tolist(),
-            "bore_radius": layout.bore_radius,
-            "wire_radius": layout.wire_radius,
-        },
+        "cantilever": {"length": table.spec.length, **cantilever},
         "stress_tables": {column: curve.as_json() for column, curve in curves.items()},
-        "notes": [asdict(note) for note in table.notes],
     }

@@ -30,8 +30,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.law.play_fits import polygon_law
-from labpipe.law.plays import PlayLaw, corners_of
+from labpipe.law.plays import PlayLaw, corners_of, polygon_law
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
 from labpipe.virtual_lab.specimens import WIRES, StrandedWire, scaled_law

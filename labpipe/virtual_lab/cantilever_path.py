@@ -269,7 +269,7 @@ class _Cycle:
 
 def _at_zero_tension(shape: CantileverShape) -> CantileverShape:
     """Return the shape at which the string goes slack, with exactly zero tension."""
-    return replace(shape, tension=0.0, state=replace(shape.state, load=0.0))
+    return replace(shape, state=replace(shape.state, load=0.0))
 
 
 def _largest_curvature(shapes: list[CantileverShape], bent: float) -> float:

@@ -14,8 +14,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from labpipe.law.play_fits import stick_slip_law
-from labpipe.law.plays import LinearLaw, PlayLaw
+from labpipe.law.plays import LinearLaw, PlayLaw, stick_slip_law
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cross_section import (
@@ -67,7 +66,7 @@ class ElasticModel:
 
 @dataclass(frozen=True, slots=True)
 class WireModel:
-    """A wire defined by the parameters of its law (`law.play_fits.stick_slip_law`).
+    """A wire defined by the parameters of its law (`law.plays.stick_slip_law`).
 
     Parameters
     ----------

@@ -5,26 +5,25 @@ forces:
 
     M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + EI_ins kappa,
 
-with the helix factor h. The axial forces F are those of `wire.friction`, the strands' own moments m
-those of `wire.strand_bending`. The strands' axial stiffness stays elastic, as in the dissertation.
+The axial forces F are those of `wire.friction`, the strands' own moments m those of
+`wire.materials`. The strands' axial stiffness stays elastic, as in the source.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.law.play_fits import polygon_law
-from labpipe.law.plays import PlayLaw, require_positive
-from labpipe.records.arrays import Floats, frozen
-from labpipe.wire.cross_section import CrossSection
+from labpipe.law.plays import PlayLaw, polygon_law, require_positive
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
+from labpipe.wire.cross_section import CrossSection, tube_moment
 from labpipe.wire.friction import Bundle, Contacts, arrange, axial_forces, sines, slip_onsets
-from labpipe.wire.strand_bending import helix_factor, strand_moment, tube_moment
+from labpipe.wire.materials import helix_factor, strand_moment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MomentCurve:
+class MomentCurve(ArrayRecord):
     """A wire's moment against curvature, and its parts; arrays of shape (n,).
 
     The moment is stick + slip + bending + plastic + insulation.
@@ -42,20 +41,15 @@ class MomentCurve:
     slip_stiffness : N m^2, of frictionless, elastic strands
     """
 
-    curvature: Floats
-    stick: Floats
-    slip: Floats
-    bending: Floats
-    plastic: Floats
-    insulation: Floats
-    tangent_stiffness: Floats
+    curvature: Vector
+    stick: Vector
+    slip: Vector
+    bending: Vector
+    plastic: Vector
+    insulation: Vector
+    tangent_stiffness: Vector
     stick_stiffness: float
     slip_stiffness: float
-
-    def __post_init__(self) -> None:
-        shape = (len(self.curvature),)
-        for item in fields(self)[:7]:
-            object.__setattr__(self, item.name, frozen(getattr(self, item.name), shape=shape))
 
     @property
     def moment(self) -> Floats:

@@ -29,8 +29,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
-from labpipe.law.play_fits import concave_law
-from labpipe.law.plays import PlayLaw
+from labpipe.law.plays import PlayLaw, concave_law
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.harness_bundle import BundleLoop, BundleModel, FrictionFit
 from labpipe.records.wire import WireTable

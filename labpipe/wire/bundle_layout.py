@@ -13,6 +13,7 @@ from itertools import combinations, islice
 
 import numpy as np
 
+from labpipe.law.plays import require
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 from labpipe.wire.bundle_packing import densest_heap, holding_circle
@@ -304,9 +305,7 @@ def sites(number: int, *, seed: int = 0) -> Floats:
         If there is no wire.
     """
     max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
-    if number < 1:
-        message = f"number={number!r}: must be an integer >= 1"
-        raise ValueError(message)
+    require("number", number, "a whole number >= 1", holds=number >= 1)
     core = _hexagon_centre(number) if number <= max_hexagon_wires else None
     places = _hexagonal_heap(number, core) if core is not None else _densest_heap(number, seed)
     points = places - places.mean(axis=0)

@@ -12,7 +12,7 @@ moves to where the forces of all wires balance.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,27 +55,29 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     `stretching_moment`). The interaction of bending and stretching in one wire is neglected.
     With friction between wires and compliant tape, a bundle lies between the two.
     """
-    kinds = [_table(wire.type, tables) for wire in bundle.wires]
+    missing = [wire.type for wire in bundle.wires if wire.type not in tables]
+    if missing:
+        names = ", ".join(tables) or "none"
+        message = f"the wire type {missing[0]!r} has no law: available are {names}"
+        raise ValueError(message)
+    kinds = [tables[wire.type] for wire in bundle.wires]
     counts = [wire.number for wire in bundle.wires]
     diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
     axial = np.array([table.axial_stiffness for table in kinds])
     layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
     stick_stiffness = np.array([table.stick_stiffness for table in kinds])
     stuck = sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
-    curvature, notes = _common_range(kinds, layout)
+    curvature, range_notes = _common_range(kinds, layout)
     slip = slipping_moment(curvature, kinds, counts)
-    stick = slip + stretching_moment(curvature, layout.y, layout.kind, kinds)
-    free = float(stick_stiffness[layout.kind].sum())
-    high = float(stuck.tensor[1, 1])
     straight_ranges = _straight_ranges(kinds, layout, stuck.neutral[1])
     middle, smallest = _conduit_circle(bundle, layout)
     bore = bundle.conduit_bore
-    return BundleModel(
+    model = BundleModel(
         bundle=bundle,
         layout=layout,
         low=float(np.dot(counts, [table.slip_stiffness for table in kinds])),
-        free=free,
-        high=high,
+        free=float(stick_stiffness[layout.kind].sum()),
+        high=float(stuck.tensor[1, 1]),
         tensor=stuck.tensor,
         principal=stuck.principal,
         principal_angle=stuck.angle,
@@ -86,25 +88,12 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
         packing_fraction=None if bore is None else packing_fraction(layout.diameter, bore),
         curvature=curvature,
         moment_slip=slip,
-        moment_stick=stick,
+        moment_stick=slip + stretching_moment(curvature, layout.y, layout.kind, kinds),
         doubtful_curvature=straight_ranges[0],
         doubtful_curvature_stick=straight_ranges[1],
-        notes=(
-            *_diameter_notes(bundle, kinds),
-            *notes,
-            *_oblique_notes(stuck),
-            *_yield_notes(high, free, curvature, stick),
-            *_insulation_notes(straight_ranges, curvature),
-        ),
     )
-
-
-def _table(type_: str, tables: Mapping[str, WireTable]) -> WireTable:
-    if type_ not in tables:
-        names = ", ".join(tables) or "none"
-        message = f"the wire type {type_!r} has no law: available are {names}"
-        raise ValueError(message)
-    return tables[type_]
+    notes = (*_diameter_notes(bundle, kinds), *range_notes, *_law_notes(model))
+    return replace(model, notes=notes)
 
 
 def _diameter(wire: BundleWire, table: WireTable) -> float:
@@ -189,52 +178,38 @@ def _straight_ranges(
     return float(slip.min()), float(np.min(strain / height))
 
 
-def _insulation_notes(
-    straight_ranges: tuple[float, float], curvature: Floats
-) -> Iterator[QualityNote]:
-    slip, stick = straight_ranges
-    if curvature[-1] <= stick:
-        return
-    condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
-    addition = (
-        f", and beyond {slip:.4g} 1/m if they slip" if condition and curvature[-1] > slip else ""
-    )
-    message = (
-        f"where the rim of an insulation is strained beyond its linear range, its modulus does "
-        f"not apply: moments are doubtful beyond {stick:.4g} 1/m{condition}{addition} "
-        f"(lighter in the figure)"
-    )
-    yield QualityNote("insulation_doubtful", Severity.WARNING, "bundle", message)
-
-
-def _oblique_notes(stuck: Sticking) -> Iterator[QualityNote]:
+def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
     max_lost_share = 0.01  # of the stiffness along y, lost by moving aside
-    (across, mixed), (_, along) = stuck.tensor
+    min_stretching_factor = 2.0  # above it, more than half of the stiffness is stretching
+    (across, mixed), (_, along) = model.tensor
     lost = mixed**2 / (across * along)
     if lost > max_lost_share:
         message = (
-            f"the principal axes are oblique ({np.degrees(stuck.angle):.3g} deg from x to the "
-            f"stiffest direction): bent along y, a sticking bundle free to move aside is "
+            f"the principal axes are oblique ({np.degrees(model.principal_angle):.3g} deg from x "
+            f"to the stiffest direction): bent along y, a sticking bundle free to move aside is "
             f"{100.0 * lost:.2g} % less stiff than the {_stiffness_text(along)} of one kept in its "
             f"plane"
         )
         yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
-
-
-def _yield_notes(
-    high: float, free: float, curvature: Floats, stick: Floats
-) -> Iterator[QualityNote]:
-    """Note where a sticking bundle of stretched wires has less than half its first stiffness."""
-    min_stretching_factor = 2.0  # above it, more than half of the stiffness is stretching
-    if high < min_stretching_factor * free:  # the stiffness it loses is that of slipping strands
-        return
-    below = np.flatnonzero(stick[1:] < 0.5 * high * curvature[1:]) + 1
-    if len(below):
+    curvature = model.curvature
+    below = np.flatnonzero(model.moment_stick[1:] < 0.5 * model.high * curvature[1:]) + 1
+    # with less stretching, the stiffness that it loses is that of slipping strands
+    if len(below) and model.high >= min_stretching_factor * model.free:
         message = (
             f"stretched copper yields: a sticking bundle, bent along y, has less than half "
-            f"of its {_stiffness_text(high)} beyond {curvature[below[0]]:.3g} 1/m"
+            f"of its {_stiffness_text(model.high)} beyond {curvature[below[0]]:.3g} 1/m"
         )
         yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
+    slip, stick = model.doubtful_curvature, model.doubtful_curvature_stick
+    if curvature[-1] > stick:
+        condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
+        addition = f", and beyond {slip:.4g} 1/m if they slip" if curvature[-1] > slip else ""
+        message = (
+            f"where the rim of an insulation is strained beyond its linear range, its modulus does "
+            f"not apply: moments are doubtful beyond {stick:.4g} 1/m{condition}"
+            f"{addition if condition else ''} (lighter in the figure)"
+        )
+        yield QualityNote("insulation_doubtful", Severity.WARNING, "bundle", message)
 
 
 def _stiffness_text(value: float) -> str:

@@ -7,11 +7,9 @@ tip and the wire's own weight w per length,
     M(s) = integral from s to L of ((Py - w (L - s)) cos theta - Px sin theta),
     theta(s) = integral of kappa(M),
 
-at Chebyshev-Lobatto stations, every station with its own history. Newton's method with the exact
-Jacobian solves it; the load (an end load or the tension of the string) is one more unknown,
-fixed by one more condition. A path is followed in steps that are halved where Newton's method
-fails. Unlike the dissertation, it uses neither a series nor a single stiffness for the
-whole wire.
+at the stations of `wire.newton`; the load (an end load or the tension of the string) is one more
+unknown, fixed by one more condition. A path is followed in steps that are halved where Newton's
+method fails. Unlike the source it uses no series and no single stiffness for the whole wire.
 
 The clamp is driven down, which in its own frame lifts the anchor of the string. The string is taut
 or slack; the counterweight always hangs at the tip.
@@ -24,10 +22,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from functools import partial
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
+from labpipe.law.loading_table import CurvatureAndSlope
 from labpipe.law.plays import (
     MomentLaw,
     require_finite,
@@ -37,24 +37,14 @@ from labpipe.law.plays import (
     respond,
     unbent_plays,
 )
-from labpipe.records.arrays import Floats, frozen
-from labpipe.wire.newton import (
-    TOLERANCE,
-    Condition,
-    DeadLoad,
-    EndLoad,
-    Equilibrium,
-    Pull,
-    Unknowns,
-    chebyshev_stations,
-    solve,
-)
+from labpipe.records.arrays import ArrayRecord, Floats, Ints
+from labpipe.wire.newton import Condition, Demand, Wire, bend_wire, chebyshev_stations, solve
 
 DEFAULT_STATIONS = 64  # above about 100, BLAS starts threads, which is slower
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WireState:
+class WireState(ArrayRecord):
     """Moments and history of a wire, station by station.
 
     Parameters
@@ -68,18 +58,12 @@ class WireState:
     self_weight : N/m, of the wire, along -y
     """
 
-    moment: Floats
-    plays: Floats
-    force: Floats
+    moment: Annotated[Floats, "stations"]
+    plays: Annotated[Floats, "stations", "plays"]
+    force: Annotated[Floats, 2]
     load: float = 0.0
     travel: float = 0.0
     self_weight: float = 0.0
-
-    def __post_init__(self) -> None:
-        stations = len(self.moment)
-        object.__setattr__(self, "moment", frozen(self.moment, shape=(None,)))
-        object.__setattr__(self, "plays", frozen(self.plays, shape=(stations, None)))
-        object.__setattr__(self, "force", frozen(self.force, shape=(2,)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,10 +74,7 @@ class CantileverShape:
     ----------
     arc_length, x, y : m
     angle : rad
-    moment : N m
     curvature : 1/m
-    force : shape (2,), N, at the tip: string and counterweight together
-    tension : N, of the string, 0 if it is slack; without a string, the load of the state
     state : start of the next step
     """
 
@@ -101,11 +82,23 @@ class CantileverShape:
     x: Floats
     y: Floats
     angle: Floats
-    moment: Floats
     curvature: Floats
-    force: Floats
-    tension: float
     state: WireState
+
+    @property
+    def moment(self) -> Floats:
+        """Return the moments, N m."""
+        return self.state.moment
+
+    @property
+    def force(self) -> Floats:
+        """Return the force at the tip, N, shape (2,): string and counterweight together."""
+        return self.state.force
+
+    @property
+    def tension(self) -> float:
+        """Return the tension of the string, N; 0 where there is none or it is slack."""
+        return self.state.load
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +123,65 @@ class StringRig:
         """Return the travel of the clamp at which the string just reaches a tip at (x, y), m."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeadLoad:
+    """A given force, N, shape (2,); the load is unused and zero."""
+
+    force: Floats
+
+    def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:  # noqa: ARG002
+        """Return the force itself."""
+        nothing = np.zeros_like(tip)
+        return Demand(nothing + self.force, nothing, load, nothing, gap_by_load=1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtDeflection:
+    """A pull that brings the tip to `deflection`, m, shape (equilibria,).
+
+    The load is the tension of a string that just reaches the tip; without a rig, a force normal to
+    the clamped axis.
+    """
+
+    deflection: Floats
+    rig: StringRig | None = None
+
+    def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:
+        """Return the pull, and the gap to the deflection."""
+        upwards = np.zeros_like(tip)
+        upwards[:, 1] = 1.0
+        gap = tip[:, 1] - self.deflection[rows]
+        if self.rig is None:
+            return Demand(load[:, None] * upwards, upwards, gap, upwards)
+        lean = (self.rig.anchor_x - tip[:, 0]) / self.rig.string_length
+        rise = np.sqrt(1.0 - lean**2)
+        direction = np.stack([lean, rise], axis=1)
+        force = load[:, None] * direction - self.rig.weight * upwards
+        by_tip = np.zeros((*tip.shape, 2))
+        by_tip[:, :, 0] = (load / self.rig.string_length)[:, None] * np.stack(
+            [-np.ones_like(lean), lean / rise], axis=1
+        )
+        return Demand(force, direction, gap, upwards, by_tip)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pull:
+    """A taut string from `anchor` (shape (2,), m) of `length`, and a `weight` (N) at the tip."""
+
+    anchor: Floats
+    length: float
+    weight: float
+
+    def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:  # noqa: ARG002
+        """Return tension and weight; the gap is the string's stretch."""
+        reach = self.anchor - tip
+        distance = np.hypot(*reach.T)
+        by_load = reach / self.length
+        force = load[:, None] * by_load - np.array([0.0, self.weight])
+        by_tip = -(load / self.length)[:, None, None] * np.eye(2)
+        return Demand(force, by_load, distance - self.length, -reach / distance[:, None], by_tip)
 
 
 Step: TypeAlias = Callable[[WireState, float], WireState | None]
@@ -202,10 +254,8 @@ def bend_under_force(
         condition = DeadLoad(start + share * (goal - start))
         return settle(law, present, length, condition, travel=share)
 
-    context = f"force={goal.tolist()}"
-    reached = _walk_to(step, replace(state, travel=0.0), 1.0, context)
-    require_within(law, reached.moment, context)
-    return shape_of(law, reached, length)
+    place = f"force={goal.tolist()}"
+    return _within_law(law, _walk_to(step, replace(state, travel=0.0), 1.0, place), length, place)
 
 
 def bend_to_deflection(
@@ -231,15 +281,14 @@ def bend_to_deflection(
     require_positive("length", length)
     require_finite("deflection", deflection)
     reached = deflect(law, state, length, deflection)
-    require_within(law, reached.moment, f"deflection={deflection!r}")
-    return shape_of(law, reached, length)
+    return _within_law(law, reached, length, f"deflection={deflection!r}")
 
 
 def deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
     """Bend a wire to a deflection without checking the range of its law."""
 
     def step(present: WireState, travel: float) -> WireState | None:
-        return settle(law, present, length, EndLoad(travel), travel=travel)
+        return settle(law, present, length, AtDeflection(np.array([travel])), travel=travel)
 
     return _walk_to(step, state, deflection, f"deflection={deflection!r}")
 
@@ -279,7 +328,8 @@ def bend_to_travel(
         bent = settle(law, present, length, weight, travel=travel)
         if bent is None:
             return None
-        if rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack_tolerance:
+        tip = shape_of(law, bent, length)
+        if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - slack_tolerance:
             return None
         return replace(bent, load=0.0)  # exactly zero, without the rounding error of the solution
 
@@ -290,33 +340,22 @@ def bend_to_travel(
 
     require_positive("length", length)
     require_finite("travel", travel)
-    context = f"travel={travel!r}"
-    reached = _walk_to(step, state, travel, context)
-    require_within(law, reached.moment, context)
-    return shape_of(law, reached, length)
+    place = f"travel={travel!r}"
+    return _within_law(law, _walk_to(step, state, travel, place), length, place)
+
+
+def _within_law(law: MomentLaw, state: WireState, length: float, place: str) -> CantileverShape:
+    require_within(law, state.moment, place)
+    return shape_of(law, state, length)
 
 
 def shape_of(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
     """Compute the shape of a state in equilibrium."""
-    stations = chebyshev_stations(len(state.moment))
+    stations = chebyshev_stations(len(state.moment), length)
     curvature = respond(law, state.moment, state.plays).curvature
-    angle = length * stations.from_clamp @ curvature
-    return CantileverShape(
-        arc_length=length * stations.position,
-        x=length * stations.from_clamp @ np.cos(angle),
-        y=length * stations.from_clamp @ np.sin(angle),
-        angle=angle,
-        moment=state.moment,
-        curvature=curvature,
-        force=state.force,
-        tension=state.load,
-        state=state,
-    )
-
-
-def _tip(law: MomentLaw, state: WireState, length: float) -> tuple[float, float]:
-    shape = shape_of(law, state, length)
-    return float(shape.x[-1]), float(shape.y[-1])
+    angle = stations.from_clamp @ curvature
+    x, y = (stations.from_clamp @ part for part in (np.cos(angle), np.sin(angle)))
+    return CantileverShape(stations.position, x, y, angle, curvature, state)
 
 
 def settle(
@@ -326,8 +365,8 @@ def settle(
     condition: Condition,
     *,
     travel: float,
-    guess: Unknowns | None = None,
-    tolerance: float = TOLERANCE,
+    guess: tuple[Floats, float] | None = None,
+    tolerance: float = 1e-7,
 ) -> WireState | None:
     """Find the equilibrium under a condition; None if Newton's method fails.
 
@@ -337,27 +376,35 @@ def settle(
     length : m
     condition : fixes the load
     travel : m, of the new state
-    guess : start of Newton's method; None for the state itself
-    tolerance : of `newton.solve`
+    guess : moments and load to start from; None for those of the state
+    tolerance : of `newton.solve`; the next change is of its square
 
     Returns
     -------
     The state; None also for an equilibrium far from the guess, such as a curl.
     """
-    near = Unknowns(state.moment, state.load) if guess is None else guess
-    weight = state.self_weight
-    root = solve(law, state.plays, length, condition, near, tolerance=tolerance, self_weight=weight)
-    if root is None or _turns_too_far(root, length):
-        return None
-    return WireState(root.moment, root.plays, root.force, root.load, travel, weight)
-
-
-def _turns_too_far(equilibrium: Equilibrium, length: float) -> bool:
-    """Return whether any part of the wire turns too far from the guess to the result."""
     max_turn = 1.0  # rad, of any part of the wire in one step
-    stations = chebyshev_stations(len(equilibrium.moment))
-    turn = length * stations.from_clamp @ (equilibrium.curvature - equilibrium.start_curvature)
-    return bool(np.max(np.abs(turn)) > max_turn)
+    floor_share = 1e-9  # of the moment that bends the wire by a radian
+    moment, load = (state.moment, state.load) if guess is None else guess
+    stations = chebyshev_stations(len(moment), length)
+    bend = partial(_bend_plays, law, state.plays)
+    wire = Wire(bend, stations, state.self_weight, condition)
+    floor = floor_share * law.stiffness / length
+    solved = solve(wire, moment[None], np.array([load]), tolerance=tolerance, floor=floor)
+    if solved is None:
+        return None
+    bent = bend_wire(wire, *solved)
+    turn = stations.from_clamp @ (bent.curvature - bend(moment[None])[0])[0]
+    if np.max(np.abs(turn)) > max_turn:
+        return None
+    plays = respond(law, solved[0][0], state.plays).plays
+    force, load = bent.wanted.force[0], float(solved[1][0])
+    return WireState(solved[0][0], plays, force, load, travel, state.self_weight)
+
+
+def _bend_plays(law: MomentLaw, plays: Floats, moment: Floats) -> CurvatureAndSlope:
+    response = respond(law, moment[0], plays)
+    return response.curvature[None], response.compliance[None]
 
 
 def _walk_to(step: Step, state: WireState, goal: float, context: str) -> WireState:

@@ -3,8 +3,21 @@
 The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
 A layout places the strands and refuses what does not fit, with the overlap. Layers are
 defined by their counts, not by gaps in the radius. The first strand of the first ring lies at angle
-0, on the neutral axis of the dissertation; `wire.bending_law` turns the section for other
-orientations. Lengths in m, angles in rad.
+0, on the neutral axis of the source; `wire.bending_law` turns the section for other orientations.
+Lengths in m, angles in rad.
+
+Stretch and torsion of a wire, and their coupling (PHYSICS 9).
+
+A strand at radius r with the lay angle a is strained along itself by eps cos^2 a where the wire is
+stretched by eps, and by r tau sin a cos a where it is twisted by tau (rad/m, positive in the sense
+of a positive lay). So the pull N and the torque T are
+
+    [N; T] = [EA, C; C, GJ] [eps; tau],
+    EA = sum E A cos^3 a + E_ins A_ins,      C = sum E A r sin a cos^2 a,
+    GJ = sum E A r^2 sin^2 a cos a + own + G_ins pi/2 (R_o^4 - R_i^4).
+
+Slip does not relieve this: strands keep their radius and stretch as a whole (Costello, *Theory of
+Wire Rope*, 1997). Strands that settle into each other make a real wire softer.
 """
 
 from __future__ import annotations
@@ -15,9 +28,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.law.plays import require_positive
+from labpipe.law.plays import require, require_positive
 from labpipe.records.arrays import Floats, Ints, frozen
-from labpipe.wire.materials import ANNEALED_COPPER, Material, StressTable
+from labpipe.wire.materials import (
+    ANNEALED_COPPER,
+    Material,
+    StrandMoment,
+    StressTable,
+    strand_moment,
+)
 
 COPPER_DENSITY = 8960.0
 """kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
@@ -48,13 +67,9 @@ class Layer:
 
     def __post_init__(self) -> None:
         require_positive("diameter", self.diameter)
-        if self.count < 1:
-            message = f"count={self.count!r}: must be an integer >= 1"
-            raise ValueError(message)
-        if not abs(self.lay_angle) < np.pi / 2.0:
-            degrees = np.degrees(self.lay_angle)
-            message = f"lay_angle={degrees:.6g} deg: must be between -90 and 90 deg"
-            raise ValueError(message)
+        require("count", self.count, "a whole number >= 1", holds=self.count >= 1)
+        holds, degrees = abs(self.lay_angle) < np.pi / 2.0, float(np.degrees(self.lay_angle))
+        require("lay_angle", degrees, "between -90 and 90 deg", holds=holds)
         _require_poisson(self.poisson)
 
     @property
@@ -64,9 +79,7 @@ class Layer:
 
 
 def _require_poisson(poisson: float) -> None:
-    if not -1.0 < poisson <= 0.5:
-        message = f"poisson={poisson!r}: must be above -1 and at most 0.5"
-        raise ValueError(message)
+    require("poisson", poisson, "> -1 and <= 0.5", holds=-1.0 < poisson <= 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +132,37 @@ class Insulation:
     def torsional_stiffness(self) -> float:
         """Return G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
         return self.bending_stiffness / (1.0 + self.poisson)
+
+
+def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
+    """Return the bending moment of the insulation, and its slope, on first loading.
+
+    Parameters
+    ----------
+    tube : a full bar of its outer radius less one of the bore
+    curvature : any shape, 1/m, either sign
+
+    Returns
+    -------
+    Moment and tangent stiffness; NaN where the curvature is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the rim is strained beyond the tube's curve; the message says the curvature.
+
+    Notes
+    -----
+    A tube without a curve is linear at any strain; the caller checks the range.
+    """
+    if tube.curve is None:
+        stiffness = tube.bending_stiffness
+        return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
+    bars = [
+        strand_moment(tube.curve, 2.0 * radius, curvature)
+        for radius in (tube.outer_radius, tube.bore_radius)
+    ]
+    return StrandMoment(bars[0].moment - bars[1].moment, bars[0].tangent - bars[1].tangent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -377,3 +421,57 @@ def largest_overlap(centres: Floats, radii: Floats) -> float:
         return 0.0
     gaps = np.hypot(*(centres[first] - centres[second]).T) - radii[first] - radii[second]
     return max(float(-gaps.min()), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class StretchTorsion:
+    """Symmetric stiffness matrix of stretch and torsion.
+
+    Parameters
+    ----------
+    axial : EA, N, of a wire that does not turn
+    coupling : C, N m, with the sign of the lay
+    torsional : GJ, N m^2, of a wire that does not lengthen
+    """
+
+    axial: float
+    coupling: float
+    torsional: float
+
+    @property
+    def torsional_free(self) -> float:
+        """Return the torsional stiffness of a wire that may lengthen, N m^2: GJ - C^2 / EA."""
+        return self.torsional - self.coupling**2 / self.axial
+
+
+def stretch_torsion(section: CrossSection) -> StretchTorsion:
+    """Compute stretch and torsion of elastic strands in their tube.
+
+    Parameters
+    ----------
+    section : strands in place, with their materials; each counts at its own radius
+
+    Notes
+    -----
+    own = sum E I cos(a) (cos^2 a / (1 + nu) + sin^2 a), I = pi d^4 / 64: a turn of the wire twists
+    a strand by its part along the strand (G J = E I / (1 + nu)) and bends it by the part across
+    (Love's thin rod; the energy argument of the helix factor, eq. (3.18) of the source). The tube
+    has G = E / (2 (1 + nu)).
+    """
+    axial = coupling = torsional = 0.0
+    square = section.radius**2
+    for number, layer in enumerate(section.layers):
+        sine, cosine = np.sin(layer.lay_angle), np.cos(layer.lay_angle)
+        radius, squared = section.radius[section.layer == number], square[section.layer == number]
+        rigidity = layer.material.modulus * layer.area
+        axial += layer.count * rigidity * cosine**3
+        coupling += rigidity * float(radius.sum()) * sine * cosine**2
+        torsional += rigidity * float(squared.sum()) * sine**2 * cosine
+        second = np.pi * layer.diameter**4 / 64.0
+        turned = cosine**2 / (1.0 + layer.poisson) + sine**2
+        torsional += layer.count * layer.material.modulus * second * cosine * turned
+    tube = section.insulation
+    if tube is not None:
+        axial += tube.axial_stiffness
+        torsional += tube.torsional_stiffness
+    return StretchTorsion(float(axial), float(coupling), float(torsional))

@@ -19,19 +19,19 @@ x = A cos(beta) - B sin(beta), y = A sin(beta) + B cos(beta).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from labpipe.law.loading_panels import LoadingLaw
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.law.loading_table import LoadingLaw
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.wire.cantilever import StringRig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoadingCurve:
+class LoadingCurve(ArrayRecord):
     """The curve of a cantilever on first loading; arrays of shape (n,), the first point at rest.
 
     Parameters
@@ -46,21 +46,14 @@ class LoadingCurve:
         law's parameters
     """
 
-    deflection: Floats
-    tension: Floats
-    x: Floats
-    tip_angle: Floats
-    clamp_curvature: Floats
-    clamp_moment: Floats
-    stiffness: Floats
-    tension_change: Floats
-
-    def __post_init__(self) -> None:
-        shape = (len(self.deflection),)
-        for item in fields(self)[:7]:
-            object.__setattr__(self, item.name, frozen(getattr(self, item.name), shape=shape))
-        change = frozen(self.tension_change, shape=(None, *shape))
-        object.__setattr__(self, "tension_change", change)
+    deflection: Vector
+    tension: Vector
+    x: Vector
+    tip_angle: Vector
+    clamp_curvature: Vector
+    clamp_moment: Vector
+    stiffness: Vector
+    tension_change: Annotated[Floats, "parameters", "n"]
 
     @property
     def force(self) -> Floats:
@@ -162,8 +155,8 @@ def _slope(state: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
     """
     arc = curvature * state.cube_q + 1.0 / (state.force * state.cosine)
     across = curvature * state.force * state.cube - state.sine / state.cosine / state.force
-    along = respond_to(state, rig, arc, across, 1.0 / state.force)
-    return along.tension / along.deflection
+    deflection, tension = respond_to(state, rig, arc, across, 1.0 / state.force)
+    return tension / deflection
 
 
 def _changes(
@@ -174,8 +167,8 @@ def _changes(
     inside = law.node_energy_change.reshape(len(end), law.node_energy.size)[:, rule.nodes]
     arc = end * state.cube_q - rule.total(inside * state.cubes_q)
     across = state.force * (end * state.cube - rule.total(inside * state.cubes))
-    changed = respond_to(state, rig, arc, across, np.zeros_like(end))
-    return changed.tension - slope * changed.deflection
+    deflection, tension = respond_to(state, rig, arc, across, np.zeros_like(end))
+    return tension - slope * deflection
 
 
 def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
@@ -348,18 +341,13 @@ def solve_pair(matrix: tuple[Pair, Pair], first: Floats, second: Floats) -> Pair
     return (d * first - b * second) / determinant, (a * second - c * first) / determinant
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Response:
-    """Changes of deflection, m, and tension, N, shape (..., points)."""
-
-    deflection: Floats
-    tension: Floats
-
-
 def respond_to(
     state: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
-) -> Response:
-    """Compute the response to changes of arc length, B and A at constant force and lean."""
+) -> Pair:
+    """Compute the changes of deflection, m, and tension, N, shape (..., points).
+
+    They respond to changes of arc length, B and A at constant force and lean.
+    """
     by_x = 0.0 if rig is None else _misfit_slope(state, rig)
     misfit = by_x * (arm * state.cosine - across * state.sine)
     force, lean = solve_pair(slopes(state, rig), -arc, -misfit)
@@ -368,10 +356,8 @@ def respond_to(
     by_lean = state.x + across_by_lean * state.cosine
     weight = weight_of(rig)
     pull = (state.force + weight * state.cosine) * force - state.force * weight * state.sine * lean
-    return Response(
-        arm * state.sine + across * state.cosine + by_force * force + by_lean * lean,
-        pull / tension_of(state, rig),
-    )
+    rise = arm * state.sine + across * state.cosine
+    return rise + by_force * force + by_lean * lean, pull / tension_of(state, rig)
 
 
 def weight_of(rig: StringRig | None) -> float:

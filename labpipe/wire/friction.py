@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.law.plays import require_not_negative
 from labpipe.records.arrays import Flags, Floats
 from labpipe.wire.cross_section import CrossSection, Layer
 
@@ -152,9 +153,7 @@ def axial_strain(section: CrossSection, tension: float) -> float:
     ValueError
         If the tension is negative: compressed strands separate.
     """
-    if not (np.isfinite(tension) and tension >= 0.0):
-        message = f"tension={tension!r}: must be finite and >= 0"
-        raise ValueError(message)
+    require_not_negative("tension", tension)
     strands = sum(
         layer.count * layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
         for layer in section.layers
@@ -206,30 +205,31 @@ def arrange(
     means = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
     strain = axial_strain(section, tension)
     shares = _shares(layers, means, uses_lay_lengths=contacts.lay_lengths)
-    setup = _RingSetup(layers, sine, contacts, strain)
-    rings = [
-        _ring(setup, q, np.where(index == q, radius, means[q]), shares[q])
-        for q in range(len(layers))
-    ]
+    rings = []
+    for q in range(len(layers)):
+        own_radius = np.where(index == q, radius, means[q])
+        ring = _ring(
+            *(layers, sine, q, own_radius), contacts=contacts, strain=strain, shares=shares[q]
+        )
+        rings.append(ring)
     cosine = np.cos([layer.lay_angle for layer in layers])
     lever = radius * sine * cosine[index] if layers else radius
     return Bundle(tuple(rings), np.sign(sine), lever)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _RingSetup:
-    """Input of all rings, see `arrange`; `strain` is that of the wire's own tension."""
-
-    layers: tuple[Layer, ...]
-    sine: Floats
-    contacts: Contacts
-    strain: float
-
-
-def _ring(setup: _RingSetup, q: int, radius: Floats, shares: tuple[float, ...]) -> Ring:
-    layers, sine, contacts = setup.layers, setup.sine, setup.contacts
-    end = sum(layer.count for layer in layers[: q + 1])
+def _ring(
+    layers: tuple[Layer, ...],
+    sine: Floats,
+    q: int,
+    radius: Floats,
+    *,
+    contacts: Contacts,
+    strain: float,
+    shares: tuple[float, ...],
+) -> Ring:
+    """Return a ring of the wire, which its tension strains; radius and sine of all strands, m."""
     layer, inner = layers[q], contacts.inner[q]
+    end = sum(layer.count for layer in layers[: q + 1])
     rigidity = layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 2
     k = inner * abs(np.sin(layer.lay_angle))
     friction_reach = np.abs(friction_angle(k, np.arcsin(sine[:end])))
@@ -238,8 +238,8 @@ def _ring(setup: _RingSetup, q: int, radius: Floats, shares: tuple[float, ...]) 
         end,
         rigidity * radius[:end] * np.abs(sine[:end]),
         (inner + contacts.outer[q]) * friction_reach,
-        k * rigidity * setup.strain * friction_reach,
-        rigidity * setup.strain,
+        k * rigidity * strain * friction_reach,
+        rigidity * strain,
         contacts.radial_force * layers[-1].count / layer.count,
         shares,
     )
@@ -289,18 +289,17 @@ def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     for q in reversed(range(len(bundle.rings))):
         ring, sign = bundle.rings[q], bundle.sign[: bundle.rings[q].end]
         pressure = ring_pressure(bundle, q, outer)
-        pressure_slope = _pressure_slope(bundle, q, pressure, rises)
+        outer_rises = enumerate(rises, start=q + 1)
+        slopes = [ring.shares[k] * rise[:, : ring.end] for k, rise in outer_rises]
+        pressure_slope = np.where(pressure > 0.0, np.sum(slopes, axis=0), 0.0)  # 0: lifted off
         demand = curvature[:, : ring.end] * ring.demand
         hold = pressure * ring.per_pressure + ring.per_tension
         sticks = demand < hold
         present = np.where(sticks, demand, hold) * sign
         rise = np.where(sticks, ring.demand, pressure_slope * ring.per_pressure) * sign
         columns = slice(ring.start, ring.end)
-        force[:, columns], slope[:, columns], stuck[:, columns] = (
-            present[:, columns],
-            rise[:, columns],
-            sticks[:, columns],
-        )
+        force[:, columns], slope[:, columns] = present[:, columns], rise[:, columns]
+        stuck[:, columns] = sticks[:, columns]
         outer.insert(0, present)
         rises.insert(0, rise)
     return AxialForces(force, slope, stuck)
@@ -325,15 +324,6 @@ def ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
     for k, force in enumerate(outer, start=q + 1):
         pressure = pressure + ring.shares[k] * (bundle.rings[k].tension + force[:, : ring.end])
     return np.asarray(np.maximum(pressure, 0.0))
-
-
-def _pressure_slope(bundle: Bundle, q: int, pressure: Floats, rises: list[Floats]) -> Floats:
-    """Return the slope of H with the curvature; zero where the outer rings lift off."""
-    ring = bundle.rings[q]
-    slope = np.zeros((1, 1))
-    for k, rise in enumerate(rises, start=q + 1):
-        slope = slope + ring.shares[k] * rise[:, : ring.end]
-    return np.where(pressure > 0.0, slope, 0.0)
 
 
 def slip_onsets(
@@ -363,19 +353,15 @@ def slip_onsets(
     near_sine = np.where(sine == 0.0, min_sine, sine)
     bundle = arrange(section, contacts, near_sine, tension=tension)
 
-    slips = ~_sticks(bundle, np.broadcast_to(_SLIP_GUESSES, (len(_SLIP_GUESSES), len(near_sine))))
+    guesses = np.broadcast_to(_SLIP_GUESSES, (len(_SLIP_GUESSES), len(near_sine)))
+    slips = ~axial_forces(bundle, guesses).stuck
     never, first = ~slips.any(axis=0), slips.argmax(axis=0)
     upper = _SLIP_GUESSES[first, 0]
-    lower_guess = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
+    lower = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
     for _ in range(rounds):
-        curvatures = lower_guess + (upper - lower_guess) * _BRACKET_SHARES
-        slips = ~_sticks(bundle, curvatures[1:-1])
+        curvatures = lower + (upper - lower) * _BRACKET_SHARES
+        slips = ~axial_forces(bundle, curvatures[1:-1]).stuck
         first = np.where(slips.any(axis=0), slips.argmax(axis=0) + 1, len(_BRACKET_SHARES) - 1)
         strand = np.arange(len(near_sine))
-        lower_guess, upper = curvatures[first - 1, strand], curvatures[first, strand]
-    return np.where(never, np.inf, lower_guess)
-
-
-def _sticks(bundle: Bundle, curvature: Floats) -> Flags:
-    stuck: Flags = axial_forces(bundle, curvature).stuck
-    return stuck
+        lower, upper = curvatures[first - 1, strand], curvatures[first, strand]
+    return np.where(never, np.inf, lower)

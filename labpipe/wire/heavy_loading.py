@@ -10,16 +10,17 @@ history at each station, and also unloading, cycles and a slack string.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.law.loading_table import LoadingTable
 from labpipe.records.arrays import Floats
-from labpipe.wire.cantilever import StringRig
+from labpipe.wire.cantilever import AtDeflection, StringRig
 from labpipe.wire.first_loading import LoadingCurve
-from labpipe.wire.newton import Stations, chebyshev_stations
+from labpipe.wire.newton import Wire, bend_wire, chebyshev_stations, sensitivity, solve
 
 N_STATIONS = 24
 """Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
@@ -70,54 +71,6 @@ class HeavyStates:
         turns = ((step * way < 0.0) & (np.abs(step) > small)).any(axis=1)
         turns[1:] |= np.diff(self.across) <= 0.0
         return int(np.argmax(turns)) if turns.any() else len(turns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wire:
-    """The law, the stations along the length, the weight beyond each, and the rig."""
-
-    table: LoadingTable
-    stations: Stations
-    beyond: Floats
-    rig: StringRig | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bent:
-    """The wire bent by given moments, and the pull; arrays of shape (n, stations), or (n,).
-
-    Parameters
-    ----------
-    curvature, slope : 1/m, 1/(N m^2)
-    cos, sin : of the angle
-    lever_x, lever_y : m, of forces along x and y at the tip
-    pull : shape (2, n), N, at the tip
-    by_tension : shape (2, n), derivative of the pull by the tension
-    by_x : shape (2, n), N/m, its derivative by the tip's position
-    x, y : m, of the tip
-    """
-
-    curvature: Floats
-    slope: Floats
-    cos: Floats
-    sin: Floats
-    lever_x: Floats
-    lever_y: Floats
-    pull: Floats
-    by_tension: Floats
-    by_x: Floats
-    x: Floats
-    y: Floats
-
-    def lateral(self, beyond: Floats) -> Floats:
-        """Return the derivative of the moments by a turn of the wire, N: the force along it."""
-        along, up = self.pull[..., None]
-        return np.asarray((beyond - up) * self.sin - along * self.cos)
-
-    @property
-    def across(self) -> Floats:
-        """Return the force across the wire at its tip, N."""
-        return np.asarray(self.pull[1] * self.cos[:, -1] - self.pull[0] * self.sin[:, -1])
 
 
 def load_heavy(
@@ -192,29 +145,32 @@ def heavy_states(
     ValueError
         If no equilibrium is found.
     """
-    unit = chebyshev_stations(n_stations)
-    stations = Stations(*(length * part for part in (unit.position, unit.from_clamp, unit.to_tip)))
+    stations = chebyshev_stations(n_stations, length)
     from_tip = length - stations.position
-    wire = _Wire(table, stations, self_weight * from_tip, rig)
     tip_force = 0.375 * self_weight * length
-    weight = 0.0 if rig is None else rig.weight
-    start = (tip_force - 0.5 * wire.beyond) * from_tip
-    level = np.zeros(1)
-    first = _solve(wire, None, (start[None], np.array([tip_force + weight])), level)
+    at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
+    level = Wire(table.bend, stations, self_weight, at_rest)
+    start = (tip_force - 0.5 * level.beyond) * from_tip
+    begin = tip_force + (0.0 if rig is None else rig.weight)
+    first = _solve(level, at_rest, start[None], np.array([begin]))
     rest, tension = first[0][0], float(first[1][0])
+    loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
     clamp = _clamp_moments(table, length, deflections)
     guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
-    moment, tensions = _solve_all(wire, (rest, tension), guess, deflections)
-    bent = _bend(wire, rest, moment, tensions)
+    moment, tensions = _solve_all(loaded, at, np.append(rest, tension), guess)
+    bent = bend_wire(loaded, moment, tensions)
     tension_change = np.zeros((0, len(deflections)))
     if with_changes:
-        rest_change = _sensitivity(wire, _bend(wire, None, *first), table.changes(first[0]))
-        curvature_changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
-        tension_change = _sensitivity(wire, bent, curvature_changes)[:, :, -1]
+        rest_change = sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
+        changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
+        tension_change = sensitivity(loaded, bent, changes)[:, :, -1]
         tension_change[1:] -= rest_change[1:, :, -1]
-    angle = np.arctan2(bent.sin[:, -1], bent.cos[:, -1])
+    cos, sin, pull = bent.cos[:, -1], bent.sin[:, -1], bent.wanted.force
     return HeavyStates(
-        *(rest, tension, deflections, moment, tensions, bent.across, bent.x, angle),
+        *(rest, tension, deflections, moment, tensions),
+        across=pull[:, 1] * cos - pull[:, 0] * sin,
+        x=bent.tip[:, 0],
+        tip_angle=np.arctan2(sin, cos),
         curvature=bent.curvature[:, 0],
         tension_change=tension_change,
     )
@@ -227,126 +183,35 @@ def _clamp_moments(table: LoadingTable, length: float, deflections: Floats) -> F
     return np.interp(bent, table.curvature, table.moment)
 
 
-def _bend(wire: _Wire, rest: Floats | None, moment: Floats, tension: Floats) -> _Bent:
-    table, stations, rig = wire.table, wire.stations, wire.rig
-    curvature, slope = table.bend(moment) if rest is None else table.bend_on(rest, moment)
-    angle = curvature @ stations.from_clamp.T
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = cos @ stations.weights, sin @ stations.weights
-    if rig is None:
-        none, one = np.zeros_like(tension), np.ones_like(tension)
-        pull, by_tension, by_x = [none, tension], [none, one], [none, none]
-    else:
-        lean = (rig.anchor_x - x) / rig.string_length
-        rise = np.sqrt(1.0 - lean**2)
-        per_length = tension / rig.string_length
-        pull, by_tension = [tension * lean, tension * rise - rig.weight], [lean, rise]
-        by_x = [-per_length, per_length * lean / rise]
-    return _Bent(
-        *(curvature, slope, cos, sin),
-        lever_x=-(sin @ stations.to_tip.T),
-        lever_y=cos @ stations.to_tip.T,
-        pull=np.stack(pull),
-        by_tension=np.stack(by_tension),
-        by_x=np.stack(by_x),
-        x=x,
-        y=y,
-    )
-
-
 def _solve_all(
-    wire: _Wire, rest: tuple[Floats, float], start: tuple[Floats, Floats], deflections: Floats
+    wire: Wire, at: AtDeflection, rest: Floats, start: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Solve for moments and tensions, first at some deflections, then between them."""
     min_deflections = 60  # for fewer, solving every fourth first costs more
     stride = 4
+    deflections, solution = at.deflection, np.column_stack(start)
     if len(deflections) < min_deflections:
-        return _solve(wire, rest[0], start, deflections)
+        return _solve(wire, at, *start)
     coarse = np.append(np.arange(0, len(deflections) - 1, stride), len(deflections) - 1)
-    solved = _solve(wire, rest[0], (start[0][coarse], start[1][coarse]), deflections[coarse])
-    solved_columns = np.column_stack(solved)
     fine = np.setdiff1d(np.arange(len(deflections)), coarse)
-    spline = CubicSpline(
-        np.append(0.0, deflections[coarse]), np.vstack([np.append(*rest), solved_columns]), axis=0
-    )
-    guess = spline(deflections[fine])
-    moment, tension = np.empty_like(start[0]), np.empty_like(start[1])
-    moment[coarse], tension[coarse] = solved
-    moment[fine], tension[fine] = _solve(
-        wire, rest[0], (guess[:, :-1], guess[:, -1]), deflections[fine]
-    )
-    return moment, tension
+    for rows in (coarse, fine):
+        if rows is fine:
+            states = np.vstack([rest, solution[coarse]])
+            spline = CubicSpline(np.append(0.0, deflections[coarse]), states)
+            solution[fine] = spline(deflections[fine])
+        part = replace(at, deflection=deflections[rows])
+        part_solution = _solve(wire, part, solution[rows, :-1], solution[rows, -1])
+        solution[rows] = np.column_stack(part_solution)
+    return solution[:, :-1], solution[:, -1]
 
 
-def _solve(
-    wire: _Wire, rest: Floats | None, start: tuple[Floats, Floats], deflections: Floats
-) -> tuple[Floats, Floats]:
-    """Solve for moments and tensions by Newton's method; the tip's height fixes the tension.
-
-    Each deflection converges on its own.
-    """
-    moment_tolerance = 1e-5  # of the largest moment; the next change would be 1e-9
-    max_iterations = 40
-    max_turn = 0.7  # rad, of any part of the wire in one step of Newton's method
-    moment, tension = (np.array(part) for part in start)
-    active = np.arange(len(moment))
-    to_tip, length = wire.stations.to_tip, wire.stations.position[-1]
-    for _ in range(max_iterations):
-        bent = _bend(wire, rest, moment[active], tension[active])
-        bending = bent.lever_x * bent.pull[0][:, None] + bent.lever_y * bent.pull[1][:, None]
-        bending -= (wire.beyond * bent.cos) @ to_tip.T
-        missing = np.column_stack([moment[active] - bending, bent.y - deflections[active]])
-        if not np.isfinite(missing).all():
-            break
-        step = -np.linalg.solve(_jacobian(wire, bent), missing[:, :, None])[:, :, 0]
-        turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
-        step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
-        moment[active] += step[:, :-1]
-        tension[active] += step[:, -1]
-        largest = np.max(np.abs(moment[active]), axis=1)
-        active = active[np.max(np.abs(step[:, :-1]), axis=1) > moment_tolerance * largest]
-        if not active.size:
-            return moment, tension
-    where = "at rest" if rest is None else f"up to a deflection of {deflections[-1]:.6g} m"
-    message = f"length={length:.6g} m: no equilibrium found {where}"
-    raise ValueError(message)
-
-
-def _jacobian(wire: _Wire, bent: _Bent) -> Floats:
-    """Return the derivatives of the residuals by moments and tension."""
-    from_clamp, to_tip = wire.stations.from_clamp, wire.stations.to_tip
-    weights, n = wire.stations.weights, len(wire.beyond)
-    turning = from_clamp * bent.slope[:, None, :]
-    x_by = -((weights * bent.sin)[:, None, :] @ turning)[:, 0]
-    y_by = ((weights * bent.cos)[:, None, :] @ turning)[:, 0]
-    jacobian = np.zeros((len(bent.x), n + 1, n + 1))
-    jacobian[:, :n, :n] = -((to_tip * bent.lateral(wire.beyond)[:, None, :]) @ turning)
-    if wire.rig is not None:
-        leans = bent.lever_x * bent.by_x[0][:, None] + bent.lever_y * bent.by_x[1][:, None]
-        jacobian[:, :n, :n] -= leans[:, :, None] * x_by[:, None, :]
-    diagonal = np.arange(n)
-    jacobian[:, diagonal, diagonal] += 1.0
-    by_x, by_y = bent.by_tension[:, :, None]
-    jacobian[:, :n, n] = -(bent.lever_x * by_x + bent.lever_y * by_y)
-    jacobian[:, n, :n] = y_by
-    return jacobian
-
-
-def _sensitivity(wire: _Wire, bent: _Bent, curvature_changes: Floats) -> Floats:
-    """Return the derivatives of moments and tension, shape (1 + parameters, n, stations + 1).
-
-    First by the deflection, then by each parameter, `curvature_changes` are the derivatives of the
-    curvature at constant moment, shape (parameters, n, stations).
-    """
-    stations, n = wire.stations, len(wire.beyond)
-    turn = curvature_changes @ stations.from_clamp.T
-    x = -(turn * bent.sin) @ stations.weights
-    leans = bent.lever_x * bent.by_x[0][:, None] + bent.lever_y * bent.by_x[1][:, None]
-    bending = (turn * bent.lateral(wire.beyond)) @ stations.to_tip.T + leans * x[..., None]
-    missing = np.zeros((1 + len(curvature_changes), len(bent.x), n + 1))
-    missing[0, :, n] = -1.0
-    missing[1:, :, :n] = -bending
-    missing[1:, :, n] = (turn * bent.cos) @ stations.weights
-    columns = np.moveaxis(missing, 0, 2)
-    sensitivity = -np.linalg.solve(_jacobian(wire, bent), columns)
-    return np.asarray(np.moveaxis(sensitivity, 2, 0), dtype=np.float64)
+def _solve(wire: Wire, at: AtDeflection, moment: Floats, tension: Floats) -> tuple[Floats, Floats]:
+    moment_tolerance = 1e-5  # the next change would be 1e-9
+    wire = replace(wire, condition=at)
+    solution = solve(wire, moment, tension, tolerance=moment_tolerance)
+    if solution is None:
+        farthest = at.deflection[-1]
+        where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"
+        message = f"length={wire.stations.position[-1]:.6g} m: no equilibrium found {where}"
+        raise ValueError(message)
+    return solution

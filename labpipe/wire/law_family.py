@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labpipe.law.loss_card import SLIDERS, sliders_of
 from labpipe.law.sliders import SliderLaw
-from labpipe.law.table_sliders import SLIDERS, sliders_of
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import Floats, Vector
 from labpipe.records.wire import WireSpec
@@ -25,7 +25,7 @@ from labpipe.records.wire_calibration import (
     RADIAL_FRICTION,
 )
 from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.stretch_torsion import StretchTorsion, stretch_torsion
+from labpipe.wire.cross_section import StretchTorsion, stretch_torsion
 from labpipe.wire.wire_table import build, mass_per_length, wire_table
 
 LAW_FACTOR = "law_factor"

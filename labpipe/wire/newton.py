@@ -1,11 +1,17 @@
-"""Newton's method for the clamped wire at Chebyshev-Lobatto stations along it.
+"""Newton's method for clamped wires at Chebyshev-Lobatto stations, many equilibria at once.
 
-The wire's own weight w per length acts along -y, so that at s the force (Px, Py - w (L - s)) is
-transmitted.
+With the force (Px, Py) at the tip and the wire's own weight w per length along -y, the wire
+transmits (Px, Py - w (L - s)) at s, so that
+
+    M(s) = integral from s to L of ((Py - w (L - s)) cos theta - Px sin theta),
+    theta(s) = integral of kappa(M).
+
+Unknown are the moments at the stations and one load, which a condition at the tip fixes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
@@ -13,232 +19,214 @@ from typing import Protocol
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from labpipe.law.plays import MomentLaw, Response, respond
-from labpipe.records.arrays import Floats
-
-TOLERANCE = 1e-7
-"""Last change of the moments, of the largest; the next would be below 1e-14."""
+from labpipe.law.loading_table import CurvatureAndSlope
+from labpipe.law.plays import require
+from labpipe.records.arrays import Floats, Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demand:
-    """Demand of a condition at a tip position and a load.
+    """Demand of a condition at tip positions and loads of n equilibria.
 
     Parameters
     ----------
-    force : shape (2,), N, at the tip
-    force_by_tip : shape (2, 2), N/m, its derivative by the tip's position
-    force_by_load : shape (2,), its derivative by the load
-    gap : m, zero where the condition holds
-    gap_by_tip : shape (2,), its derivative by the tip's position
-    gap_by_load : m/N, its derivative by the load
+    force : shape (n, 2), N, at the tip
+    force_by_load : shape (n, 2), its derivative by the load
+    gap : shape (n,), m, zero where the condition holds
+    gap_by_tip : shape (n, 2), its derivative by the tip's position
+    force_by_tip : shape (n, 2, 2), N/m, derivative of the force by the tip's position; None for 0
+    gap_by_load : m/N, derivative of the gap by the load
     """
 
     force: Floats
-    force_by_tip: Floats
     force_by_load: Floats
-    gap: float
+    gap: Floats
     gap_by_tip: Floats
+    force_by_tip: Floats | None = None
     gap_by_load: float = 0.0
 
 
 class Condition(Protocol):
     """Condition that fixes the force at the tip."""
 
-    def demand(self, tip: Floats, load: float) -> Demand:
-        """Compute force, gap and their derivatives at a tip position and a load."""
+    def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:
+        """Compute force, gap and their derivatives.
+
+        Parameters
+        ----------
+        tip : shape (n, 2), m
+        load : shape (n,), N
+        rows : shape (n,), which of the equilibria these are
+        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeadLoad:
-    """A given force, N, shape (2,); the load is unused and zero."""
-
-    force: Floats
-
-    def demand(self, tip: Floats, load: float) -> Demand:
-        """Return the force itself."""
-        return Demand(self.force, np.zeros((2, 2)), np.zeros(2), load, np.zeros_like(tip), 1.0)
-
-
-@dataclass(frozen=True, slots=True)
-class EndLoad:
-    """A force normal to the clamped axis that brings the tip to `deflection`, m."""
-
-    deflection: float
-
-    def demand(self, tip: Floats, load: float) -> Demand:
-        """Return the load along y, and the gap to the deflection."""
-        along_y = np.array([0.0, 1.0])
-        return Demand(
-            load * along_y, np.zeros((2, 2)), along_y, float(tip[1]) - self.deflection, along_y
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pull:
-    """A taut string from `anchor` (shape (2,), m) of `length`, and a `weight` (N) at the tip."""
-
-    anchor: Floats
-    length: float
-    weight: float
-
-    def demand(self, tip: Floats, load: float) -> Demand:
-        """Return tension and weight; the gap is the string's stretch."""
-        reach = self.anchor - tip
-        distance = float(np.hypot(*reach))
-        force = load / self.length * reach - np.array([0.0, self.weight])
-        return Demand(
-            force,
-            -load / self.length * np.eye(2),
-            reach / self.length,
-            distance - self.length,
-            -reach / distance,
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Unknowns:
-    """Unknowns of Newton's method: moments, shape (stations,), N m, and the load, N."""
-
-    moment: Floats
-    load: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Equilibrium:
-    """Solution: moments, history, tip force, load, curvatures of it and of the start."""
-
-    moment: Floats
-    plays: Floats
-    force: Floats
-    load: float
-    curvature: Floats
-    start_curvature: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """Input of `solve`: stations along the length, m; `beyond` is the weight beyond each, N."""
-
-    law: MomentLaw
-    plays: Floats
-    condition: Condition
-    stations: Stations
-    beyond: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Linearised:
-    residual: Floats
-    jacobian: Floats
-    response: Response
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bent:
-    response: Response
-    cos: Floats
-    sin: Floats
-    wanted: Demand
-
-
-def solve(
-    law: MomentLaw,
-    plays: Floats,
-    length: float,
-    condition: Condition,
-    start: Unknowns,
-    *,
-    tolerance: float = TOLERANCE,
-    self_weight: float = 0.0,
-) -> Equilibrium | None:
-    """Find the equilibrium next to a start, or None if the iteration does not converge.
+class Wire:
+    """A wire in search of equilibria.
 
     Parameters
     ----------
-    law : law of every station
-    plays : shape (stations, plays), N m, history before the step
-    length : m
-    condition : what fixes the end force
-    start : first guess
+    bend : curvature and its slope at moments of shape (n, stations)
+    stations : along the length, m
+    self_weight : N/m
+    condition : at the tip
+    """
+
+    bend: Callable[[Floats], CurvatureAndSlope]
+    stations: Stations
+    self_weight: float
+    condition: Condition
+
+    @property
+    def beyond(self) -> Floats:
+        """Return the weight beyond each station, N."""
+        position = self.stations.position
+        return np.asarray(self.self_weight * (position[-1] - position))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BentWire:
+    """The wire bent by given moments; arrays of shape (n, stations).
+
+    Parameters
+    ----------
+    curvature, slope : 1/m, 1/(N m^2)
+    cos, sin : of the angle
+    levers : shape (n, stations, 2), m, of forces along x and y at the tip
+    tip : shape (n, 2), m
+    wanted : by the condition
+    """
+
+    curvature: Floats
+    slope: Floats
+    cos: Floats
+    sin: Floats
+    levers: Floats
+    tip: Floats
+    wanted: Demand
+
+    def lateral(self, beyond: Floats) -> Floats:
+        """Return the derivative of the moments by a turn of the wire, N: the force along it."""
+        along, up = self.wanted.force.T[..., None]
+        return np.asarray((beyond - up) * self.sin - along * self.cos)
+
+
+def bend_wire(wire: Wire, moment: Floats, load: Floats, rows: Ints | None = None) -> BentWire:
+    """Bend the wire by given moments, and evaluate the condition.
+
+    Parameters
+    ----------
+    wire : the wire
+    moment, load : shape (n, stations), N m, and (n,), N
+    rows : which of the equilibria these are; None for all
+    """
+    stations = wire.stations
+    curvature, slope = wire.bend(moment)
+    angle = curvature @ stations.from_clamp.T
+    cos, sin = np.cos(angle), np.sin(angle)
+    levers = np.stack([-(sin @ stations.to_tip.T), cos @ stations.to_tip.T], axis=-1)
+    tip = np.stack([cos @ stations.weights, sin @ stations.weights], axis=-1)
+    wanted = wire.condition.demand(tip, load, np.arange(len(load)) if rows is None else rows)
+    return BentWire(curvature, slope, cos, sin, levers, tip, wanted)
+
+
+def solve(
+    wire: Wire, moment: Floats, load: Floats, *, tolerance: float, floor: float = 0.0
+) -> tuple[Floats, Floats] | None:
+    """Find the equilibria next to a start, each of which converges on its own.
+
+    Parameters
+    ----------
+    wire : the wire
+    moment, load : first guess, shape (n, stations), N m, and (n,), N
     tolerance : last change of the moments, as a share of the largest; the next is of its square
-    self_weight : N/m, of the wire
+    floor : N m, added to the largest moment
+
+    Returns
+    -------
+    Moments and loads; None if one of the iterations does not converge.
     """
     max_iterations = 40
-    unit = chebyshev_stations(len(start.moment))
-    stations = Stations(*(length * part for part in (unit.position, unit.from_clamp, unit.to_tip)))
-    beyond = self_weight * (length - stations.position)
-    problem = _Problem(law, plays, condition, stations, beyond)
-    moment, load = start.moment, start.load
-    first = None
+    max_turn = 0.7  # rad, of any part of the wire in one step
+    moment, load = np.array(moment), np.array(load)
+    left, length = np.arange(len(load)), wire.stations.position[-1]
     for _ in range(max_iterations):
-        system = _linearise(problem, moment, load)
-        first = system.response.curvature if first is None else first
-        if not np.all(np.isfinite(system.residual)):
+        bent = bend_wire(wire, moment[left], load[left], left)
+        missing = residual(wire, bent, moment[left])
+        if not np.isfinite(missing).all():
             return None
-        change: Floats = -np.linalg.solve(system.jacobian, system.residual).astype(np.float64)
-        change *= _damping(change[:-1], system.response.compliance, length)
-        moment, load = moment + change[:-1], load + change[-1]
-        largest = np.max(np.abs(moment)) + 1e-9 * law.stiffness / length
-        if np.max(np.abs(change[:-1])) <= tolerance * largest:
-            last = _bend(problem, moment, load)
-            response, force = last.response, last.wanted.force
-            return Equilibrium(
-                moment, response.plays, force, float(load), response.curvature, first
-            )
+        step = -np.linalg.solve(jacobian(wire, bent), missing[:, :, None])[:, :, 0]
+        turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
+        step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
+        moment[left] += step[:, :-1]
+        load[left] += step[:, -1]
+        largest = np.max(np.abs(moment[left]), axis=1) + floor
+        left = left[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * largest]
+        if not left.size:
+            return moment, load
     return None
 
 
-def _damping(change: Floats, compliance: Floats, length: float) -> float:
-    """Return the share of a step that turns no part of the wire too far."""
-    max_turn = 0.7  # rad, of any part of the wire
-    turn = float(np.max(np.abs(change * compliance))) * length
-    return min(1.0, max_turn / turn) if turn > 0.0 else 1.0
+def residual(wire: Wire, bent: BentWire, moment: Floats) -> Floats:
+    """Return what the moments, N m, and the condition, m, miss: shape (n, stations + 1)."""
+    bending = (bent.levers @ bent.wanted.force[:, :, None])[:, :, 0]
+    bending -= (wire.beyond * bent.cos) @ wire.stations.to_tip.T
+    return np.column_stack([moment - bending, bent.wanted.gap])
 
 
-def _bend(problem: _Problem, moment: Floats, load: float) -> _Bent:
-    """Bend the wire by given moments, and evaluate the condition."""
-    stations = problem.stations
-    response = respond(problem.law, moment, problem.plays)
-    angle = stations.from_clamp @ response.curvature
-    cos, sin = np.cos(angle), np.sin(angle)
-    tip = np.array([stations.weights @ cos, stations.weights @ sin])
-    wanted = problem.condition.demand(tip, load)
-    return _Bent(response, cos, sin, wanted)
+def jacobian(wire: Wire, bent: BentWire) -> Floats:
+    """Return the derivatives of `residual` by moments and load, (n, stations + 1, stations + 1)."""
+    stations, wanted, n = wire.stations, bent.wanted, len(wire.stations.position)
+    turning = stations.from_clamp * bent.slope[:, None, :]
+    across = np.stack([-stations.weights * bent.sin, stations.weights * bent.cos], axis=1)
+    tip_by_moment = across @ turning
+    derivatives = np.empty((len(bent.tip), n + 1, n + 1))
+    lateral = bent.lateral(wire.beyond)
+    derivatives[:, :n, :n] = -((stations.to_tip * lateral[:, None, :]) @ turning)
+    if wanted.force_by_tip is not None:
+        derivatives[:, :n, :n] -= bent.levers @ (wanted.force_by_tip @ tip_by_moment)
+    derivatives[:, range(n), range(n)] += 1.0
+    derivatives[:, :n, n] = -(bent.levers @ wanted.force_by_load[:, :, None])[:, :, 0]
+    derivatives[:, n, :n] = (wanted.gap_by_tip[:, None, :] @ tip_by_moment)[:, 0]
+    derivatives[:, n, n] = wanted.gap_by_load
+    return derivatives
 
 
-def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
-    """Return the residual, and its exact Jacobian by moments (first n columns) and load (last)."""
-    bent_wire = _bend(problem, moment, load)
-    cos, sin, wanted = bent_wire.cos, bent_wire.sin, bent_wire.wanted
-    angle_by_moment = problem.stations.from_clamp * bent_wire.response.compliance
-    to_tip, weights = problem.stations.to_tip, problem.stations.weights
-    tip_by_moment = np.stack([-weights * sin, weights * cos]) @ angle_by_moment
-    levers = np.stack([-to_tip @ sin, to_tip @ cos], axis=1)
-    lateral = (problem.beyond - wanted.force[1]) * sin - wanted.force[0] * cos
-    n = len(moment)
-    jacobian = np.empty((n + 1, n + 1))
-    jacobian[:n, :n] = -((to_tip * lateral) @ angle_by_moment)
-    if wanted.force_by_tip.any():
-        jacobian[:n, :n] -= levers @ (wanted.force_by_tip @ tip_by_moment)
-    jacobian.flat[: n * (n + 1) : n + 2] += 1.0
-    jacobian[:n, n] = -levers @ wanted.force_by_load
-    jacobian[n, :n] = wanted.gap_by_tip @ tip_by_moment
-    jacobian[n, n] = wanted.gap_by_load
-    bending = levers @ wanted.force - to_tip @ (problem.beyond * cos)
-    residual = np.append(moment - bending, wanted.gap)
-    return _Linearised(residual, jacobian, bent_wire.response)
+def sensitivity(wire: Wire, bent: BentWire, curvature_changes: Floats) -> Floats:
+    """Return the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
+
+    First by the gap of the condition, then by each parameter.
+
+    Parameters
+    ----------
+    wire, bent : in equilibrium
+    curvature_changes : shape (parameters, n, stations), derivatives of the curvature at constant
+        moment
+    """
+    stations, wanted, n = wire.stations, bent.wanted, len(wire.stations.position)
+    turn = curvature_changes @ stations.from_clamp.T
+    across = [-(turn * bent.sin) @ stations.weights, (turn * bent.cos) @ stations.weights]
+    tip = np.stack(across, axis=-1)
+    bending = (turn * bent.lateral(wire.beyond)) @ stations.to_tip.T
+    if wanted.force_by_tip is not None:
+        bending += np.einsum("nsk,nkj,pnj->pns", bent.levers, wanted.force_by_tip, tip)
+    missing = np.zeros((1 + len(curvature_changes), len(bent.tip), n + 1))
+    missing[0, :, n] = -1.0
+    missing[1:, :, :n] = -bending
+    missing[1:, :, n] = np.sum(wanted.gap_by_tip * tip, axis=-1)
+    solution = -np.linalg.solve(jacobian(wire, bent), np.moveaxis(missing, 0, 2))
+    return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stations:
-    """Stations on the unit interval, the clamp at 0 and the tip at 1, with integration matrices.
+    """Stations along a wire from the clamp to the tip, with integration matrices.
 
     Parameters
     ----------
     position : shape (n,), increasing, ends included
-    from_clamp : shape (n, n), values at the stations -> integral from 0 to each station
-    to_tip : shape (n, n), values at the stations -> integral from each station to 1
+    from_clamp : shape (n, n), values at the stations -> integral from the clamp to each station
+    to_tip : shape (n, n), values at the stations -> integral from each station to the tip
     """
 
     position: Floats
@@ -247,13 +235,13 @@ class Stations:
 
     @property
     def weights(self) -> Floats:
-        """Return quadrature weights over the whole interval, shape (n,)."""
+        """Return quadrature weights over the whole wire, shape (n,)."""
         weights: Floats = self.from_clamp[-1]
         return weights
 
 
 @lru_cache(maxsize=16)
-def chebyshev_stations(count: int) -> Stations:
+def chebyshev_stations(count: int, length: float = 1.0) -> Stations:
     """Build `count` Chebyshev-Lobatto stations; exact for polynomials of degree count - 1.
 
     Raises
@@ -261,9 +249,10 @@ def chebyshev_stations(count: int) -> Stations:
     ValueError
         If there are fewer than four.
     """
-    if count < 4:
-        message = f"count={count!r}: must be >= 4"
-        raise ValueError(message)
+    if length != 1.0:
+        unit = chebyshev_stations(count)
+        return Stations(length * unit.position, length * unit.from_clamp, length * unit.to_tip)
+    require("count", count, ">= 4", holds=count >= 4)
     nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
     basis = chebyshev.chebvander(nodes, count - 1)
     integrals = np.column_stack(

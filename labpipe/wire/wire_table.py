@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from typing import cast
 
 import numpy as np
@@ -18,19 +19,19 @@ from labpipe.wire.bending_law import (
     orientation_range,
     stick_stiffness,
 )
-from labpipe.wire.cantilever_curve import cantilever_of
 from labpipe.wire.cross_section import (
     MAX_OVERLAP_SHARE,
     CrossSection,
     Insulation,
     Layer,
     compressed,
+    hexagonal,
+    stretch_torsion,
 )
-from labpipe.wire.cross_section import hexagonal as as_hexagon
+from labpipe.wire.end_load_path import cantilever_of
 from labpipe.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, helix_overlap, lay_out
-from labpipe.wire.stretch_torsion import stretch_torsion
 
 _MIN_POINT_SPACING = 1e-4  # of a curvature: nearer points are one
 
@@ -70,21 +71,13 @@ def wire_table(spec: WireSpec) -> WireTable:
     lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
     mass, pair = mass_per_length(spec, built.section), stretch_torsion(built.section)
     bent = cantilever_of(spec, curve, GRAVITY * mass)
+    notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *bent.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
         layout=layout_of(built.section),
-        curvature=curve.curvature,
         moment=curve.moment,
-        stick=curve.stick,
-        slip=curve.slip,
-        bending=curve.bending,
-        plastic=curve.plastic,
-        insulation=curve.insulation,
-        tangent_stiffness=curve.tangent_stiffness,
         secant_stiffness=curve.secant_stiffness,
-        stick_stiffness=curve.stick_stiffness,
-        slip_stiffness=curve.slip_stiffness,
         axial_stiffness=pair.axial,
         torsional_stiffness=pair.torsional,
         free_torsional_stiffness=pair.torsional_free,
@@ -98,14 +91,8 @@ def wire_table(spec: WireSpec) -> WireTable:
         rest=bent.rest,
         doubtful_curvature=limit,
         doubtful_deflection=bent.deflection_at(curve, limit),
-        notes=(
-            *(*_default_notes(spec), *built.notes, *shortened, *_tension_notes(spec)),
-            *(
-                *_slip_notes(spec, onsets, curve),
-                *_insulation_notes(spec, curve, limit),
-                *bent.notes,
-            ),
-        ),
+        notes=notes,
+        **{item.name: getattr(curve, item.name) for item in fields(curve)},
     )
 
 
@@ -183,23 +170,6 @@ def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
     return curve
 
 
-def _default_notes(spec: WireSpec) -> tuple[QualityNote, ...]:
-    if not spec.defaults:
-        return ()
-    message = f"the sheet leaves these out; defaults used: {', '.join(spec.defaults.values())}"
-    return (QualityNote("defaults_taken", Severity.INFO, spec.place, message),)
-
-
-def _tension_notes(spec: WireSpec) -> tuple[QualityNote, ...]:
-    if not spec.tension:
-        return ()
-    message = (
-        f"the law holds for a tension of {spec.tension:.4g} N applied before bending; the "
-        f"cantilever uses that law without the effect of the tension on its shape"
-    )
-    return (QualityNote("tension", Severity.INFO, spec.place, message),)
-
-
 def straight_range(spec: WireSpec) -> float:
     """Return the curvature up to which the insulation counts as linear, 1/m.
 
@@ -211,28 +181,32 @@ def straight_range(spec: WireSpec) -> float:
     return 2.0 * spec.insulation_strain / spec.wire_diameter
 
 
-def _insulation_notes(spec: WireSpec, curve: MomentCurve, limit: float) -> tuple[QualityNote, ...]:
-    if curve.curvature[-1] <= limit:
-        return ()
-    strain = 100.0 * spec.insulation_strain
-    message = (
-        f"where the rim of the insulation is strained by more than {strain:.3g} %, its modulus "
-        f"does not apply: moments beyond are doubtful (lighter in figures, 'doubtful' in tables); "
-        f"a stress table of the insulation extends the range"
-    )
-    return (QualityNote("insulation_doubtful", Severity.WARNING, spec.place, message),)
-
-
-def _slip_notes(spec: WireSpec, onsets: Floats, curve: MomentCurve) -> tuple[QualityNote, ...]:
-    if not np.any(onsets == 0.0):
-        return ()
-    slope = float(curve.secant_stiffness[1])
-    message = (
-        f"strands slip as soon as the wire bends (radial force {spec.radial_force:.3g} N, friction "
-        f"{spec.friction_strand:.3g} and {spec.friction_insulation:.3g}): the slope of the law at "
-        f"zero is {slope:.4g} N m^2, not the stick stiffness, {curve.stick_stiffness:.4g} N m^2"
-    )
-    return (QualityNote("slips_at_once", Severity.WARNING, spec.place, message),)
+def _law_notes(
+    spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
+) -> Iterator[QualityNote]:
+    if spec.tension:
+        message = (
+            f"the law holds for a tension of {spec.tension:.4g} N applied before bending; the "
+            f"cantilever uses that law without the effect of the tension on its shape"
+        )
+        yield QualityNote("tension", Severity.INFO, spec.place, message)
+    if np.any(onsets == 0.0):
+        slope = float(curve.secant_stiffness[1])
+        message = (
+            f"strands slip as soon as the wire bends (radial force {spec.radial_force:.3g} N, "
+            f"friction {spec.friction_strand:.3g} and {spec.friction_insulation:.3g}): the slope "
+            f"of the law at zero is {slope:.4g} N m^2, not the stick stiffness, "
+            f"{curve.stick_stiffness:.4g} N m^2"
+        )
+        yield QualityNote("slips_at_once", Severity.WARNING, spec.place, message)
+    if curve.curvature[-1] > limit:
+        strain = 100.0 * spec.insulation_strain
+        message = (
+            f"where the rim of the insulation is strained by more than {strain:.3g} %, its modulus "
+            f"does not apply: moments beyond are doubtful (lighter in figures, 'doubtful' in "
+            f"tables); a stress table of the insulation extends the range"
+        )
+        yield QualityNote("insulation_doubtful", Severity.WARNING, spec.place, message)
 
 
 class WireError(ValueError):
@@ -277,13 +251,20 @@ def build(spec: WireSpec) -> BuiltWire:
         helices, the tension strains them beyond their stress table, or a number is
         out of its range.
     """
+    notes = []
+    if spec.defaults:
+        left_out = ", ".join(spec.defaults.values())
+        message = f"the sheet leaves these out; defaults used: {left_out}"
+        notes.append(QualityNote("defaults_taken", Severity.INFO, spec.place, message))
     try:
-        _require_numbers(spec)
-        section, notes = _section(spec)
-        notes = (*notes, *_helix_notes(section, spec))
-        rings = len(section.layers) - int(section.has_core)
+        require_positive("length", spec.length)
+        require_finite("orientation", spec.orientation)
+        if spec.largest_curvature is not None:
+            require_positive("largest_curvature", spec.largest_curvature)
+        section, layout_notes = _section(spec)
+        notes += [*layout_notes, *_helix_notes(section, spec)]
         contacts = insulated(
-            rings,
+            len(section.layers) - int(section.has_core),
             strand=spec.friction_strand,
             insulation=spec.friction_insulation,
             radial_force=spec.radial_force,
@@ -292,16 +273,8 @@ def build(spec: WireSpec) -> BuiltWire:
     except ValueError as error:
         raise WireError(str(error)) from error
     range_of(spec, strain=strain)  # refuses a tension beyond the stress table
-    notes = (*notes, *_eccentric_notes(section, spec), *_overlap_notes(section, spec))
-    return BuiltWire(section, contacts, strain, (*notes, *_yield_notes(spec, strain)))
-
-
-def _require_numbers(spec: WireSpec) -> None:
-    """Check the numbers that no other part of the model checks."""
-    require_positive("length", spec.length)
-    require_finite("orientation", spec.orientation)
-    if spec.largest_curvature is not None:
-        require_positive("largest_curvature", spec.largest_curvature)
+    notes += _section_notes(section, spec, strain)
+    return BuiltWire(section, contacts, strain, tuple(notes))
 
 
 def material_of(spec: WireSpec) -> Material:
@@ -344,69 +317,68 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
     )
 
 
-def _section(spec: WireSpec) -> tuple[CrossSection, tuple[QualityNote, ...]]:
+def _section(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
+    """Lay out the strands; note where the default layout, a hexagon, does not fit."""
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    table, thickness = spec.insulation_table, spec.insulation_thickness
-    poisson = spec.insulation_poisson
-    if table is None:
-        tube = Insulation(bore, thickness, spec.insulation_modulus, poisson)
-    else:
-        curve = StressTable(*table, source="insulation table of the wire sheet")
-        tube = Insulation(bore, thickness, curve.modulus, poisson, curve)
+    curve = None
+    if spec.insulation_table is not None:
+        curve = StressTable(*spec.insulation_table, source="insulation table of the wire sheet")
+    modulus = spec.insulation_modulus if curve is None else curve.modulus
+    tube = Insulation(bore, spec.insulation_thickness, modulus, spec.insulation_poisson, curve)
     layers = layers_of(spec)
-    match spec.layout:
-        case "compressed":
-            return compressed(layers, tube, radii=spec.layer_radii), ()
-        case layout if layout == AUTO:
-            return _automatic(layers, tube, spec)
-    return lay_out(layers, tube, kind=cast("Kind", spec.layout)), ()
-
-
-def _automatic(
-    layers: tuple[Layer, ...], tube: Insulation, spec: WireSpec
-) -> tuple[CrossSection, tuple[QualityNote, ...]]:
-    """Return the hexagon; else, with a note, rings where they fit or a packing of equal strands."""
+    if spec.layout == "compressed":
+        return compressed(layers, tube, radii=spec.layer_radii), []
+    if spec.layout != AUTO:
+        return lay_out(layers, tube, kind=cast("Kind", spec.layout)), []
     try:
-        return as_hexagon(layers, tube), ()
+        return hexagonal(layers, tube), []
     except ValueError as error:
-        reason = str(error)
-    section = lay_out(layers, tube)
+        section, reason = lay_out(layers, tube), str(error)
     message = f"the layout is {section.kind}, not a hexagon ({reason})"
-    return section, (QualityNote("layout_fallback", Severity.WARNING, spec.place, message),)
+    return section, [QualityNote("layout_fallback", Severity.WARNING, spec.place, message)]
 
 
-def _eccentric_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
-    """Note a packing that lies to one side of the bore, and its effect."""
+def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
+    """Note a packing to one side of the bore, overlaps, and strands that yield under the tension.
+
+    The model treats the axial stiffness of strands as elastic.
+    """
     max_silent_offset = 0.02  # of the bore's radius
+    touch_tolerance = 1e-9  # of the bore's radius
+    max_elastic_factor = 1.2  # times the stress of the curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
     area = np.array([layer.area for layer in section.layers])[section.layer]
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
-    if section.kind != "packed" or offset <= max_silent_offset * bore:
-        return ()
-    turns = np.linspace(0.0, np.pi, 180, endpoint=False)
-    stiffness = [stick_stiffness(section, orientation=turn) for turn in turns]
-    message = (
-        f"the strands lie to one side of the bore: their centroid is {offset * 1e3:.3g} mm off the "
-        f"axis, {100.0 * offset / bore:.2g} % of the bore's radius. Bent about the axis, the stick "
-        f"stiffness is {min(stiffness):.4g} to {max(stiffness):.4g} N m^2, by orientation"
-    )
-    return (QualityNote("layout_eccentric", Severity.WARNING, spec.place, message),)
+    if section.kind == "packed" and offset > max_silent_offset * bore:
+        turns = np.linspace(0.0, np.pi, 180, endpoint=False)
+        stiffness = [stick_stiffness(section, orientation=turn) for turn in turns]
+        message = (
+            f"the strands lie to one side of the bore: their centroid is {offset * 1e3:.3g} mm off "
+            f"the axis, {100.0 * offset / bore:.2g} % of the bore's radius. Bent about the axis, "
+            f"the stick stiffness is {min(stiffness):.4g} to {max(stiffness):.4g} N m^2, by "
+            f"orientation"
+        )
+        yield QualityNote("layout_eccentric", Severity.WARNING, spec.place, message)
+    if section.overlap > touch_tolerance * bore:
+        message = (
+            f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
+            f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
+            f"{100.0 * MAX_OVERLAP_SHARE:.1f} % is allowed"
+        )
+        yield QualityNote("overlap_tolerated", Severity.INFO, spec.place, message)
+    material = material_of(spec)
+    elastic = material.modulus * strain
+    carried = float(material.stress(np.array([strain]))[0])
+    if elastic > max_elastic_factor * carried:
+        message = (
+            f"a tension of {spec.tension:.4g} N strains the elastic wire by {strain:.3g}: the "
+            f"strands pull with {elastic / 1e6:.4g} MPa in the model, and their stress-strain "
+            f"curve carries {carried / 1e6:.4g} MPa there"
+        )
+        yield QualityNote("tension_yields", Severity.WARNING, spec.place, message)
 
 
-def _overlap_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
-    touch_tolerance = 1e-9  # of the bore's radius
-    bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    if section.overlap <= touch_tolerance * bore:
-        return ()
-    message = (
-        f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
-        f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
-        f"{100.0 * MAX_OVERLAP_SHARE:.1f} % is allowed"
-    )
-    return (QualityNote("overlap_tolerated", Severity.INFO, spec.place, message),)
-
-
-def _helix_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
+def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
     """Refuse a lay so steep that the strands do not fit the bore; note a steep one.
 
     In the section a strand has 1 / cos(lay angle) of its area and width. Layouts of circles, as
@@ -424,7 +396,7 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ..
         raise ValueError(message)
     overlap = 0.0 if section.kind == "compressed" else helix_overlap(section)
     if overlap <= max_silent_overlap:
-        return ()
+        return
     overlap_text = (
         f"by their lay angle, helices that touch in the section overlap by {100.0 * overlap:.2g} % "
         f"of their diameter"
@@ -433,23 +405,7 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ..
         message = f"the strands do not fit each other: {overlap_text}; {max_overlap:.0%} is allowed"
         raise ValueError(message)
     message = f"{overlap_text}: lay angle, strands or layout may differ in the real wire"
-    return (QualityNote("helices_overlap", Severity.WARNING, spec.place, message),)
-
-
-def _yield_notes(spec: WireSpec, strain: float) -> tuple[QualityNote, ...]:
-    """Note strands that would yield under the tension, which the model treats as elastic."""
-    max_elastic_factor = 1.2  # times the stress of the curve
-    material = material_of(spec)
-    elastic = material.modulus * strain
-    carried = float(material.stress(np.array([strain]))[0])
-    if elastic <= max_elastic_factor * carried:
-        return ()
-    message = (
-        f"a tension of {spec.tension:.4g} N strains the elastic wire by {strain:.3g}: the strands "
-        f"pull with {elastic / 1e6:.4g} MPa in the model, and their stress-strain curve carries "
-        f"{carried / 1e6:.4g} MPa there"
-    )
-    return (QualityNote("tension_yields", Severity.WARNING, spec.place, message),)
+    yield QualityNote("helices_overlap", Severity.WARNING, spec.place, message)
 
 
 def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:

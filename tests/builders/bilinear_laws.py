@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.law.loading_panels import NODES_PER_PANEL, LoadingLaw, panel_rule
+from labpipe.law.loading_table import NODES, LoadingLaw, panel_rule
 from labpipe.law.plays import MomentLaw, PlayLaw
 from labpipe.records.arrays import Floats
 
@@ -27,7 +27,7 @@ def law_of_plays(law: MomentLaw, largest_moment: float, *, n_points: int = 80) -
     even = largest_moment * np.geomspace(1e-4, 1.0, n_points)
     corners = law.half_widths[law.half_widths < largest_moment]
     edges = np.concatenate([[0.0], np.union1d(even, corners)])
-    places, weights = panel_rule(NODES_PER_PANEL)
+    places, weights = panel_rule(NODES)
     width = np.diff(edges)[:, None]
     nodes = edges[:-1, None] + width * places
     slipped = np.maximum(edges[:, None] - law.half_widths, 0.0) @ law.compliances

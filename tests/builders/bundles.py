@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.records.harness_bundle import PACKED, Bundle, BundleWire
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
 
 MODULUS, CORE, WALL = 100e9, 0.8e-3, 0.1e-3

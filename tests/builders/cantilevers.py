@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.law.play_fits import stick_slip_law
-from labpipe.law.plays import MomentLaw
+from labpipe.law.plays import MomentLaw, stick_slip_law
 from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import bend_to_deflection, straight
 

@@ -25,6 +25,7 @@ from labpipe.units import GRAVITY
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.wire.calibration.fit import Wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.wire.calibration.prediction import tested_curvature
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.law_family import (
     LAW_FACTOR,
@@ -33,7 +34,6 @@ from labpipe.wire.law_family import (
     LawFamily,
     family_of,
 )
-from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import build, mass_per_length
 from tests.coverage.drawn_lines import (
     FREEDOM,

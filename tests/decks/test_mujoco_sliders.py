@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.decks.deck_files import DECKS
+from labpipe.decks import DECKS
+from labpipe.decks.lookup import sliders_csv, sliders_json
 from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
-from labpipe.decks.slider_table import sliders_csv, sliders_json
-from labpipe.law.play_fits import concave_law
+from labpipe.law.plays import concave_law
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.wire_table import wire_table
 from tests.approved import Approve

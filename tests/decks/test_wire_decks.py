@@ -14,27 +14,23 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from labpipe import __version__
+from labpipe.decks import DECKS, deck_texts, write_decks
 from labpipe.decks import deck_law as deck_facts
-from labpipe.decks import deck_texts, write_decks
-from labpipe.decks.abaqus import abaqus_deck
-from labpipe.decks.ansys import MAX_POINTS, ansys_deck, shear_stiffness
+from labpipe.decks.beam_sections import MAX_POINTS, abaqus_deck, ansys_deck, shear_stiffness
 from labpipe.decks.calculix import TIP, BarMesh, calculix_deck, half_bar
-from labpipe.decks.deck_files import DECKS
 from labpipe.decks.deck_law import (
     abaqus_label,
     ansys_name,
     file_stem,
     linear_range,
     on_one_line,
+    percent,
     skew_bending_error,
     solid_area,
 )
-from labpipe.decks.deck_losses import percent
-from labpipe.decks.lookup import COLUMNS, lookup_csv, lookup_json
-from labpipe.decks.slider_table import sliders_csv, sliders_json
+from labpipe.decks.lookup import COLUMNS, lookup_csv, lookup_json, sliders_csv, sliders_json
 from labpipe.law.equivalent_material import equivalent_material
-from labpipe.law.loss_card import turn_loss
-from labpipe.law.table_sliders import sliders_of
+from labpipe.law.loss_card import sliders_of, turn_loss
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable

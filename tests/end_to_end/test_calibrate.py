@@ -18,7 +18,7 @@ from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
 from labpipe.studies.validation import STEPS, bent_shapes
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.virtual_lab import simulate_campaigns, simulate_test
 from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
 from labpipe.virtual_lab.specimens import WIRES as SPECIMENS

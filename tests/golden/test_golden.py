@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from labpipe.process.run import process_test
 from tests.golden.differences import differences
 from tests.golden.documents import json_rows
-from tests.golden.rows import Row, read, write
+from tests.golden.rows import Row, read, rows, write
 
+ONE_OF_EACH_KIND = (
+    *("wires/A2-085-1", "tensile/pet-tape-1", "tensile/CT-10-1", "tensile/twist-tube-1a"),
+    *("tensile/stiff-bar-1", "harness/CWB-1-1", "harness/TWB-B1-12-PVC-1"),
+)
 ROW = Row("T", "result", "peak_force.1", "ok", "", "N", "3.5", "3.4", "3.6", "0.95", "12")
 
 
@@ -51,3 +57,16 @@ def test_documents_are_kept_without_their_words() -> None:
     assert (mean.name, mean.value) == ("parts.0.mean", "2.0")
     assert (code.name, code.status) == ("parts.0.code", "few")
     assert (x.value, x.lower, x.upper, x.n) == ("2.0", "1.0", "3.0", "2")
+
+
+@pytest.mark.parametrize("name", ONE_OF_EACH_KIND)
+def test_numbers_of_the_demo_are_those_that_are_kept(name: str, tmp_path: Path) -> None:
+    """Only where the tests of mutants name the folder of the full demo."""
+    campaign, test = name.split("/")
+    sheet = Path(os.environ.get("LABPIPE_DEMO", "no demo"), name, "test.yaml")
+    if not sheet.is_file():
+        pytest.skip("LABPIPE_DEMO names no folder with this test")
+    kept = [row for row in read(Path(__file__).with_name(f"{campaign}.csv")) if row.test == test]
+    assert not differences(
+        kept, rows(test, process_test(sheet, out=tmp_path, figures=False).folder)
+    )

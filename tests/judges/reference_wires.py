@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from labpipe.records.arrays import Floats, Ints
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.friction import Bundle, Contacts, arrange, ring_pressure, sines
-from labpipe.wire.strand_bending import helix_factor, strand_moment
+from labpipe.wire.materials import helix_factor, strand_moment
 
 LENGTH = 0.085
 MARKERS = np.linspace(0.008, 0.081, 8)

@@ -210,6 +210,8 @@ def test_a_dahl_law_is_recovered(parts: tuple[float, float, float]) -> None:
     if height:
         assert (dahl.moment, dahl.decay) == pytest.approx((height, decay), rel=0.05)
     assert fit_dahl(np.array([1.0, 4.0]), np.array([3.0, 6.0])).error < 0.05
+    three = np.array([1.0, 2.0, 4.0])
+    assert fit_dahl(three, three - 5.0 * np.expm1(-0.5 * three)).error < 1e-3
 
 
 def test_a_constant_stiffness_by_hand() -> None:

@@ -10,23 +10,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.law.equivalent_material import equivalent_material
-from labpipe.law.play_fits import concave_law, fit_plays, polygon_law, stick_slip_law
 from labpipe.law.plays import (
     LinearLaw,
     MomentLaw,
     PlayLaw,
+    concave_law,
     first_curvature,
+    polygon_law,
     require_within,
     respond,
+    stick_slip_law,
     unbent_plays,
 )
-from labpipe.law.slider_directions import in_directions
-from labpipe.law.sliders import SliderLaw, fit_sliders, linear_moment_law
+from labpipe.law.sliders import SliderLaw, fit_sliders, in_directions, linear_moment_law
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 from tests.builders.bilinear_laws import bilinear_law
-from tests.builders.wire_tables import wire_table
 
 
 def stick_slip(hardening: float = 0.5) -> PlayLaw:
@@ -136,10 +136,6 @@ def row(*numbers: float) -> Floats:
     return np.array(numbers)
 
 
-def plays_of(law: Callable[[Floats], Floats], last: float = 3.0, n_plays: int = 10) -> PlayLaw:
-    return fit_plays(law, stiffness=0.5, first_moment=0.1, last_moment=last, n_plays=n_plays)
-
-
 def sliders(n_sliders: int = 4, **options: float) -> SliderLaw:
     return fit_sliders(CURVATURE, np.sqrt(1.0 + CURVATURE) - 1.0, n_sliders, **options)
 
@@ -152,11 +148,6 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: PlayLaw(1.0, row(1, 1), row(1, 1)),
         *(lambda last=last: PlayLaw(2.0, row(1.0), row(0.5), last) for last in (0.0, np.nan)),
         lambda: require_within(PlayLaw(2.0, row(1.0), row(0.5), 3.0), row(1.0, -4.0), "bending"),
-        lambda: plays_of(lambda moment: moment * (2.0 - moment)),
-        lambda: plays_of(lambda moment: np.full_like(moment, 0.2)),
-        lambda: plays_of(np.sqrt),
-        lambda: plays_of(np.square, 0.1),
-        lambda: plays_of(np.square, 3.0, 0),
         lambda: stick_slip(hardening=0.0),
         lambda: stick_slip(hardening=1.0),
         lambda: polygon_law(row(1.0, 2.0, 3.0), row(1e-3, 1.5e-3, 1.4e-3)),
@@ -205,13 +196,3 @@ def test_refusals(subject: str, approved: Approve) -> None:
             call()
         messages.append(str(refusal.value))
     approved(messages)
-
-
-def test_the_number_of_sliders_that_is_enough() -> None:
-    table = wire_table("A2")
-    message = r"^4 sliders have an error of 1\.\d+ % of .*, expected at most 0\.5 %: 9 are enough$"
-    with pytest.raises(ValueError, match=message):
-        fit_sliders(table.curvature, table.moment, 4, allowed=0.005)
-    assert fit_sliders(table.curvature, table.moment, 9, allowed=0.005).error <= 0.005
-    with pytest.raises(ValueError, match=r"expected at most 0\.0001 %: 64 are not enough$"):
-        fit_sliders(table.curvature, table.moment, 4, allowed=1e-6)

@@ -9,20 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
 from labpipe.law.plays import respond, unbent_plays
-from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import (
+    TURNS,
     SliderLaw,
     as_plays,
     fit_sliders,
+    in_directions,
     linear_moment_law,
     slide,
     slide_vector,
     slider_moment,
     slip_moments,
+    turned,
     unbent_rests,
 )
-from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import wire_table

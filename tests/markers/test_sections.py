@@ -7,9 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from labpipe.markers.rings import (
+    Sections,
     axis_at_rest,
     find_sections,
     ring_centres,
+    section_centres,
     section_twist,
 )
 from labpipe.markers.three_point_axis import _linearise, fit_bent_axis, fit_span
@@ -96,17 +98,31 @@ def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     assert -sign * axis[1] > 0.0
 
 
-@pytest.mark.parametrize("rows", [2, 1])
-def test_twist_of_a_section_and_none_of_one_row(rows: int) -> None:
-    made, rest = take(twist=0.08) if rows == 2 else take(angles=(np.radians(90.0),))
-    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
-    twist, lever = section_twist(sections, np.zeros((len(rest), 15)), radius=RADIUS)
-    if rows == 2:
-        assert np.nanmax(np.abs(twist[:, 7])) == pytest.approx(0.08, abs=1e-3)
-        assert np.allclose(lever, RADIUS * np.sin(np.radians(35.0)) * np.sqrt(2.0), rtol=1e-3)
-    else:
-        assert np.isnan(twist).all()
-        assert not lever.any()
+def test_rigid_sections_that_tilt_and_turn_have_their_centres_and_twists() -> None:
+    """Three markers, one of them hidden in one frame, and a section of a single row."""
+    rng = np.random.default_rng(5)
+    axis, section = np.array([0.01, -0.02]), np.repeat([0, 1], [3, 2])
+    off = rng.normal(scale=0.01, size=(5, 3))
+    off[:3] -= [off[:3, 0].mean(), 0.0, 0.0]
+    off[3:] = [[0.001, 0.009, 0.002], [-0.001, 0.009, 0.002]]
+    at_rest = off + np.column_stack([0.1 * section, np.broadcast_to(axis, (5, 2))])
+    slope, twist, centres = (
+        rng.normal(size=(4, 2)),
+        rng.uniform(-3, 3, 4),
+        rng.normal(size=(4, 2, 3)),
+    )
+    turns = Rotation.from_euler("ZX", np.stack([slope, np.stack([twist] * 2, 1)], -1).reshape(8, 2))
+    moved = turns.as_matrix().reshape(4, 2, 3, 3)[:, section] @ off[..., None]
+    markers = centres[:, section] + moved[..., 0]
+    markers[2, 1] = np.nan
+    sections = Sections(markers, at_rest, section, np.arange(5), np.eye(3))
+    found, lever = section_twist(sections, slope, radius=0.01)
+    np.testing.assert_allclose(found[[0, 1, 3], 0], twist[[0, 1, 3]], rtol=1e-9)
+    assert lever == pytest.approx([np.linalg.norm(off[:3, 1:] - off[:3, 1:].mean(0)), 0.0])
+    assert np.isnan(found[:, 1]).all()
+    turned = np.column_stack([twist, np.full(4, np.nan)])
+    middle = section_centres(sections, axis, slope, turned)
+    np.testing.assert_allclose(middle, centres, atol=1e-12)
 
 
 PLACES = 0.0127 * np.arange(-7.0, 8.0)
@@ -140,7 +156,9 @@ def test_a_line_is_no_bend_and_missing_points_are_left_out() -> None:
     some = points(0.01)
     some[0, 3] = np.nan
     assert fit_bent_axis(some, span=SPAN, terms=3).mid_span[0] == pytest.approx(0.01, rel=1e-3)
-    some[0, :10] = np.nan
+    some[0, np.delete(np.arange(15), [0, 4, 6, 8, 10, 14])] = np.nan
+    assert np.isfinite(fit_bent_axis(some, span=SPAN, terms=3).mid_span).all()
+    some[0, 0] = np.nan
     assert np.isnan(fit_bent_axis(some, span=SPAN, terms=3).mid_span).all()
 
 
@@ -199,7 +217,7 @@ def test_what_makes_no_sections() -> None:
         find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], min_distance=0.004)
     bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
     for count, message in (
-        (16, r"mm of mid-span: expected some 45.72 mm away on both sides"),
+        (16, r"-80.17 mm to \+8.7.* some 45.72 mm away on both sides, which is 60 % of half"),
         (10, "5 sections with markers: expected at least 6"),
     ):
         sections = find_sections(made.positions[:, :count], rest=rest, min_distance=0.004)

@@ -9,6 +9,7 @@ from labpipe.markers.marker_names import Naming, is_unlabelled, name_chains
 from labpipe.markers.tracklets import (
     Links,
     Tracklets,
+    _distances,
     cut_tracklets,
     frozen_samples,
     in_sight,
@@ -101,6 +102,16 @@ def test_a_moving_point_is_found_where_it_was_heading() -> None:
     positions = fast_point()
     positions[28:, 1], positions[20:, 0] = positions[28:, 0], np.nan
     assert links(positions).chain.tolist() == [0, 0]
+
+
+def test_how_far_a_start_is_from_where_an_end_was_heading() -> None:
+    """The cube of time: 12^3 - 9^3 less 3 times the mean of (9^3 - 4^3) / 5, (17^3 - 12^3) / 5."""
+    time = np.arange(30.0)
+    path = np.zeros((30, 1, 3))
+    path[:, 0, 1] = time**3
+    pieces = Tracklets(np.zeros(2, np.int64), np.array([0, 12]), np.array([10, 30]))
+    apart = _distances(pieces, path, time, np.array([0]), np.array([1]))
+    assert apart == pytest.approx([3.0 * (133.0 + 637.0) / 2.0 - 999.0])
 
 
 @pytest.mark.parametrize(("blank", "joined"), [(10, True), (11, False)])

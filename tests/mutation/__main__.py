@@ -2,7 +2,7 @@
 
 ``python -m tests.mutation`` tries what has not been tried, for an hour at most, and writes down
 what notices each fault, in ``tests/mutation/tried.jsonl``. ``--again`` tries those anew that
-nothing has noticed, ``--afresh`` all. ``--report`` prints the score, ``--publish`` puts it into
+survived, ``--afresh`` all. ``--report`` prints the score, ``--publish`` puts it into
 docs/explanations/coverage.md. What survives is explained in ``tests/mutation/explained.toml``, or
 is a test that is missing.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -21,8 +22,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
+from tests.mutation.entered import REPOSITORY, Entered
 from tests.mutation.mutants import COUNT, LAYERS, Mutant, sampled
-from tests.mutation.trials import REPOSITORY, Demo, noticed_by, with_libraries
+from tests.mutation.trials import in_session, noticed_by
 
 HERE = Path(__file__).resolve().parent
 TRIED, EXPLAINED = HERE / "tried.jsonl", HERE / "explained.toml"
@@ -36,7 +40,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="go on for so long")
     parser.add_argument("--demo", type=Path, default=DEMO, help="folder of the demo's exports")
-    parser.add_argument("--again", action="store_true", help="try anew what nothing has noticed")
+    parser.add_argument("--again", action="store_true", help="try anew what survived")
     parser.add_argument("--afresh", action="store_true", help="try all anew")
     parser.add_argument("--only", default="", metavar="TEXT", help="faults whose name has this")
     parser.add_argument("--report", action="store_true", help="print the score")
@@ -45,10 +49,16 @@ def main() -> int:
     drawn = sampled(REPOSITORY / "labpipe")
     if not (options.report or options.publish):
         known = tried()
-        if options.afresh or options.again:
-            known = {key: by for key, by in known.items() if by and not options.afresh}
+        if options.afresh:
+            known = {}
+        if options.again:
+            why = explained()
+            known = {
+                name: by for name, by in known.items() if by or name.rpartition(" [")[0] in why
+            }
         chosen = [each for each in drawn if options.only in each.key and token(each) not in known]
-        try_for(options.seconds, chosen, options.demo)
+        os.environ["LABPIPE_DEMO"] = str(options.demo.resolve())
+        try_for(options.seconds, chosen)
         forget_others(drawn)
     counted = Counted.of(drawn, tried(), explained())
     print(counted)
@@ -57,41 +67,21 @@ def main() -> int:
     return 0
 
 
-def try_for(seconds: float, mutants: Sequence[Mutant], demo: Path) -> None:
+def try_for(seconds: float, mutants: Sequence[Mutant]) -> None:
     """Try mutants one after the other, and write down how each ends."""
-    ends, known = time.monotonic() + seconds, tried()
-    with_libraries()
-    followed = Demo.followed(demo)
-    for number, mutant in enumerate(mutants):
-        if time.monotonic() > ends:
-            return
-        last = known.get(token(mutant), "")
-        known[token(mutant)] = noticed_by(mutant, stages(mutant, last), followed)
-        write(known)
-        said = known[token(mutant)] or "NOTHING"
-        print(f"{number + 1}/{len(mutants)} {said}  <  {mutant.key}", flush=True)
+    ends, known, entered = time.monotonic() + seconds, tried(), Entered.kept()
+    tests = {mutant: entered.tests_of(mutant, known.get(token(mutant), "")) for mutant in mutants}
 
+    def try_all(session: pytest.Session) -> None:
+        for number, mutant in enumerate(mutants):
+            if time.monotonic() > ends:
+                return
+            by = known[token(mutant)] = noticed_by(mutant, tests[mutant], session)
+            write(known)
+            print(f"{number + 1}/{len(mutants)} {by or 'NOTHING'}  <  {mutant.key}", flush=True)
 
-def stages(mutant: Mutant, last: str) -> list[list[str]]:
-    """Tests of the room of a module, those that import it first; then other tests that import it.
-
-    What noticed the fault last time is asked first.
-    """
-    module = Path(mutant.module)
-    dotted = "labpipe." + module.with_suffix("").as_posix().replace("/", ".")
-    rooms = {layer: sorted((REPOSITORY / "tests" / layer).rglob("test_*.py")) for layer in LAYERS}
-    users = {
-        layer: [path for path in files if f"{dotted} " in path.read_text(encoding="utf-8")]
-        for layer, files in rooms.items()
-    }
-    own = module.parts[0]
-    beside = list(dict.fromkeys([*users.pop(own), *rooms[own]]))
-    others = [path for files in users.values() for path in files]
-    file = last.partition("::")[0]
-    names = (
-        [path.relative_to(REPOSITORY).as_posix() for path in other] for other in (beside, others)
-    )
-    return [sorted(name, key=lambda path: path != file) for name in names]
+    if files := {test.partition("::")[0] for names in tests.values() for test in names}:
+        in_session(sorted(files), try_all)
 
 
 def token(mutant: Mutant) -> str:
@@ -189,7 +179,7 @@ def _end(mutant: Mutant, by: str | None, why: Mapping[str, str]) -> str:
         return "not tried"
     if not by:
         return "explained" if mutant.key in why else "survived"
-    if by.startswith("golden"):
+    if by.startswith("tests/golden/"):
         return KEPT
     is_beside = f"tests/{mutant.module.partition('/')[0]}/" in by or "/" not in by
     return BESIDE if is_beside else OTHERS

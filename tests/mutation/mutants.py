@@ -72,6 +72,11 @@ class Mutant:
         return f"{self.module} {self.function or '-'}: {self.was}  =>  {self.now}{nth}"
 
     @property
+    def is_at_import(self) -> bool:
+        """Whether the statement runs as the module is imported."""
+        return not self.lines or self.was.startswith(("def ", "@"))
+
+    @property
     def rank(self) -> str:
         """Where it stands in the order in which faults are drawn."""
         return hashlib.sha256(f"{SEED} {self.key}".encode()).hexdigest()

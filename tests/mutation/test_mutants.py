@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from coverage import CoverageData
 
-from tests.mutation.__main__ import Counted, explained, main, stages, token, tried
+from tests.mutation.__main__ import Counted, explained, main, token, tried
+from tests.mutation.entered import PACKAGE, Entered
 from tests.mutation.mutants import COUNT, Mutant, mutants_of, sampled
-from tests.mutation.trials import Demo, noticed_by
+from tests.mutation.trials import in_session, noticed_by
 
 SOURCE = '''
 def least(a, b):
@@ -56,23 +58,45 @@ def test_a_mutant_stays_the_same_where_the_function_only_moves() -> None:
     ]
 
 
-@pytest.mark.slow
-def test_the_sample_is_the_same_each_time_and_each_mutant_has_tests(repository: Path) -> None:
+def test_the_sample_is_the_same_each_time(repository: Path) -> None:
     drawn = sampled(repository / "labpipe")
-    assert [each.key for each in drawn] == [each.key for each in sampled(repository / "labpipe")]
-    assert len({each.key for each in drawn}) == COUNT
-    assert all(stages(each, "")[0] for each in drawn)
+    assert drawn == sampled(repository / "labpipe")
+    assert len({mutant.key for mutant in drawn}) == COUNT
+
+
+def test_tests_that_enter_are_asked_first_and_of_each_the_fastest() -> None:
+    """Then those of their files, which may share what was made for them; not what takes long."""
+    mutant = by_now()["return a if a <= b and (not b == 2) else a + b"]
+    seconds = {"a::1": 3.0, "a::2": 1.0, "a::3": 0.1, "a::4": 21.0, "b::1": 2.0, "c::1": 0.1}
+    data = CoverageData(no_disk=True)
+    for test, line in {"a::1": 4, "a::2": 4, "a::4": 4, "b::1": 4, "c::1": 6, "": 6}.items():
+        data.set_context(test)
+        data.add_lines({str(PACKAGE / "m.py"): [line]})
+    assert Entered(data, seconds).tests_of(mutant) == ["a::2", "b::1", "a::1", "a::3"]
+    assert Entered(data, seconds).tests_of(mutant, "a::1")[0] == "a::1"
+    seconds |= {"a::2": 9.0, "b::1": 9.5, "a::1": 20.0, "a::3": 1.6}
+    assert Entered(data, seconds).tests_of(mutant) == ["a::2", "b::1", "a::1"]
 
 
 @pytest.mark.slow
-def test_a_trial_tells_the_test_that_fails(tmp_path: Path, repository: Path) -> None:
+@pytest.mark.parametrize("is_at_import", [False, True])
+def test_a_trial_tells_the_test_that_fails(repository: Path, *, is_at_import: bool) -> None:
+    """In a session that has imported the sound package, and where it is imported anew."""
     module, beside = "results/least_squares.py", "tests/results/test_slack.py"
     source = (repository / "labpipe" / module).read_text(encoding="utf-8")
     mutants = {mutant.function: mutant for mutant in mutants_of(module, source)}
-    nothing = Demo.followed(tmp_path / "no demo")
-    noticed = noticed_by(mutants["zero_of_line"], [[beside]], nothing)
-    assert noticed.startswith(f"{beside}::test_")
-    assert not noticed_by(mutants["polynomial_weights"], [[beside]], nothing)
+    chosen = [mutants["zero_of_line"], mutants["polynomial_weights"]]
+    by = list[str]()
+
+    def ask(session: pytest.Session) -> None:
+        tests = [item.nodeid for item in session.items]
+        for mutant in chosen:
+            at = range(0) if is_at_import else mutant.lines
+            by.append(noticed_by(replace(mutant, lines=at), tests, session))
+
+    in_session([beside], ask)
+    assert by[0].startswith(f"{beside}::test_")
+    assert by[1:] == [""]
 
 
 def test_the_score() -> None:

@@ -1,135 +1,65 @@
 """Whether the tests notice a fault: each is tried in a process of its own, from memory.
 
-No file is changed: the module with the fault is compiled where it is imported. The process is a
-fork of one that has imported the libraries, so that a trial costs little more than its tests.
+No file is changed. The process is a fork of one that has collected the tests, and its functions get
+the code that they have with the fault; where the fault acts as the module is imported, that is done
+anew. So a trial costs little more than its tests.
 """
 
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
-import io
-import json
 import os
 import resource
+import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec, SourceFileLoader
-from importlib.util import spec_from_file_location
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType
-from typing import Any
+from types import CodeType, FunctionType
 
 import pytest
+from _pytest.main import pytest_runtestloop
 
-from tests.mutation.mutants import LAYERS, Mutant
+from tests.mutation.entered import PACKAGE
+from tests.mutation.mutants import Mutant
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-GOLDEN = (
-    *("wires/A2-085-1", "tensile/pet-tape-1", "tensile/CT-10-1", "tensile/twist-tube-1a"),
-    *("tensile/stiff-bar-1", "harness/CWB-1-1", "harness/TWB-B1-12-PVC-1"),
-)
-"""One test of each kind of the demo, whose numbers are compared with those that are kept."""
 SECONDS = 150
-"""Of processor time that a stage may take; a fault that makes the tests wait is noticed."""
-LIBRARIES = (
-    "numpy",
-    "scipy.optimize",
-    "scipy.stats",
-    "scipy.signal",
-    "scipy.interpolate",
-    "h5py",
-    "pandas",
-    "pydantic",
-    "yaml",
-    "openpyxl",
-    "pint",
+"""Of processor time that a trial may take; a fault that makes the tests wait is noticed."""
+OPTIONS = (
+    *("-x", "-q", "--hypothesis-seed=0"),
+    *("-p", "no:randomly", "-p", "no:xdist", "-p", "no:cacheprovider", "-p", "no:pytest_cov"),
 )
 
 
-def with_libraries() -> None:
-    """Import the libraries that the package rests on, once for all trials."""
-    for name in LIBRARIES:
-        importlib.import_module(name)
+def in_session(files: Sequence[str], job: Callable[[pytest.Session], None]) -> None:
+    """Collect tests once, and do a job where pytest would run them."""
+
+    class Trials:
+        def pytest_runtestloop(self, session: pytest.Session) -> bool:
+            job(session)
+            return True
+
+    pytest.main([*OPTIONS, "-s", *files], plugins=[Trials()])
 
 
-@dataclass(frozen=True)
-class Demo:
-    """Tests of the demo whose numbers are compared with those that are kept.
-
-    Parameters
-    ----------
-    folder : of the exports of the demo
-    lines : by test and module, the lines that are run as it is processed
-    """
-
-    folder: Path
-    lines: Mapping[str, Mapping[str, frozenset[int]]]
-
-    @classmethod
-    def followed(cls, folder: Path) -> Demo:
-        """Process each test once and see which lines run; none where the demo is not there.
-
-        A test whose numbers are not those that are kept, without any fault, tells nothing.
-        """
-        names = GOLDEN if folder.is_dir() else ()
-        told = {name: json.loads(_apart(partial(_followed, name, folder))) for name in names}
-        lines = {
-            name: {module: frozenset(ran) for module, ran in note.items()}
-            for name, note in told.items()
-        }
-        return cls(folder, lines)
-
-    def tests_of(self, mutant: Mutant) -> list[str]:
-        """Names of the tests that run the statement of a mutant."""
-        return [
-            name
-            for name, ran in self.lines.items()
-            if mutant.module in ran
-            and (not mutant.lines or not ran[mutant.module].isdisjoint(mutant.lines))
-        ]
-
-
-def noticed_by(mutant: Mutant, stages: Sequence[Sequence[str]], demo: Demo) -> str:
-    """What notices a fault; empty where nothing does.
+def noticed_by(mutant: Mutant, tests: Sequence[str], session: pytest.Session) -> str:
+    """Name the test that notices a fault; empty where none does.
 
     Parameters
     ----------
     mutant : the fault
-    stages : files of tests; after the first stage, the numbers of the demo are compared
-    demo : what to compare
+    tests : names of tests, in the order in which they are asked
+    session : in which the tests were collected from the sound package
     """
-    first, *others = stages
-    found = _apart(lambda: _failing(mutant, first))
-    if not found and (names := demo.tests_of(mutant)):
-        found = _apart(lambda: _changed(mutant, demo.folder, names))
-    for other in others:
-        found = found or (_apart(partial(_failing, mutant, other)) if other else "")
-    return found
-
-
-def _followed(name: str, folder: Path) -> str:
-    """Lines that run as a test of the demo is processed, by module; none if it is not as kept."""
-    from coverage import Coverage
-
-    from tests.golden.differences import differences
-
-    package = REPOSITORY / "labpipe"
-    following = Coverage(data_file=None, include=[f"{package}/{layer}/*" for layer in LAYERS])
-    with following.collect():
-        kept, made = golden_rows(name, folder)
-    if differences(kept, made):
-        return json.dumps({})
-    data = following.get_data()
-    found = {
-        str(Path(path).relative_to(package)): data.lines(path) for path in data.measured_files()
-    }
-    return json.dumps(found)
+    ask = _anew if mutant.is_at_import else partial(_failing, session)
+    collected = {item.nodeid for item in session.items}
+    asked = [name for name in tests if name in collected]
+    return _apart(partial(ask, mutant, asked)) if asked else ""
 
 
 def _apart(job: Callable[[], str]) -> str:
@@ -139,6 +69,7 @@ def _apart(job: Callable[[], str]) -> str:
         child = os.fork()
         if not child:
             try:
+                os.setsid()
                 _quiet(Path(folder))
                 said.write_text(job(), encoding="utf-8")
             except BaseException:  # noqa: BLE001  told by the parent
@@ -146,6 +77,8 @@ def _apart(job: Callable[[], str]) -> str:
             finally:
                 os._exit(0)
         _, status = os.waitpid(child, 0)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)  # what its tests have started
         if os.WIFSIGNALED(status):
             return f"signal {os.WTERMSIG(status)}"
         if wrong.is_file():
@@ -156,6 +89,7 @@ def _apart(job: Callable[[], str]) -> str:
 def _quiet(folder: Path) -> None:
     """Limit this process, and send what it prints nowhere."""
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
+    signal.alarm(10 * SECONDS)
     os.environ |= {"HYPOTHESIS_STORAGE_DIRECTORY": str(folder / "examples"), "TMPDIR": str(folder)}
     tempfile.tempdir = str(folder)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -163,62 +97,52 @@ def _quiet(folder: Path) -> None:
         os.dup2(nowhere, stream)
 
 
-def _failing(mutant: Mutant, tests: Sequence[str]) -> str:
-    """The first test that fails."""
-    first = _First()
-    plugins = ("randomly", "xdist", "cacheprovider", "pytest_cov")
-    off = [part for name in plugins for part in ("-p", f"no:{name}")]
-    if not _is_imported(mutant):
-        return "import"
-    ended = pytest.main(["-x", "-q", "--hypothesis-seed=0", *off, *tests], plugins=[first])
-    if ended == pytest.ExitCode.USAGE_ERROR:
-        msg = f"pytest does not take {tests}"
-        raise ValueError(msg)
+def _failing(session: pytest.Session, mutant: Mutant, tests: Sequence[str]) -> str:
+    """The first test that fails, where the functions of the sound package get the fault."""
+    _replace_code(mutant)
+    first, items = _First(), {item.nodeid: item for item in session.items}
+    session.config.pluginmanager.register(first)
+    session.items = [items[name] for name in tests]
+    with contextlib.suppress(session.Failed):
+        pytest_runtestloop(session)
+    session._setupstate.teardown_exact(None)
     return first.failed
 
 
-def _changed(mutant: Mutant, demo: Path, names: Sequence[str]) -> str:
-    """The first number of the demo that is not as it is kept."""
-    if not _is_imported(mutant):
-        return "import"
-    from tests.golden.differences import differences
-
-    for name in names:
-        try:
-            old, new = golden_rows(name, demo)
-        except Exception as error:  # noqa: BLE001  a fault may raise anything
-            return f"golden {name}: {type(error).__name__}"
-        if found := differences(old, new):
-            return f"golden {name}: {found[0].row.name} {found[0].field}"
-    return ""
+def _replace_code(mutant: Mutant) -> None:
+    """Give the functions of a module the code that they have with the fault."""
+    codes, new = [_code(mutant)], {}
+    for code in codes:  # it grows as it is gone through
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+        new[code.co_qualname, code.co_firstlineno] = code
+    for thing in gc.get_objects():
+        if isinstance(thing, FunctionType) and thing.__code__.co_filename == codes[0].co_filename:
+            thing.__code__ = new[thing.__code__.co_qualname, thing.__code__.co_firstlineno]
+        elif type(thing).__name__ == "_lru_cache_wrapper":
+            thing.cache_clear()
 
 
-def _is_imported(mutant: Mutant) -> bool:
-    """Import the module with the fault; whether that goes well.
+def _anew(mutant: Mutant, tests: Sequence[str]) -> str:
+    """The first test that fails, where the package is imported anew with the fault.
 
     What was imported without it is forgotten: a test that was would go on with the sound module.
     """
     for name in list(sys.modules):
         if name.partition(".")[0] in {"labpipe", "tests"} and not name.startswith("tests.mutation"):
             del sys.modules[name]
-    sys.meta_path.insert(0, _Faulty(mutant))
+    faulty, sound = _code(mutant), SourceFileLoader.get_code
+
+    def code_of(loader: SourceFileLoader, name: str) -> CodeType | None:
+        return faulty if loader.path == faulty.co_filename else sound(loader, name)
+
+    SourceFileLoader.get_code = code_of  # type: ignore[assignment, method-assign]
     try:
-        importlib.import_module(_dotted(mutant.module))
+        importlib.import_module("labpipe." + mutant.module.removesuffix(".py").replace("/", "."))
     except Exception:  # noqa: BLE001  a fault may raise anything
-        return False
-    return True
-
-
-def golden_rows(name: str, demo: Path) -> tuple[list[Any], list[Any]]:
-    """Rows of a test of the demo: those that are kept, and those of the package as it is now."""
-    from labpipe.process.run import process_test
-    from tests.golden.rows import read, rows
-
-    campaign, test = name.split("/")
-    kept = read(REPOSITORY / "tests" / "golden" / f"{campaign}.csv")
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-        done = process_test(demo / name / "test.yaml", out=Path(folder), figures=False)
-        return [row for row in kept if row.test == test], rows(test, done.folder)
+        return "import"
+    first = _First()
+    pytest.main([*OPTIONS, *tests], plugins=[first])
+    return first.failed
 
 
 class _First:
@@ -235,30 +159,6 @@ class _First:
             self.failed = report.nodeid
 
 
-class _Faulty(MetaPathFinder):
-    """Finds the module with the fault, and nothing else."""
-
-    def __init__(self, mutant: Mutant) -> None:
-        self.mutant = mutant
-
-    def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
-        if name != _dotted(self.mutant.module):
-            return None
-        path = REPOSITORY / "labpipe" / self.mutant.module
-        packages = [str(path.parent)] if path.name == "__init__.py" else None
-        loader = _Loader(name, str(path))
-        loader.mutant = self.mutant
-        return spec_from_file_location(
-            name, path, loader=loader, submodule_search_locations=packages
-        )
-
-
-class _Loader(SourceFileLoader):
-    mutant: Mutant
-
-    def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002
-        return compile(self.mutant.tree, self.path, "exec", dont_inherit=True)
-
-
-def _dotted(module: str) -> str:
-    return "labpipe." + module.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+def _code(mutant: Mutant) -> CodeType:
+    path = str(PACKAGE / mutant.module)
+    return compile(mutant.tree, path, "exec", dont_inherit=True)

@@ -29,7 +29,7 @@ from labpipe.readers.workbooks import (
     is_workbook,
     open_sheets,
 )
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from tests.approved import Approve
 from tests.readers.load_frame.exports import (
     LAST,

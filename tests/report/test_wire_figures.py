@@ -33,7 +33,7 @@ from labpipe.report.wire_workbook import (
     shown_rows,
     summary_record,
 )
-from labpipe.wire.cantilever_curve import force_at
+from labpipe.wire.end_load_path import force_at
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
 from tests.report.builders_wires import CUT, compressed_wire, troubled

@@ -16,7 +16,10 @@ from labpipe.results.slack_and_slips import (
     LoadDrop,
     PullCurve,
     _block_size,
+    _correlation,
     _is_outlier,
+    _step_kernel,
+    _Window,
     find_slips,
     fit_load_drop,
     samples_before,
@@ -155,6 +158,17 @@ def test_a_fall_of_several_samples_and_missing_ones() -> None:
     assert slip.drop == pytest.approx(1.5, abs=0.1)
 
 
+def test_a_clear_slip_in_slow_noise() -> None:
+    """Of twelve deviations of noise that remembers ten samples: nine times in ten, to a sample."""
+    seen = 0
+    for seed in range(10):
+        kicks = noise(seed) * np.sqrt(1.0 - np.exp(-0.2))
+        slow = lfilter([1.0], [1.0, -np.exp(-0.1)], kicks)
+        slips = found(900.0 * D_SLIPS - 0.6 * (D_SLIPS > 0.02) + slow)
+        seen += len(slips) == 1 and abs(slips[0].position - 0.02) < 1.1 * D_SLIPS[1]
+    assert seen >= 9
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_no_slip(seed: int) -> None:
     kink = np.where(D_SLIPS < 0.02, 2000.0 * D_SLIPS, 40.0 + 400.0 * (D_SLIPS - 0.02))
@@ -207,6 +221,11 @@ def test_a_tear_is_no_slip() -> None:
     told = find_slips(D_SLIPS, force, min_drop=0.2, decision=SlipDecision.MARKED, largest_share=0.4)
     assert isinstance(told, tuple)
     assert [slip.drop for slip in told] == pytest.approx([15.0], abs=0.2)
+    # Nor is it one where the force goes on at less than three tenths of its slope.
+    for share, count in ((0.2, 0), (0.4, 1)):
+        behind = np.maximum(D_SLIPS - 0.025, 0.0)
+        force = 2000.0 * (D_SLIPS - (1.0 - share) * behind) - 2.0 * (behind > 0.0) + noise()
+        assert len(found(force)) == count
 
 
 @pytest.mark.parametrize(("travel", "longest"), [(0.02, 0.4e-3), (0.04, 0.8e-3), (0.2, 1e-3)])
@@ -259,6 +278,18 @@ def test_the_drop_covers(length: float, memory: float) -> None:
         assert isinstance(found, LoadDrop)
         hits += found.drop_interval.lower <= 0.65 <= found.drop_interval.upper
     assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits
+
+
+def test_the_kernel_of_a_step_is_that_of_differenced_least_squares() -> None:
+    """A cubic and a fall over two samples, in noise of which 0.4 is remembered."""
+    at = np.arange(10.0, 60.0)
+    drop = LoadDrop(34, 36, 35.0, 0.0, Interval(0.0, 0.0), 34, 36, 0.0, 0.0, 0.0)
+    kernel = _step_kernel(_Window(10, 60, 3, 0.4), drop)
+    design = np.column_stack([np.vander(at / 60.0, 4), np.clip((at - 34.0) / 2.0, 0.0, 1.0)])
+    force = noise()[10:60]
+    white, target = (rows[1:] - 0.4 * rows[:-1] for rows in (design, force))
+    assert kernel @ force == pytest.approx(np.linalg.lstsq(white, target)[0][-1], rel=1e-9)
+    assert 0.0 <= _correlation(noise()[:100]) < 0.3  # a curve of one window has one, too
 
 
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:

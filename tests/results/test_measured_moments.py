@@ -124,6 +124,10 @@ def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None
         "hanging at the tip"
     ]
     assert results["bending_stiffness_at_1"].value == pytest.approx(4.8e-3, rel=0.05)
+    # A bare string on a specimen without weight pulls by what is measured, and says nothing.
+    test, results = reduced(repository, ("counterweight: 2.7 g", "counterweight: 0 g"))
+    assert not notes(test, "string_at_rest")
+    assert results["bending_stiffness_at_1"].value == pytest.approx(4.8e-3, rel=0.05)
 
 
 def near(found: Result, scenario: CantileverScenario, curvature: float, within: float) -> bool:

@@ -5,7 +5,9 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure, or_failure
-from labpipe.results.plateau import Tangents
+from labpipe.results.plateau import Plateau, Tangents
+from labpipe.uncertainty.extractors import Reading, Trace
+from tests.builders.plain_records import replicates_of, trace_of
 
 OVER = 5e-3
 
@@ -201,3 +203,16 @@ def test_what_a_corner_hides() -> None:
     assert float(level) == pytest.approx(float(np.interp(at, D, force)), abs=2.0 * abs(float(cut)))
     smooth = tangents_of(D, SOFT).corners(SOFT, SCALE * np.log(10.0), 0.1 * INITIAL)
     assert abs(smooth[0]) < 2e-4
+
+
+def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
+    made, plateau = replicates_of(trace_of(SOFT, D)), Plateau(slope_below=0.1)
+
+    def initial(trace: Trace) -> Reading:
+        return Reading(lambda _: (np.array(INITIAL if trace is made.measured else 0.0),), 9)
+
+    flat = Failure("no_stiffness", "the slope at the start is 0 N/m")
+    assert or_failure(plateau._begun)(made.smooth, initial) == flat
+    corner = plateau._corner(made, initial)
+    assert np.any(corner.size != 0.0)
+    assert not corner.in_noise(np.ones((2, 5))).any()

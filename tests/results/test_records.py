@@ -135,6 +135,12 @@ CASES: dict[str, Case] = {
         results=[*AT_BREAK, LINE, NORMALISED],
         scale="5 %",
     ),
+    "a specimen that tears slowly": of_pulls(
+        {"failure_displacement": 0.015, "failure_force": 25.0},
+        *(TRAVEL, PULL - 1e4 * np.maximum(TRAVEL - 0.01, 0.0)),
+        curve=BREAK,
+        results=["failure"],
+    ),
     "a loss that began a sample earlier": of_pulls(
         {}, TRAVEL, EARLIER, curve=BREAK, results=AT_BREAK
     ),

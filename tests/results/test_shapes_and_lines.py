@@ -21,6 +21,7 @@ from labpipe.results.shapes import TipTravel, _at_turn, _Frames
 from labpipe.results.slack_and_slips import counted_from_taut, slack_of
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
+from tests.builders.noise_rows import flicker
 from tests.builders.pulls import NOISE, pull, pulled
 
 FRAMES = 100
@@ -73,15 +74,6 @@ def test_a_tip_that_was_hardly_seen() -> None:
     assert travel(None).why == "no_shape: the protocol fits no shape"
 
 
-def wandering(seed: int) -> Floats:
-    """Noise of 1 whose power falls as 1 over the frequency, 1800 frames."""
-    waves = np.fft.rfft(np.random.default_rng(seed).normal(size=7200))
-    waves[1:] /= np.sqrt(np.arange(1.0, len(waves)))
-    waves[0] = 0.0
-    found = np.fft.irfft(waves, 7200)[:1800]
-    return np.asarray(found / found.std(), dtype=np.float64)
-
-
 @pytest.mark.slow
 def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     """The standard error of six that wander is never below the scatter of 60 values by a tenth.
@@ -93,7 +85,7 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     way = np.interp(time, [0.0, 4.0, 36.0, 68.0, 72.0], [0.0, 0.0, 10.0, 0.0, 0.0])
     loading = Branch(100, 900, 1, Direction.LOADING, 4.0, 36.0)
     frames = _Frames(time, time < 4.0, loading, (100, 900, 1700), b"seed")
-    rows = [way + wandering(seed) for seed in range(60)]
+    rows = [way + flicker((1, 1800), seed)[0] for seed in range(60)]
 
     def estimate(seed: int, *others: Floats) -> Estimate:
         made = _at_turn(rows[seed], frames, "twist", others)

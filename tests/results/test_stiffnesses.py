@@ -11,6 +11,7 @@ from labpipe.records.estimates import Failure, or_failure
 from labpipe.results.beam import Rollers, beam_factor, path_of_load, stiffness_ratio
 from labpipe.results.least_squares import polynomial_weights, slope_of_line, zero_of_line
 from labpipe.results.stiffness import (
+    LineStiffness,
     LoadingSlope,
     WindowSlope,
     compliance_window,
@@ -62,6 +63,13 @@ def test_rows_are_as_each_alone() -> None:
     alone = [found.of(d, f, shift) for d, f, shift in zip(path, force, later, strict=True)]
     np.testing.assert_allclose(found.of(path, force, later), alone, rtol=1e-12)
     assert np.isfinite(alone).all()
+
+
+def test_a_noisy_displacement_does_not_make_the_slope_small() -> None:
+    """3 mm of noise over 10 mm would take half of the slope by least squares."""
+    noisy = UP + np.random.default_rng(2).normal(0.0, 3e-3, (400, len(UP)))
+    slopes = windowed(UP, 20.0 * UP, 0.01, 0.02).of(noisy, np.broadcast_to(20.0 * UP, noisy.shape))
+    assert np.median(slopes) == pytest.approx(20.0, rel=0.03)
 
 
 def test_the_window_ends_where_it_is_first_left() -> None:
@@ -150,6 +158,11 @@ def test_loading_is_read_behind_the_take_up() -> None:
     assert plain == pytest.approx(22.0, rel=5e-3)
     assert lower - plain == pytest.approx(3.2, rel=0.03)
     assert isinstance(or_failure(loading_slope)(TIME, UP, -UP, length=0.005), Failure)
+    # Samples are those of the branch, of which the first ones may be unknown.
+    late = taking_up(UP) + noise_rows("white", 1e-3, (1, len(UP)), seed=1)
+    late[:, :30] = np.nan
+    taut = take_up(UP, late[0])
+    assert taut.of_each(UP[np.newaxis], late)[1] == [taut.sample]
 
 
 def test_loading_of_replicates_is_off_as_tests_are() -> None:
@@ -274,6 +287,14 @@ def test_says_why_not() -> None:
         still = or_failure(compliance_window)(D, force, start=300.0, stop=900.0)
         assert isinstance(still, Failure)
         assert still.code == "too_few_samples"
+
+
+def test_a_window_reaches_at_most_two_percent_before_the_first_sample() -> None:
+    window = LineStiffness(start=0.002, stop=0.012)
+    assert window.inside(np.arange(0.00219, 0.02, 1e-3)) == slice(0, 10)
+    assert or_failure(window.inside)(np.arange(0.00221, 0.02, 1e-3)) == Failure(
+        "not_reached", "the branch begins at 2.21 mm, 2 mm is needed"
+    )
 
 
 def test_compliance_of_many_rows() -> None:

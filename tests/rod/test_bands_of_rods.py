@@ -21,7 +21,7 @@ from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.scatter_mixture import quantiles
+from labpipe.wire.calibration.variances import quantiles
 from labpipe.wire.law_family import LAW_FACTOR
 from tests.builders.loading_tests import measured, wire_of
 from tests.builders.rods import straight_line

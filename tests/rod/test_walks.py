@@ -21,7 +21,7 @@ from labpipe.rod.rotations import (
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.statics import RodSettings, follow
 from labpipe.rod.supports import Grip, supports_of
-from labpipe.studies.residual_curvature import residual_curvature
+from labpipe.studies.harness_responses import residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
     LENGTH,

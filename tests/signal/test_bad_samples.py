@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.signal.bad_samples import StuckRun, bridge_spikes, find_spikes, stuck_runs
+from labpipe.signal.bad_samples import (
+    StuckRun,
+    _longest_by_chance,
+    bridge_spikes,
+    find_spikes,
+    stuck_runs,
+)
 from tests.builders.plain_records import PlainRecord, up_and_down
+
+RNG = np.random.default_rng
 
 D = np.linspace(0.0, 0.04, 401)
 RISE = 9000.0 * D + np.random.default_rng(0).normal(0.0, 0.5, len(D))
@@ -55,8 +63,21 @@ def test_size_and_return_of_a_spike() -> None:
         assert find_spikes(values).tolist() == ([30] if is_spike else [])
 
 
+def test_how_long_noise_of_a_converter_stays_on_one_value() -> None:
+    """Neighbours of deviation s in steps of r are equal with a chance of r / (2 sqrt(pi) s)."""
+    values = np.round(RNG(0).normal(0.0, 1.0, 40_000) / 0.33) * 0.33
+    equal = np.mean(np.diff(values) == 0.0)
+    assert equal == pytest.approx(0.165 / np.sqrt(np.pi), rel=0.05)
+    longest = _longest_by_chance(values, np.ones(len(values), np.int64), 1.0, 0.33)
+    assert longest == pytest.approx(1.0 + np.log(1e-6 / 40_000) / np.log(equal), rel=0.02)
+    assert _longest_by_chance(values, np.ones(len(values), np.int64), 1.0, 2.0) == np.inf
+
+
 def runs_of(record: PlainRecord) -> list[StuckRun]:
-    return stuck_runs(record.time, record.force, record.displacement)
+    """Wherever the other quantity has its zero."""
+    runs = stuck_runs(record.time, record.force, record.displacement)
+    assert stuck_runs(record.time, record.force, record.displacement + 0.05) == runs
+    return runs
 
 
 NOISE = [0.0, 1e-3]
@@ -100,9 +121,9 @@ def test_rests_and_coarse_resolutions_are_not_reported() -> None:
 
 
 @pytest.mark.parametrize("noise", NOISE)
-@pytest.mark.parametrize("since", [3.0, 7.5])
-def test_a_frozen_force(noise: float, since: float) -> None:
-    record = up_and_down(noise=noise)
+@pytest.mark.parametrize(("since", "goes_on"), [(3.0, 9.0), (7.5, 9.0), (3.0, 0.2)])
+def test_a_frozen_force(noise: float, since: float, goes_on: float) -> None:
+    record = up_and_down(noise=noise).up_to(since + 2.5 + goes_on)
     still = (record.time > since) & (record.time < since + 2.5)
     record.force[still] = record.force[still][0]
     (run,) = runs_of(record)

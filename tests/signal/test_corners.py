@@ -8,6 +8,7 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.signal.corners import fit_corner, fit_stop
 from labpipe.signal.reversals import Reversal, fit_reversal
+from tests.approved import Approve
 
 TURN, HEIGHT = 4.0013, 1.2
 
@@ -62,7 +63,8 @@ def test_no_stop() -> None:
         records.append((even, -1e-3 * np.abs(even - 20.0)))
     for record in records:
         assert fit_stop(*record, near=(19.9, 20.1), window=15.0) is None
-    assert fit_stop(time[:8], 1e-3 * time[:8], near=(0.05, 0.1), window=1.0) is None
+    for count in (1, 8):
+        assert fit_stop(time[:count], time[:count], near=(0.05, 0.1), window=1.0) is None
 
 
 @pytest.mark.parametrize(("near", "is_enough"), [(0.025, False), (0.035, True)])
@@ -77,14 +79,20 @@ def test_four_samples_before_a_corner_are_enough_for_two_lines(
 REVERSAL, TOP = 4.0013, 0.095
 
 
-def turned(seed: int, *, sticks: float, noise: float = 5e-4) -> tuple[Floats, Floats]:
-    """A force that falls at 20 mN/s while it sticks for so many seconds, then at 7 mN/s, 200 Hz."""
+def turned(
+    seed: int, *, sticks: float, noise: float = 5e-4, dwell: float = 0.0, relaxes: float = 0.0
+) -> tuple[Floats, Floats]:
+    """A force that falls at 20 mN/s while it sticks for so many seconds, then at 7 mN/s, 200 Hz.
+
+    Before, it may wait, and relaxes at so many N/s.
+    """
     time = np.arange(2.0, 6.0, 5e-3)
-    past = time - REVERSAL
+    waited = np.clip(time - REVERSAL, 0.0, dwell)
+    past = time - REVERSAL - waited
     stuck = np.clip(past, 0.0, sticks)
     slid = np.maximum(past - sticks, 0.0)
     rise = np.minimum(past, 0.0)
-    force = TOP + 4.9e-3 * rise - 1e-4 * rise**2 - 0.020 * stuck - 0.007 * slid
+    force = TOP + 4.9e-3 * rise - 1e-4 * rise**2 - 0.020 * stuck - 0.007 * slid - relaxes * waited
     return time, force + np.random.default_rng(seed).normal(0.0, noise, len(time))
 
 
@@ -94,13 +102,21 @@ def reversal_of(seed: int, *, sticks: float, noise: float = 5e-4) -> Reversal:
     return reversal
 
 
-def test_a_few_errors_hold() -> None:
-    pulls = [
-        ((corner.time - REVERSAL) / corner.time_error, (corner.value - TOP) / corner.value_error)
-        for corner in (reversal_of(seed, sticks=0.1).corner for seed in range(8))
-    ]
-    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
-    assert ((rms > 0.4) & (rms < 1.8)).all(), rms
+def test_reversals_are_near_the_truth_and_as_they_were_approved(approved: Approve) -> None:
+    lines = []
+    for sticks, dwell, relaxes in (
+        *((0.1, 0.0, 0.0), (0.3, 0.0, 0.0), (9.0, 0.0, 0.0)),
+        *((0.1, 0.5, 4e-3), (0.3, 0.5, 0.015), (9.0, 0.5, 2e-3), (0.1, 1.0, 0.02)),
+    ):
+        time, force = turned(5, sticks=sticks, dwell=dwell, relaxes=relaxes)
+        found = fit_reversal(time, force, near=3.97, window=1.0, dwell=dwell)
+        assert found is not None
+        corner = found.corner
+        assert corner.time == pytest.approx(REVERSAL, abs=3.0 * corner.time_error)
+        assert corner.value == pytest.approx(TOP, abs=3.0 * corner.value_error)
+        ends = f"{corner.time:.8g} +- {corner.time_error:.6g}, {corner.value:.8g}"
+        lines.append(f"{sticks} {dwell} {relaxes}: {ends} +- {corner.value_error:.6g}")
+    approved(lines)
 
 
 @pytest.mark.slow

@@ -225,6 +225,9 @@ def test_a_hole_in_the_record_is_none() -> None:
     assert level_jumps(JUMP_TIME[there], RAMP[there]) == ()
     assert level_jumps(JUMP_TIME, np.where(there, RAMP, np.nan)) == ()
     assert level_jumps(JUMP_TIME[:5], RAMP[:5]) == ()
+    at = np.arange(40.0)  # more than five times as far as the steps beside it
+    for step, count in ((4.9, 0), (5.1, 1)):
+        assert len(level_jumps(at, at + (step - 1.0) * (at >= 20.0))) == count
 
 
 def test_which_way_a_signal_goes() -> None:

@@ -13,9 +13,8 @@ from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, worded
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.store.write import write_result
-from labpipe.studies.bundle_bounds import Conduit, as_json, find_places, model_bundle
-from labpipe.studies.bundle_loops import bundle_loop
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.bundle_bounds import Conduit, as_json, bundle_loop, find_places, model_bundle
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.units import GRAVITY
 from labpipe.wire.bundle_model import bundle_model
 from tests.approved import Approve

@@ -19,12 +19,11 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.studies.calibration_file import read_calibrated
+from labpipe.studies.calibration_file import comparison_json, read_calibrated
 from labpipe.studies.calibration_study import (
     Calibrated,
     as_json,
     calibrated_spec,
-    comparison_json,
 )
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import FirstLoading
@@ -33,14 +32,13 @@ from labpipe.studies.validation import (
     compare,
     default_sheet,
     drop_copies,
-    mark_doubtful_parts,
     misfit_notes,
     require_wires,
     wire_to_calibrate,
 )
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.tested_curvature import tested_curvature as reached
+from labpipe.wire.calibration.prediction import tested_curvature as reached
 from labpipe.wire.wire_table import straight_range
 from tests.approved import Approve
 from tests.builders.harness_files import SHEET
@@ -324,16 +322,17 @@ def test_from_where_on_a_prediction_is_doubtful(
 ) -> None:
     """A wire that is bent to there and no farther has just the curvature of the limit."""
     both = loadings("A1", "A2")
-    sure = mark_doubtful_parts(groups, calibration, WIRES, KNOWN, both)
-    assert [group.doubtful_deflection for group in sure] == [np.inf, np.inf]
-    for group in mark_doubtful_parts(groups, calibration, WIRES, WEAK, both):
+    assert [group.doubtful_deflection for group in groups] == [np.inf, np.inf]
+    ranges = {name: straight_range(WEAK[name]) for name in WIRES}
+    weak = {name: replace(WIRES[name], linear_range=end) for name, end in ranges.items()}
+    for group in compare(calibration, weak, both):
         assert group.prediction is not None
         assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
         curve = next(side.curve for side in both if side.curve.wire == group.wire)
         ends = np.linspace(0.0, group.doubtful_deflection, 9)
         bent = replace(curve, deflection=ends, force=ends, noise=ends)
         curvature = reached(WIRES[group.wire], calibration.solutions[0].values, [bent])
-        assert curvature == pytest.approx(straight_range(WEAK[group.wire]), rel=2e-3)
+        assert curvature == pytest.approx(ranges[group.wire], rel=2e-3)
 
 
 SHEET_PATH = Path("wires.xlsx")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from labpipe.decks.slider_table import sliders_json
+from labpipe.decks.lookup import sliders_json
 from labpipe.errors import LabpipeError
 from labpipe.law.sliders import (
     SliderLaw,
@@ -24,15 +24,15 @@ from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Section
 from labpipe.rod.rotations import matrices
 from labpipe.studies.harness_line import PreparedLine, prepare_line
-from labpipe.studies.harness_section import Material, material_of
-from labpipe.studies.residual_curvature import (
+from labpipe.studies.harness_responses import (
     curvature_after_release,
     largest_unbending,
     max_residual_curvature,
     residual_curvature,
     unloading_reason,
 )
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.harness_section import Material, material_of
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
 from tests.approved import Approve
 from tests.builders.harness_files import (

@@ -13,7 +13,6 @@ from labpipe.records.arrays import Floats
 from labpipe.records.result import Status
 from labpipe.rod.path import Reason as RodReason
 from labpipe.rod.path import RodPath
-from labpipe.studies.harness_figure_data import drawn_harness
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import (
     Doubt,
@@ -37,8 +36,14 @@ from labpipe.studies.harness_responses import (
     number_names,
 )
 from labpipe.studies.harness_solution import FollowedHarness
-from labpipe.studies.harness_study import follow_harness
-from labpipe.studies.harness_tables import forces_csv, shape_columns, shape_csv, shape_vtk
+from labpipe.studies.harness_study import (
+    drawn_harness,
+    follow_harness,
+    forces_csv,
+    shape_columns,
+    shape_csv,
+    shape_vtk,
+)
 from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
 
 ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"

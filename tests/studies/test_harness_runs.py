@@ -16,12 +16,16 @@ from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.protocol.load import load_harness
 from labpipe.records.result import Status
 from labpipe.rod.statics import follow
-from labpipe.studies.harness_bands import HarnessBands, harness_bands
-from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
 from labpipe.studies.harness_line import Inputs, prepare_line
 from labpipe.studies.harness_section import material_of
-from labpipe.studies.harness_solution import FollowedHarness, solve_harness, solve_sweep_length
-from labpipe.studies.harness_study import as_json, follow_harness
+from labpipe.studies.harness_solution import (
+    FollowedHarness,
+    HarnessBands,
+    harness_bands,
+    solve_harness,
+    solve_sweep_length,
+)
+from labpipe.studies.harness_study import as_json, drawn_harness, drawn_sweep, follow_harness
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 
 FILES = {"shape.csv", "forces.csv", "shape.vtk", "line.mujoco.xml", "summary.json"}

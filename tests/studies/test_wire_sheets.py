@@ -18,7 +18,7 @@ from labpipe.errors import ProcessingError, ReadError, StoreError
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.studies import wire_models as modelling
 from labpipe.studies.wire_models import make_tables, model_wires
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.wire import wire_table as making
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table

@@ -31,6 +31,10 @@ def test_long_run_variance() -> None:
     for rows in (2.0 * kicks, lfilter([1.0], [1.0, -0.5], kicks)):
         variances = [long_run_variance(row, parameters=1) for row in rows]
         assert np.mean(variances) == pytest.approx(4.0, rel=0.08)
+    # Residuals that alternate have next to none: half of the plain one is kept.
+    alternating = np.append(np.tile([1.0, -1.0], 50), np.nan)
+    assert long_run_variance(alternating, parameters=2) == pytest.approx(0.5 * 100.0 / 98.0)
+    assert np.isnan(long_run_variance(alternating[:4], parameters=2))
 
 
 def test_fast_noise_does_not_see_the_curve() -> None:
@@ -66,17 +70,53 @@ def test_slowest_cosines(count: int) -> None:
     np.testing.assert_allclose(slowest_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale)
 
 
-def test_covariance_of_short_windows_is_exact() -> None:
-    """White noise keeps its variance 1; the last spectra are autoregressive with a white floor."""
-    grid, basis = Grid(100, 100), cubic_basis(12)
-    covariance = exact_covariance(basis, grid)
-    count = len(grid.times)
-    assert covariance[count] == pytest.approx(np.eye(4), abs=1e-12)
-    factor = np.exp(-1.0 / grid.times[-1])
-    slow = (1.0 - factor) / (1.0 + factor) * toeplitz(factor ** np.arange(12))
-    assert covariance[2 * count] == pytest.approx(basis @ slow @ basis.T, rel=1e-9, abs=1e-12)
-    mixed = 0.3 * np.eye(12) + 0.7 * slow
-    assert covariance[-1] == pytest.approx(basis @ mixed @ basis.T, rel=1e-9, abs=1e-12)
+def test_probable_spectra_and_their_covariances() -> None:
+    """Mirrored, white, remembering, and these on white floors; a window of twelve samples."""
+    grid, angle, lags = Grid(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
+    times = np.geomspace(100.0 / 240.0, 20.0, 23)
+    a = np.exp(-1.0 / times)[:, None]
+    slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
+    white = (lags == 0).astype(float)
+    mirrored = ((1.0 + a**2) * white - a * (lags == 1)) / (1.0 - a) ** 2
+    remembering = (1.0 - a) / (1.0 + a) * a**lags
+    floors = (0.003, 0.01, 0.03, 0.1, 0.3)
+    spectra = [1.0 / slow[::-1], np.ones((1, 60)), slow, *(f + (1.0 - f) * slow for f in floors)]
+    on_floors = [f * white + (1.0 - f) * remembering for f in floors]
+    covariances = np.vstack([mirrored[::-1], white, remembering, *on_floors])
+    prior = (times / times[0]) ** -0.4
+    assert grid.times == pytest.approx(times)
+    assert grid.prior == pytest.approx(
+        np.concatenate([prior[::-1], [1.0], prior / 2.0, np.tile(prior / 10.0, 5)])
+    )
+    values = noise(3, 100, 5.0)
+    stretch = StretchLikelihood.of(cubic_basis(100), values, grid, 60)
+    np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
+    found = exact_covariance(cubic_basis(12), grid)
+    wanted = [cubic_basis(12) @ toeplitz(row) @ cubic_basis(12).T for row in covariances]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+    # Generalised least squares by dense matrices, of the cosines that are used.
+    waves = dct(np.vstack([cubic_basis(100), values]), norm="ortho")[:, :60]
+    for number, spectrum in enumerate(stretch.spectra):
+        weighted = waves / spectrum
+        products = weighted @ waves.T
+        unit = np.linalg.inv(products[:4, :4])
+        shifts = unit @ products[:4, 4]
+        logs = np.log(spectrum).sum() + np.linalg.slogdet(products[:4, :4])[1]
+        beyond = spectrum[-1] * (np.eye(4) - waves[:4] @ waves[:4].T)
+        plain = (waves[:4] * spectrum) @ waves[:4].T + beyond
+        assert stretch.unit[number] == pytest.approx(unit)
+        assert stretch.shifts[number] == pytest.approx(shifts)
+        assert stretch.squares[number] == pytest.approx(products[4, 4] - products[4, :4] @ shifts)
+        assert stretch.likelihood[number] == pytest.approx(-0.5 * logs)
+        assert stretch.plain_covariance()[number] == pytest.approx(plain)
+    # Two stretches of one noise, the second twice as large.
+    other = StretchLikelihood.of(cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60)
+    both, squares = Noise.of([stretch, other], grid), stretch.squares + other.squares
+    logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
+    chances = grid.prior * np.exp(logs - logs.max())
+    np.testing.assert_allclose(both.chances, chances / chances.sum(), rtol=1e-9)
+    np.testing.assert_allclose(both.variances, squares / 112.0)
+    assert both.freedom == 112
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])
@@ -114,20 +154,6 @@ def test_the_residual_deviation_is_that_of_the_textbook() -> None:
     left = x + noise - line.intercept - line.slope * x
     assert fit.residual_deviation == pytest.approx(np.sqrt(np.sum(left**2) / 38.0))
     assert fit.classical_errors == pytest.approx([line.intercept_stderr, line.stderr])
-
-
-def test_more_stretches_know_the_correlation_better() -> None:
-    grid = Grid(100, 100)
-    evidence = [
-        StretchLikelihood.of(cubic_basis(100), noise(k, 100, 5.0), grid, 128) for k in range(8)
-    ]
-    one, all_of_them = (Noise.of(evidence[:count], grid) for count in (1, 8))
-    entropies = [
-        -float(np.sum(part.chances * np.log(part.chances + 1e-300))) for part in (one, all_of_them)
-    ]
-    assert entropies[1] < entropies[0]
-    assert all_of_them.freedom == 8 * one.freedom
-    assert all_of_them.chances.sum() == pytest.approx(1.0)
 
 
 def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:

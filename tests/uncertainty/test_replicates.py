@@ -13,6 +13,7 @@ from labpipe.records.estimates import Failure
 from labpipe.uncertainty.extractors import Reading, Trace, combine
 from labpipe.uncertainty.replicates import N_REPLICATES, Input, Law, draw_replicates, smooth_curve
 from labpipe.uncertainty.zero_drift import drift_modes
+from tests.builders.noise_rows import flicker
 from tests.builders.plain_records import replicates_of, trace_of
 
 RNG = np.random.default_rng
@@ -155,15 +156,6 @@ def branch(start: int, stop: int, direction: Direction) -> Branch:
     return Branch(start, stop, 1, direction, float(start), float(stop))
 
 
-def wandering(seed: int) -> Floats:
-    """Noise whose power falls as 1 over the frequency, of a hundredth of the way."""
-    waves = np.fft.rfft(np.random.default_rng(seed).normal(size=4 * RECORD))
-    waves[1:] /= np.sqrt(np.arange(1.0, len(waves)))
-    waves[0] = 0.0
-    found = np.fft.irfft(waves, 4 * RECORD)[:RECORD]
-    return np.asarray(0.01 * found / found.std(), dtype=np.float64)
-
-
 def test_rests_of_a_cyclic_test_are_looked_at() -> None:
     """To and fro once between two rests; and the same record as one single loading.
 
@@ -175,7 +167,7 @@ def test_rests_of_a_cyclic_test_are_looked_at() -> None:
     force = way + 1e-3 * np.random.default_rng(2).normal(size=RECORD)
     freedom = list[int]()
     for branches in (both[:1], both):
-        trace = Trace(time, way + wandering(1), force, branches)
+        trace = Trace(time, way + 0.01 * flicker((1, RECORD), 1)[0], force, branches)
         made = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
         freedom.append(made.noises["displacement"].freedom)
     assert freedom[1] - freedom[0] == 2 * 48 - 1 - 3

@@ -25,8 +25,7 @@ import numpy as np
 import pytest
 
 from labpipe.decks.calculix import calculix_deck
-from labpipe.law.play_fits import concave_law
-from labpipe.law.plays import LinearLaw
+from labpipe.law.plays import LinearLaw, concave_law
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable

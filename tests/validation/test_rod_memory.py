@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
+from labpipe.law.loss_card import sliders_of
 from labpipe.law.plays import respond, unbent_plays
 from labpipe.law.sliders import as_plays
-from labpipe.law.table_sliders import sliders_of
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Load, Moment
 from labpipe.rod.line import Section

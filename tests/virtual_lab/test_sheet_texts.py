@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
 from labpipe.virtual_lab.conduit_scenarios import (
     conduit_scenario,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -11,8 +13,9 @@ from scipy.optimize import nnls
 from labpipe.records.arrays import Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS
 from labpipe.wire.bundle_layout import (
+    _lattice_heap,
+    _start_pitches,
     arrange,
-    by_chance,
     evenly,
     on_one_side,
     sites,
@@ -42,15 +45,12 @@ def test_wires_touch_and_do_not_overlap(number: int) -> None:
         assert 3.3047 < 2.0 * holding_circle(places, np.ones(8))[1] < 1.11 * 3.3048
 
 
-@settings(max_examples=20, deadline=None)
-@given(
-    counts=st.lists(st.integers(0, 6), min_size=1, max_size=3).filter(lambda each: sum(each) > 1)
-)
-def test_every_spread_has_the_counts(counts: list[int]) -> None:
-    places = np.random.default_rng(0).normal(size=(sum(counts), 2))
-    chance = by_chance(counts, np.random.default_rng(1))
-    for kind in (chance, evenly(places, counts), on_one_side(places, counts, [1.0] * len(counts))):
-        assert np.bincount(kind, minlength=len(counts)).tolist() == counts
+def test_distances_of_the_sites_from_which_wires_are_drawn_together() -> None:
+    """Equal wires of the area of these three are sqrt(2) wide."""
+    diameters, kind = np.array([1.0, 1.0, 2.0]), np.zeros(3, dtype=np.int64)
+    assert _start_pitches(diameters, [kind, kind]) == pytest.approx([2.0**0.5])
+    shares = np.array([0.6, 0.8, 1.0])
+    assert _start_pitches(diameters, [kind]) == pytest.approx([2.0, *(shares * 2.0**0.5)])
 
 
 def test_a_shared_row_is_balanced() -> None:
@@ -59,19 +59,24 @@ def test_a_shared_row_is_balanced() -> None:
     assert on_one_side(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
 
 
-def test_even_spread_is_evener_than_chance_and_repeats() -> None:
+@pytest.mark.parametrize("counts", [[10, 9], [8, 6, 5]])
+def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
     """By the centroids and second moments of the kinds."""
     places = sites(19)
-    x, y = places.T
-    traits = np.stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2 - np.mean(x**2 + y**2)])
+    x, y = places.T / np.sqrt(np.mean(np.sum(places**2, axis=1)))
+    traits = np.stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2 - 1.0])
 
     def unevenness(kind: Ints) -> float:
-        return float(np.sum(np.square([traits[:, kind == k].mean(axis=1) for k in (0, 1)])))
+        sums = [traits[:, kind == k].sum(axis=1) for k in range(len(counts))]
+        return float(np.sum(np.square(sums) / np.array(counts)[:, None]))
 
-    even = evenly(places, [10, 9], seed=2)
-    assert np.array_equal(even, evenly(places, [10, 9], seed=2))
-    rng = np.random.default_rng(5)
-    assert unevenness(even) < min(unevenness(by_chance([10, 9], rng)) for _ in range(200))
+    even = evenly(places, counts, seed=2)
+    assert np.array_equal(even, evenly(places, counts, seed=2))
+    assert np.bincount(even).tolist() == counts
+    for pair in combinations(range(19), 2):
+        exchanged = even.copy()
+        exchanged[list(pair)] = even[list(pair[::-1])]
+        assert unevenness(exchanged) > unevenness(even) - 1e-8
 
 
 DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
@@ -95,11 +100,16 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     assert left < 1e-9 * np.linalg.norm(pull)
 
 
-def test_circle_around_many_wires_touches_some_and_leaves_out_none() -> None:
-    """More wires than are looked at first, the widest of them in the middle."""
+@pytest.mark.parametrize("is_arc", [False, True])
+def test_circle_around_many_wires_touches_some_and_leaves_out_none(*, is_arc: bool) -> None:
+    """More wires than are looked at first, the widest in the middle; an arc and one opposite."""
     rng = np.random.default_rng(8)
     centres, diameters = rng.normal(size=(300, 2)), rng.uniform(0.1, 0.5, 300)
     diameters[np.argmin(np.hypot(*centres.T))] = 4.0
+    if is_arc:
+        angle = np.radians(np.append(np.linspace(100.0, 260.0, 30), np.zeros(270)))
+        centres = np.column_stack([np.cos(angle), np.sin(angle)])
+        centres[30:, 0], centres[30, 0], diameters = 0.3, 1.2, np.full(300, 0.01)
     middle, radius = holding_circle(centres, diameters)
     reach = np.hypot(*(centres - middle).T) + diameters / 2.0
     assert reach.max() == pytest.approx(radius)
@@ -123,6 +133,10 @@ def test_hexagons(number: int, core: int, farthest: float) -> None:
     if number == 7:
         angle = np.degrees(np.arctan2(places[1:, 1], places[1:, 0])) % 360.0
         assert angle == pytest.approx(np.arange(6) * 60.0, abs=1e-9)
+    # Around the middle of three, points of the lattice stay points of the lattice.
+    middle = np.array([0.5, 12.0**-0.5])
+    steps = (_lattice_heap(number, middle) + middle) @ np.linalg.inv([[1.0, 0.0], [0.5, 0.75**0.5]])
+    assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)

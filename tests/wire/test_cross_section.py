@@ -54,8 +54,9 @@ def test_insulation_stiffness() -> None:
 
 @pytest.mark.parametrize("name", ["A1", "C4"])
 def test_packings_fit_and_repeat(name: str) -> None:
+    layers, insulation = layers_of(name), tube(WIRES[name][0])
     once, again, other = (
-        packed(layers_of(name), tube(WIRES[name][0]), seed=seed) for seed in (5, 5, 6)
+        packed(layers, insulation, **seed) for seed in ({}, {"seed": 0}, {"seed": 1})
     )
     assert once.x.tolist() == again.x.tolist()
     assert once.x.tolist() != other.x.tolist()

@@ -9,9 +9,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from labpipe.law.loading_table import LoadingTable
-from labpipe.law.play_fits import polygon_law
-from labpipe.law.plays import LinearLaw, MomentLaw
+from labpipe.law.plays import LinearLaw, MomentLaw, polygon_law
 from labpipe.records.arrays import Floats
+from labpipe.wire.calibration.prediction import tested_curvature as curvature_of
 from labpipe.wire.cantilever import (
     CantileverShape,
     StringRig,
@@ -26,7 +26,6 @@ from labpipe.wire.first_loading import (
     load_cantilever,
 )
 from labpipe.wire.heavy_loading import heavy_states, load_heavy
-from labpipe.wire.tested_curvature import tested_curvature as curvature_of
 from tests.builders.bilinear_laws import bilinear_law, law_of_plays
 from tests.builders.loading_tests import DEEPEST, TRUTH, law_of, measured, rig_of, wire_of
 from tests.judges.reference_wires import HeavyWire, yielding

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from labpipe.wire.cross_section import Insulation
+from labpipe.wire.cross_section import Insulation, tube_moment
 from labpipe.wire.materials import (
     ANNEALED_COPPER,
     Elastic,
@@ -19,8 +19,10 @@ from labpipe.wire.materials import (
     Material,
     RambergOsgood,
     StressTable,
+    elastic_share,
+    helix_factor,
+    strand_moment,
 )
-from labpipe.wire.strand_bending import elastic_share, helix_factor, strand_moment, tube_moment
 
 SHARP = ElasticPerfectlyPlastic(110e9, 60e6)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric
+from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric, stretch_torsion
 from labpipe.wire.materials import Elastic
-from labpipe.wire.stretch_torsion import stretch_torsion
 
 MODULUS, DIAMETER = 1e11, 1e-3
 

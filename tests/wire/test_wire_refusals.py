@@ -22,6 +22,7 @@ from labpipe.wire.bundle_packing import (
     packing_fraction,
     require_dense,
 )
+from labpipe.wire.calibration.prediction import tested_curvature as curvature_of
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -37,16 +38,21 @@ from labpipe.wire.cross_section import (
     hexagonal,
     lay_up,
     strand_diameter,
+    tube_moment,
 )
 from labpipe.wire.end_load import deflection_at
 from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.friction import Contacts, axial_strain, sines
 from labpipe.wire.friction import arrange as rings_of
-from labpipe.wire.materials import ANNEALED_COPPER, Elastic, RambergOsgood, StressTable
+from labpipe.wire.materials import (
+    ANNEALED_COPPER,
+    Elastic,
+    RambergOsgood,
+    StressTable,
+    strand_moment,
+)
 from labpipe.wire.newton import chebyshev_stations, interpolation_matrix
 from labpipe.wire.packing import packed
-from labpipe.wire.strand_bending import strand_moment, tube_moment
-from labpipe.wire.tested_curvature import tested_curvature as curvature_of
 from labpipe.wire.wire_table import build, layout_of, wire_table
 from tests.approved import Approve
 from tests.builders.bundles import bundle, example_wires, solid_wire

@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.law.play_fits import concave_law
+from labpipe.law.plays import concave_law
 from labpipe.law.sliders import slider_moment
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import moment_curvature, stick_stiffness
 from labpipe.wire.cantilever import bend_to_deflection, held_level
-from labpipe.wire.cantilever_curve import force_at
-from labpipe.wire.end_load_path import end_load_path
+from labpipe.wire.end_load_path import end_load_path, force_at
 from labpipe.wire.friction import Contacts
 from labpipe.wire.law_family import (
     LAW_FACTOR,

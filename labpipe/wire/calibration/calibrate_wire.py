@@ -147,30 +147,29 @@ def _parameter(
     result: CalibrationFit, solutions: tuple[Solution, ...], number: int
 ) -> CalibratedParameter:
     """Return one parameter, with profile, verdict and comparison with its prior."""
-    name = PARAMETERS[number]
+    name, problem = PARAMETERS[number], result.problem
     value = float(np.exp(result.fit.point.logs[number]))
+    if not problem.parts.has[number]:
+        words = f"{NAMES[name]} does not act on this wire"
+        return CalibratedParameter(name, UNITS[name], np.nan, explanation=words)
     if not result.free[number]:
-        return _fixed_parameter(result, number, value)
-    error = float(np.sqrt(result.spread.covariance[number, number]))
+        source = result.settings.choices[name].source if name in result.settings.choices else ""
+        fixed = CalibratedParameter(name, UNITS[name], value, source=source)
+        return replace(fixed, explanation=describe_parameter(fixed))
     profiles_ = traces(result, number)
-    intervals = union(profiles_)
-    conflict = _prior_conflict(result, number) if result.problem.precision[number] > 0.0 else None
+    intervals = tuple(Interval(*np.exp(ends).tolist()) for ends in union(profiles_))
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
         value=value,
-        intervals=tuple(
-            Interval(float(np.exp(low)), float(np.exp(high))) for low, high in intervals
-        ),
-        log_error=error,
+        intervals=intervals,
+        log_error=float(np.sqrt(result.spread.covariance[number, number])),
         freedom=result.spread.freedom(np.eye(P + 1)[number]),
         is_open_below=any(trace.is_open_below for trace in profiles_),
         is_open_above=any(trace.is_open_above for trace in profiles_),
         at_bound=_reached_bound(result, number),
-        verdict=Identifiability.WELL,
-        explanation="",
         profiles=tuple(map(_profile, profiles_)),
-        conflict=conflict,
+        conflict=_prior_conflict(result, number) if problem.precision[number] > 0.0 else None,
     )
     others = tuple(
         (float(solution.values[number]), solution.likelihood)
@@ -208,42 +207,15 @@ def _verdict(
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     wide = [*ends, *(value for value, _ in others)]
     conflict = parameter.conflict
-    prior = np.inf if conflict is None else float(result.problem.precision[number]) ** -0.5
     return verdict_of(
         high / low,
         span_with_others=max(wide) / min(wide),
         at_bound=bool(parameter.at_bound),
         is_open=parameter.is_open_below or parameter.is_open_above,
         log_error=parameter.log_error,
-        prior_error=prior,
+        prior_error=float(result.problem.precision[number]) ** -0.5 if conflict else np.inf,
         contradicts=conflict is not None and conflict.contradicts,
         is_split=len(parameter.intervals) > 1 or has_other_value(parameter, others),
-    )
-
-
-def _fixed_parameter(result: CalibrationFit, number: int, value: float) -> CalibratedParameter:
-    """Return a parameter that was not fitted; NaN where it does not act on the wire."""
-    name = PARAMETERS[number]
-    acts = result.problem.parts.has[number]
-    parameter = CalibratedParameter(
-        name=name,
-        unit=UNITS[name],
-        value=value if acts else np.nan,
-        intervals=(),
-        log_error=0.0,
-        freedom=np.inf,
-        is_open_below=False,
-        is_open_above=False,
-        at_bound="",
-        verdict=Identifiability.FIXED,
-        explanation="",
-        source=result.settings.choices[name].source if name in result.settings.choices else "",
-    )
-    return replace(
-        parameter,
-        explanation=describe_parameter(parameter)
-        if acts
-        else f"{NAMES[name]} does not act on this wire",
     )
 
 
@@ -323,27 +295,24 @@ def _noise_levels(result: CalibrationFit) -> NoiseLevels:
 
 def _separability(result: CalibrationFit) -> Separability:
     """Return the separability of the acting parameters, by noise without scatter of samples."""
-    acting = [number for number in range(P) if result.problem.parts.has[number]]
-    columns = []
-    for curve, model in zip(result.problem.curves, result.fit.models, strict=True):
-        scaled = model.change[acting].T / np.asarray(curve.noise)[:, None]
-        columns.append(whiten(scaled, result.levels.correlation))
+    acting = np.flatnonzero(result.problem.parts.has).tolist()
+    columns = [
+        whiten(model.change[acting].T / np.asarray(curve.noise)[:, None], result.levels.correlation)
+        for curve, model in zip(result.problem.curves, result.fit.models, strict=True)
+    ]
     jacobian = np.concatenate(columns) / np.sqrt(result.levels.noise)
-    return separability(
-        tuple(PARAMETERS[number] for number in acting), jacobian, "the parameters that act"
-    )
+    names = tuple(PARAMETERS[number] for number in acting)
+    return separability(names, jacobian, "the parameters that act")
 
 
 def _friction_separability(result: CalibrationFit) -> Separability | None:
     """Return the separability of mu_s, mu_p and F_rad."""
     if not result.problem.parts.has[0]:
         return None
+    wire, values = result.wire, np.exp(result.fit.point.logs)
     jacobian = friction_jacobian(
-        result.wire.section,
-        result.wire.contacts,
-        np.exp(result.fit.point.logs),
-        result.problem.curves,
-        orientation=result.wire.orientation,
+        *(wire.section, wire.contacts, values, result.problem.curves),
+        orientation=wire.orientation,
         correlation=result.levels.correlation,
     )
     jacobian /= np.sqrt(result.levels.noise)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.law.plays import require, require_positive
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -42,12 +43,19 @@ class Wire:
     contacts : friction coefficients, whose ratios are kept, and nominal radial force
     orientation : rad, of the section against the neutral axis
     self_weight : N/m
+    linear_range : 1/m, curvature up to which the insulation is linear
     """
 
     section: CrossSection
     contacts: Contacts
     orientation: float = 0.0
     self_weight: float = 0.0
+    linear_range: float = np.inf
+
+    @property
+    def parts(self) -> WireParts:
+        """Tabulate the parts of the wire."""
+        return split_wire(self.section, self.contacts, orientation=self.orientation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +86,7 @@ class CalibrationFit:
     levels : of noise and samples
     valleys : local minima of the objective, the lowest first
     line : on which they lie
-    widening : of quantiles, for the nonlinear family of curves (`nonlinearity`)
+    widening : of quantiles, for the nonlinear family of curves (`local_minima`)
     """
 
     wire: Wire
@@ -129,8 +137,7 @@ def find(
     usable_curves = usable(tuple(curves))
     if isinstance(usable_curves, CalibrationFailure):
         return usable_curves
-    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
-    setup = pose(parts, usable_curves, settings.choices, settings.gain)
+    setup = pose(wire.parts, usable_curves, settings.choices, settings.gain)
     if isinstance(setup, CalibrationFailure):
         return setup
     problem, logs, free = setup
@@ -193,21 +200,29 @@ def pose(
     for number, name in enumerate(PARAMETERS):
         acts, choice = parts.has[number], choices.get(name, ParameterChoice())
         if not acts and name in choices and not choice.is_fixed:
-            return _without_effect(name)
+            message = f"{name} does not act on this wire: the tests cannot determine it"
+            return CalibrationFailure("parameter_without_effect", message)
         if not acts:
             continue
-        value = _start_value(name, choice, float(parts.given[number]))
+        nominal = float(parts.given[number])
+        value = choice.value or (nominal if nominal > 0.0 else _DEFAULT_STARTS[name])
         low, high = choice.lower or BOUNDS[name][0], choice.upper or BOUNDS[name][1]
         if choice.is_fixed:
             low = high = value
         elif not low <= value <= high or low == high:
-            return _out_of_bounds(name, value, low, high)
+            message = (
+                f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
+                f"{in_display_unit(name, low, high)}: give a value between them"
+            )
+            return CalibrationFailure("value_out_of_bounds", message)
         free[number] = not choice.is_fixed
         logs[number], lower[number], upper[number] = np.log([value, low, high])
         if choice.factor is not None and not choice.is_fixed:
             centre[number] = logs[number]
-            precision[number] = 1.0 / log_error_of(choice.factor) ** 2
-    problem = Problem(parts, curves, _samples(curves), centre, precision, lower, upper, gain)
+            precision[number] = (quantile(np.inf) / np.log(choice.factor)) ** 2
+    names = list(dict.fromkeys(curve.sample for curve in curves))
+    samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
+    problem = Problem(parts, curves, samples, centre, precision, lower, upper, gain)
     needed = int(free.sum()) + problem.n_samples
     if problem.n_points <= needed:
         message = (
@@ -218,52 +233,18 @@ def pose(
     return problem, logs, free
 
 
-def log_error_of(factor: float) -> float:
-    """Return the standard deviation, in logarithms, of a prior within a factor at 95 %."""
-    return float(np.log(factor)) / quantile(np.inf)
-
-
 def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     unknown = sorted(set(choices) - set(PARAMETERS))
     if unknown:
         message = f"{unknown[0]!r}: expected one of {', '.join(PARAMETERS)}"
         raise ValueError(message)
-    if not (np.isfinite(gain) and 0.0 <= gain < 1.0):
-        message = f"gain={gain!r}: must be >= 0 and < 1"
-        raise ValueError(message)
+    require("gain", gain, ">= 0 and < 1", holds=0.0 <= gain < 1.0)
     for name, choice in choices.items():
         for what in ("value", "lower", "upper"):
             number = getattr(choice, what)
-            if number is not None and not (np.isfinite(number) and number > 0.0):
-                message = f"{name}: {what}={number!r}: must be finite and > 0"
-                raise ValueError(message)
-        if choice.factor is not None and not (np.isfinite(choice.factor) and choice.factor > 1.0):
-            message = f"{name}: factor={choice.factor!r}: must be finite and > 1"
-            raise ValueError(message)
-
-
-def _start_value(name: str, choice: ParameterChoice, nominal: float) -> float:
-    if choice.value is not None:
-        return choice.value
-    return nominal if nominal > 0.0 else _DEFAULT_STARTS[name]
-
-
-def _without_effect(name: str) -> CalibrationFailure:
-    message = f"{name} does not act on this wire: the tests cannot determine it"
-    return CalibrationFailure("parameter_without_effect", message)
-
-
-def _out_of_bounds(name: str, value: float, low: float, high: float) -> CalibrationFailure:
-    message = (
-        f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
-        f"{in_display_unit(name, low, high)}: give a value between them"
-    )
-    return CalibrationFailure("value_out_of_bounds", message)
-
-
-def _samples(curves: tuple[MeasuredCurve, ...]) -> Ints:
-    names = list(dict.fromkeys(curve.sample for curve in curves))
-    return np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
+            require_positive(f"{name}: {what}", 1.0 if number is None else number)
+        factor = 2.0 if choice.factor is None else choice.factor
+        require(f"{name}: factor", factor, "finite and > 1", holds=1.0 < factor < np.inf)
 
 
 NAMES: Mapping[str, str] = {

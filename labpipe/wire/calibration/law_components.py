@@ -22,19 +22,17 @@ from itertools import groupby
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.law.loading_panels import NODES_PER_PANEL, LoadingLaw, panel_rule
-from labpipe.law.loading_table import LoadingTable
+from labpipe.law.loading_table import NODES, LoadingLaw, LoadingTable, panel_rule
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
 from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
 from labpipe.wire.cantilever import StringRig
-from labpipe.wire.cross_section import CrossSection, Insulation
+from labpipe.wire.cross_section import CrossSection, Insulation, tube_moment
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
 from labpipe.wire.friction import Contacts, slip_onsets
 from labpipe.wire.heavy_loading import load_heavy
-from labpipe.wire.materials import RambergOsgood
-from labpipe.wire.strand_bending import elastic_share, helix_factor, tube_moment
+from labpipe.wire.materials import RambergOsgood, elastic_share, helix_factor
 
 _TABLE_STRAINS = (1e-9, 100.0, 32)
 """Range of rim strains of the copper's table, and its knots per decade. Scaling the strength shifts
@@ -127,13 +125,21 @@ class WireParts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PartSums:
-    """Moment, slope and energy at curvatures, and the energy's derivatives by logarithms."""
+class _Bent:
+    """A part, or the whole, bent to n curvatures.
+
+    Parameters
+    ----------
+    moment, slope, energy : shape (n,), N m, N m^2, N
+    moment_change, energy_change : shape (3, n), N m, N, their derivatives at constant curvature by
+        the logarithms of the parameters
+    """
 
     moment: Floats
     slope: Floats
     energy: Floats
-    change: Floats
+    moment_change: Floats
+    energy_change: Floats
 
 
 def split_wire(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireParts:
@@ -184,29 +190,24 @@ def _tube(tube: Insulation | None) -> CubicSpline | None:
     """Tabulate an insulation with a stress table; its modulus scales all stresses."""
     if tube is None or tube.curve is None:
         return None
-    last = tube.curve.largest_strain
-    count = round(np.log10(last / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
-    curvature = np.geomspace(_TABLE_STRAINS[0], last, count) / tube.outer_radius * (1.0 - 1e-12)
-    moment, level = tube_moment(tube, curvature).moment, np.log(curvature)
+    curvature = _table_curvatures(tube.curve.largest_strain, tube.outer_radius)
+    table = _secant_and_energy(curvature, tube_moment(tube, curvature).moment)
+    return CubicSpline(np.log(curvature), table * [1.0, 2.0] / tube.bending_stiffness)
+
+
+def _table_curvatures(largest_strain: float, rim: float) -> Floats:
+    """Return the curvatures of a table, 1/m, just within the strains of a curve at a rim, m."""
+    least, _, per_decade = _TABLE_STRAINS
+    count = round(np.log10(largest_strain / least) * per_decade)
+    return np.asarray(np.geomspace(least, largest_strain, count) / rim * (1.0 - 1e-12))
+
+
+def _secant_and_energy(curvature: Floats, moment: Floats) -> Floats:
+    """Return moment / curvature and energy / curvature^2, shape (n, 2), N m^2."""
+    level = np.log(curvature)
     work = CubicSpline(level, moment * curvature).antiderivative()
     energy = work(level) + 0.5 * moment[0] * curvature[0]
-    table = np.column_stack([moment / curvature, 2.0 * energy / curvature**2])
-    return CubicSpline(level, table / tube.bending_stiffness)
-
-
-def _insulation_moment(
-    parts: WireParts, modulus: float, curvature: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return moment, slope and energy of the insulation at a modulus."""
-    stiffness = modulus * parts.inertia
-    energy = 0.5 * stiffness * curvature**2
-    if parts.tube is None:
-        return stiffness * curvature, np.full_like(curvature, stiffness), energy
-    first, last = np.exp(parts.tube.x[[0, -1]])
-    level = np.log(np.clip(curvature, first, last))
-    share, work = parts.tube(level).T
-    bend = np.where(curvature > first, parts.tube(level, 1)[:, 0], 0.0)
-    return stiffness * share * curvature, stiffness * (share + bend), energy * work
+    return np.column_stack([moment / curvature, energy / curvature**2])
 
 
 def _exponent(material: object) -> float:
@@ -216,22 +217,16 @@ def _exponent(material: object) -> float:
 def _copper(section: CrossSection, exponent: float) -> CopperPart:
     layers = [layer for layer in section.layers if _exponent(layer.material) == exponent]
     rim = max(layer.diameter for layer in layers) / 2.0
-    max_strain = min(_TABLE_STRAINS[1], *(layer.material.largest_strain for layer in layers))
-    count = round(np.log10(max_strain / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
-    curvature = np.geomspace(_TABLE_STRAINS[0], max_strain, count) / rim * (1.0 - 1e-12)
+    most = min(_TABLE_STRAINS[1], *(layer.material.largest_strain for layer in layers))
+    curvature = _table_curvatures(most, rim)
     moment = np.zeros_like(curvature)
     for layer in layers:
         share = elastic_share(layer.material, curvature * layer.diameter / 2.0)
         stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
         lay = helix_factor(layer.lay_angle, layer.poisson)
         moment += layer.count * lay * stiffness * curvature * share
-    level = np.log(curvature)
-    work = CubicSpline(level, moment * curvature).antiderivative()
-    energy = work(level) + 0.5 * moment[0] * curvature[0]
-    table = np.column_stack([moment / curvature, energy / curvature**2])
-    return CopperPart(
-        exponent, float(curvature[0]), float(curvature[-1]), CubicSpline(level, table)
-    )
+    table = CubicSpline(np.log(curvature), _secant_and_energy(curvature, moment))
+    return CopperPart(exponent, float(curvature[0]), float(curvature[-1]), table)
 
 
 def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingLaw:
@@ -250,22 +245,21 @@ def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> L
     """
     _require_known(parts, values, largest_curvature)
     edges, points = _edges(parts, values, largest_curvature)
-    places, weights = panel_rule(NODES_PER_PANEL)
+    places, weights = panel_rule(NODES)
     width = np.diff(edges)[:, None]
     nodes = edges[:-1, None] + width * places
     at_edges = _bend(parts, values, edges[1:])
     inside = _bend(parts, values, nodes.ravel())
-    from_zero = np.concatenate([[0.0], at_edges.moment])
     complementary = edges[1:] * at_edges.moment - at_edges.energy
     return LoadingLaw(
         edges,
-        from_zero,
-        np.concatenate([[0.0], complementary]),
+        np.append(0.0, at_edges.moment),
+        np.append(0.0, complementary),
         width * weights * inside.slope.reshape(nodes.shape),
         nodes * inside.moment.reshape(nodes.shape) - inside.energy.reshape(nodes.shape),
         points,
-        np.hstack([np.zeros((len(PARAMETERS), 1)), -at_edges.change]),
-        -inside.change.reshape(-1, *nodes.shape),
+        np.hstack([np.zeros((len(PARAMETERS), 1)), -at_edges.energy_change]),
+        -inside.energy_change.reshape(-1, *nodes.shape),
     )
 
 
@@ -291,8 +285,9 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
     curvature = np.append(fine, edges[-1])
     slopes, changes = [], []
     for side in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
-        slopes.append(1.0 / _bend(parts, values, side).slope)  # strands begin to slip at edges
-        changes.append(-_moment_change(parts, values, side) * slopes[-1])
+        bent = _bend(parts, values, side)
+        slopes.append(1.0 / bent.slope)  # strands begin to slip at edges
+        changes.append(-bent.moment_change * slopes[-1])
     moment = _bend(parts, values, curvature).moment
     return LoadingTable(moment, curvature, *slopes, *changes)
 
@@ -303,25 +298,6 @@ def _require_known(parts: WireParts, values: Floats, curvature: float) -> None:
     if curvature > reach * (1.0 + rounding_share):
         message = f"curvature={curvature:.6g} 1/m: {statement}"
         raise ValueError(message)
-
-
-def _moment_change(parts: WireParts, values: Floats, curvature: Floats) -> Floats:
-    """Return the derivatives of the moment at constant curvature by logarithms, shape (3, n), N m.
-
-    Friction and copper scale: F f(kappa / F) becomes F f - kappa f' per logarithm of F.
-    """
-    change = np.zeros((len(PARAMETERS), len(curvature)))
-    if parts.friction is not None:
-        force = values[0] / parts.friction.coefficients
-        moment, slope, _ = _friction_moment(parts.friction, force, curvature)
-        change[0] = moment - curvature * slope
-    if parts.inertia > 0.0:
-        change[1] = _insulation_moment(parts, values[1], curvature)[0]
-    for copper in parts.copper:
-        if copper.exponent > 0.0:
-            moment, slope, _ = _copper_moment(copper, values[2], curvature)
-            change[2] += (moment - curvature * slope) / (1.0 - copper.exponent)
-    return change
 
 
 def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, Ints]:
@@ -341,25 +317,48 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, In
     return edges, np.searchsorted(edges, even)
 
 
-def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _PartSums:
-    """Sum all parts, with the change by each parameter."""
+def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _Bent:
+    """Sum all parts.
+
+    With the stretch a of a part, W = a^2 w(kappa / a) changes by 2 W - kappa M per logarithm of a,
+    and M by M - kappa M'; those of the insulation are proportional to its modulus.
+    """
     moment, slope, energy = np.zeros((3, len(curvature)))
-    change = np.zeros((len(PARAMETERS), len(curvature)))
+    moment_change, energy_change = np.zeros((2, len(PARAMETERS), len(curvature)))
+
+    def add(number: int, part: tuple[Floats, Floats, Floats], stretches: float) -> None:
+        nonlocal moment, slope, energy
+        own_moment, own_slope, own_energy = part
+        moment, slope, energy = moment + own_moment, slope + own_slope, energy + own_energy
+        moment_change[number] += stretches * (own_moment - curvature * own_slope)
+        energy_change[number] += stretches * (2.0 * own_energy - curvature * own_moment)
+
     if parts.friction is not None:
-        part = _friction_moment(parts.friction, values[0] / parts.friction.coefficients, curvature)
-        moment, slope, energy = part[0], part[1], part[2]
-        change[0] = 2.0 * energy - curvature * moment
+        force = values[0] / parts.friction.coefficients
+        add(0, _friction_moment(parts.friction, force, curvature), 1.0)
     if parts.inertia > 0.0:
-        part = _insulation_moment(parts, values[1], curvature)
-        moment, slope, energy = moment + part[0], slope + part[1], energy + part[2]
-        change[1] = part[2]
+        insulation = _insulation_moment(parts, values[1], curvature)
+        add(1, insulation, 0.0)
+        moment_change[1], energy_change[1] = insulation[0], insulation[2]
     for copper in parts.copper:
-        part = _copper_moment(copper, values[2], curvature)
-        moment, slope, energy = moment + part[0], slope + part[1], energy + part[2]
-        if copper.exponent > 0.0:
-            copper_change = 2.0 * part[2] - curvature * part[0]
-            change[2] += copper_change / (1.0 - copper.exponent)
-    return _PartSums(moment, slope, energy, change)
+        stretches = 1.0 / (1.0 - copper.exponent) if copper.exponent > 0.0 else 0.0
+        add(2, _copper_moment(copper, values[2], curvature), stretches)
+    return _Bent(moment, slope, energy, moment_change, energy_change)
+
+
+def _insulation_moment(
+    parts: WireParts, modulus: float, curvature: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return moment, slope and energy of the insulation at a modulus."""
+    stiffness = modulus * parts.inertia
+    energy = 0.5 * stiffness * curvature**2
+    if parts.tube is None:
+        return stiffness * curvature, np.full_like(curvature, stiffness), energy
+    first, last = np.exp(parts.tube.x[[0, -1]])
+    level = np.log(np.clip(curvature, first, last))
+    share, work = parts.tube(level).T
+    bend = np.where(curvature > first, parts.tube(level, 1)[:, 0], 0.0)
+    return stiffness * share * curvature, stiffness * (share + bend), energy * work
 
 
 def _friction_moment(
@@ -388,7 +387,6 @@ def _copper_moment(
     return secant * curvature, slope, energy * curvature**2
 
 
-_J, _M, _R = slice(0, len(PARAMETERS)), len(PARAMETERS), len(PARAMETERS) + 1
 COLUMNS = len(PARAMETERS) + 2
 """Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
 
@@ -500,10 +498,8 @@ def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: fl
     were fitted with its standard deviation as prior. They are in units of the stated noise: where
     residuals show more noise, the shared errors grow alike.
     """
-    columns = np.empty((len(curve.force), COLUMNS))
-    columns[:, _J] = factor * model.change.T
-    columns[:, _M] = factor * model.force
-    columns[:, _R] = curve.force - columns[:, _M]
+    force = factor * model.force
+    columns = np.column_stack([factor * model.change.T, force, curve.force - force])
     return whitened_products(curve, columns, model.slope, correlation)
 
 

@@ -290,9 +290,19 @@ def _step(matrix: Floats, pull: Floats, moves: Flags, damping: float) -> Floats:
     step = np.zeros(len(pull))
     if not moves.any():
         return step
-    inner = matrix[np.ix_(moves, moves)]
-    scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
-    scaled = inner / np.outer(scale, scale) + damping * np.eye(len(scale))
-    step[moves] = np.linalg.solve(scaled, pull[moves] / scale) / scale
+    unit, scale = scaled(matrix[np.ix_(moves, moves)], damping)
+    step[moves] = np.linalg.solve(unit, pull[moves] / scale) / scale
     longest = float(np.max(np.abs(step)))
     return step * min(1.0, longest_step / longest) if longest > 0.0 else step
+
+
+def scaled(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
+    """Scale a symmetric matrix to a diagonal of one plus a ridge; return it with the scale.
+
+    Parameters
+    ----------
+    matrix : shape (n, n)
+    ridge : added to the diagonal
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
+    return matrix / np.outer(scale, scale) + ridge * np.eye(len(scale)), scale

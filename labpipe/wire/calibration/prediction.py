@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import ndtri
@@ -11,10 +11,11 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
 from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.law_components import loading_curve, split_wire
-from labpipe.wire.calibration.scatter_mixture import quantiles
+from labpipe.wire.calibration.law_components import loading_curve
+from labpipe.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.wire.calibration.variances import quantiles
 from labpipe.wire.cantilever import StringRig
-from labpipe.wire.first_loading import force_at
+from labpipe.wire.first_loading import LoadingCurve, force_at
 
 _NORMAL = float(ndtri(0.975))
 
@@ -63,14 +64,12 @@ def predict(
     Point by point; quantiles of t averaged over the possible scatter of samples. Known errors
     (noise, another gain) are added as 1.96 s in quadrature.
     """
-    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
     deepest = float(np.nanmax(np.abs(deflection)))
     gain = _NORMAL * (other_gain or 0.0)
     read = _NORMAL * noise / np.sqrt(n_samples)
     forces, bands = [], []
     for solution in (solution for solution in calibration.solutions if solution.is_allowed):
-        values = np.where(np.isnan(solution.values), parts.given, solution.values)
-        curve = loading_curve(parts, values, length, rig, deepest, self_weight=wire.self_weight)
+        curve = calibrated_curve(wire, solution.values, length, rig, deepest)
         force, change = force_at(curve, deflection)
         gain_slope = force if other_gain is None else np.zeros_like(force)
         slopes = np.vstack([change, gain_slope]).T
@@ -114,3 +113,49 @@ def _notes(calibration: Calibration) -> Iterator[QualityNote]:
         if parameter.is_open_below or parameter.is_open_above:
             message = f"{parameter.explanation}; the bands treat its error as normal"
             yield QualityNote("not_identified", Severity.WARNING, name, message)
+
+
+def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
+    """Return the largest curvature at the clamp at the ends of the curves, 1/m.
+
+    Parameters
+    ----------
+    wire : calibrated
+    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such part
+    curves : measured, of this wire
+
+    Raises
+    ------
+    ValueError
+        If there is no curve, or first loading ends before one does.
+    """
+    if not curves:
+        message = "curves: expected at least one"
+        raise ValueError(message)
+    curvatures = []
+    for curve in curves:
+        deepest = float(np.nanmax(np.abs(curve.deflection)))
+        loading = calibrated_curve(wire, values, curve.length, curve.rig, deepest)
+        curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
+    return max(curvatures)
+
+
+def calibrated_curve(
+    wire: Wire, values: Floats, length: float, rig: StringRig | None, deflection: float
+) -> LoadingCurve:
+    """Compute the loading curve of a wire with calibrated values, up to a deflection.
+
+    Parameters
+    ----------
+    wire : calibrated, or another of the same make
+    values : shape (3,), of `PARAMETERS`; NaN for those of the wire's sheet
+    length, rig, deflection : as for `loading_curve`
+
+    Raises
+    ------
+    ValueError
+        If a material's curve ends before.
+    """
+    parts = wire.parts
+    filled = np.where(np.isnan(values), parts.given, values)
+    return loading_curve(parts, filled, length, rig, deflection, self_weight=wire.self_weight)

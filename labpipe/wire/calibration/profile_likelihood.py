@@ -2,11 +2,11 @@
 
 The limit is q^2, instead of 1.96^2 for chi^2: q is the 97.5 % quantile, over the standard error, of
 the parameter's distribution in the linear model, averaged over the possible scatter of samples
-(`scatter_mixture`); below and above it may differ. With many samples q is 1.96; for a parameter
+(`variances`); below and above it may differ. With many samples q is 1.96; for a parameter
 that depends on the mean of n samples it is that of Student's t with n - 1 degrees of freedom. In
 the linear case this is the t interval; where the objective is asymmetric the interval is too, and
 it stays open where the objective levels out. For a nonlinear family of curves q is larger
-(`nonlinearity`). Where the objective has several minima, each is followed separately, its height
+(`local_minima`). Where the objective has several minima, each is followed separately, its height
 above the lowest counts, and the interval is the union.
 """
 
@@ -26,9 +26,10 @@ from labpipe.wire.calibration.parameter_search import (
     Point,
     Problem,
     normal_matrix,
+    scaled,
     search,
 )
-from labpipe.wire.calibration.scatter_mixture import quantiles
+from labpipe.wire.calibration.variances import quantiles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,9 +213,7 @@ def _direction(problem: Problem, levels: Levels, fit: Fit, free: Flags, number: 
     direction = np.zeros(len(matrix))
     direction[number] = 1.0
     if moves.any():
-        inner = matrix[np.ix_(moves, moves)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
-        unit = inner / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+        unit, scale = scaled(matrix[np.ix_(moves, moves)])
         direction[moves] = -np.linalg.solve(unit, matrix[moves, number] / scale) / scale
     return direction
 
@@ -234,85 +233,76 @@ class _Profile:
     def evaluate(self, start: Fit, distance: float) -> tuple[float, Fit]:
         """Return the root of the deviance at a distance from the minimum, from a near fit."""
         max_threshold_factor = 3.0  # above it the straight way may have led into a dead end
-        best = float(self.fit.point.logs[self.number])
-        target = best + self.sign * distance
-        shift = (target - float(start.point.logs[self.number])) * self.direction
-        result = self._search(_shifted(self, start, shift, target))
-        if result.objective - self.fit.objective > max_threshold_factor * self.limit:
-            plain = self._search(_shifted(self, start, 0.0 * shift, target))
-            result = min(result, plain, key=lambda fit: fit.objective)
-        return float(np.sqrt(max(result.objective - self.fit.objective, 0.0))), result
-
-    def _search(self, point: Point) -> Fit:
         objective_tolerance = 1e-3
-        return search(self.problem, self.levels, point, self.others, enough=objective_tolerance)
+        target = float(self.fit.point.logs[self.number]) + self.sign * distance
+        shift = (target - float(start.point.logs[self.number])) * self.direction
+        fits: list[Fit] = []
+        for move in (shift, 0.0 * shift):
+            there = self._moved(start, move, target)
+            fits.append(
+                search(self.problem, self.levels, there, self.others, enough=objective_tolerance)
+            )
+            best = min(fits, key=lambda fit: fit.objective)
+            rise = best.objective - self.fit.objective
+            if rise <= max_threshold_factor * self.limit:
+                break
+        return float(np.sqrt(max(rise, 0.0))), best
 
-
-def _shifted(walk: _Profile, start: Fit, shift: Floats, target: float) -> Point:
-    size = len(start.point.logs)
-    logs = np.clip(start.point.logs + shift[:size], walk.problem.lower, walk.problem.upper)
-    logs[walk.number] = target
-    offsets = start.point.offsets + shift[size + 1 :]
-    return Point(logs, start.point.gain + float(shift[size]), offsets)
+    def _moved(self, start: Fit, move: Floats, target: float) -> Point:
+        point, size = start.point, len(start.point.logs)
+        logs = np.clip(point.logs + move[:size], self.problem.lower, self.problem.upper)
+        logs[self.number] = target
+        return Point(logs, point.gain + float(move[size]), point.offsets + move[size + 1 :])
 
 
 def _find_end(walk: _Profile, root: float, error: float) -> _Side:
     """Find where the root of the deviance passes a value, outwards first, then between."""
     root_tolerance = 0.01  # of the root of the threshold
     max_evaluations = 24
-    room = walk.sign * (walk.bound - float(walk.fit.point.logs[walk.number]))
+    start = float(walk.fit.point.logs[walk.number])
+    room = walk.sign * (walk.bound - start)
     if room <= 0.0:
         return _Side(walk.bound, walk.bound, is_open=True, seen=())
-    start = float(walk.fit.point.logs[walk.number])
-    bracket, near = _Bracket((0.0, 0.0), None, 0), walk.fit
+    low, near, stays = (0.0, 0.0), walk.fit, 0
+    high: tuple[float, float] | None = None
     seen: list[tuple[float, float]] = []
     distance = min(root * error, room) if error > 0.0 else room
     for _ in range(max_evaluations):
         height, fit = walk.evaluate(near, distance)
-        seen.append((distance, height))
+        seen.append((start + walk.sign * distance, height))
         if abs(height - root) <= root_tolerance * root:
             break
-        if height < root:
-            near = fit
-            if distance >= room:
-                return _Side(start, walk.bound, is_open=True, seen=_places(walk, seen))
-        bracket = bracket.narrowed(distance, height, root)
-        distance = bracket.next_look(root, room)
+        if height >= root:
+            high, stays = (distance, height), min(stays, 0) - 1
+        elif distance >= room:
+            return _Side(start, walk.bound, is_open=True, seen=tuple(seen))
+        else:
+            near, low, stays = fit, (distance, height), max(stays, 0) + 1
+        distance = _next_distance(low, high, stays, root, room)
     else:  # conservative
-        distance = bracket.high[0] if bracket.high else room
-    end, is_open = start + walk.sign * distance, bracket.high is None and distance >= room
-    return _Side(start, end, is_open=is_open, seen=_places(walk, seen))
+        distance = high[0] if high else room
+    end, is_open = start + walk.sign * distance, high is None and distance >= room
+    return _Side(start, end, is_open=is_open, seen=tuple(seen))
 
 
-@dataclass(frozen=True, slots=True)
-class _Bracket:
-    """Distances and heights inside and outside the end, and how often one side was kept."""
+def _next_distance(
+    low: tuple[float, float],
+    high: tuple[float, float] | None,
+    stays: int,
+    root: float,
+    room: float,
+) -> float:
+    """Return the next distance: a limited extrapolation, then false position or bisection.
 
-    low: tuple[float, float]
-    high: tuple[float, float] | None
-    stays: int
-
-    def narrowed(self, distance: float, height: float, root: float) -> _Bracket:
-        if height < root:
-            return _Bracket((distance, height), self.high, max(self.stays, 0) + 1)
-        return _Bracket(self.low, (distance, height), min(self.stays, 0) - 1)
-
-    def next_look(self, root: float, room: float) -> float:
-        """Return the next distance: a limited extrapolation, then false position or bisection.
-
-        Bisection where one side was kept twice: the deviance is then no parabola.
-        """
-        max_growth = 2.5  # of the distance, per step
-        near, height = self.low
-        if self.high is None:
-            ahead = near * root / height if height > 0.0 else np.inf
-            return min(max(ahead, 1.1 * near), max_growth * near, room)
-        if abs(self.stays) > 2:
-            return 0.5 * (near + self.high[0])
-        share = (root - height) / (self.high[1] - height)
-        return near + min(max(share, 0.02), 0.98) * (self.high[0] - near)
-
-
-def _places(walk: _Profile, seen: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    best = float(walk.fit.point.logs[walk.number])
-    return tuple((best + walk.sign * distance, height) for distance, height in seen)
+    `low` and `high` are distances and heights inside and outside the end. Bisection where one side
+    was kept twice (`stays`): the deviance is then no parabola.
+    """
+    max_growth = 2.5  # of the distance, per step
+    near, height = low
+    if high is None:
+        ahead = near * root / height if height > 0.0 else np.inf
+        return min(max(ahead, 1.1 * near), max_growth * near, room)
+    if abs(stays) > 2:
+        return 0.5 * (near + high[0])
+    share = (root - height) / (high[1] - height)
+    return near + min(max(share, 0.02), 0.98) * (high[0] - near)

@@ -29,10 +29,10 @@ from labpipe.wire.cross_section import (
     hexagonal,
     lay_up,
     strand_diameter,
+    stretch_torsion,
 )
 from labpipe.wire.friction import Contacts
 from labpipe.wire.materials import ANNEALED_COPPER, Elastic, Material
-from labpipe.wire.stretch_torsion import stretch_torsion
 
 Values = Mapping[str, Any]
 Bounds = tuple[float, float]

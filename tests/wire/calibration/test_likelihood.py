@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,
@@ -20,8 +21,7 @@ from labpipe.records.wire_calibration import (
 from labpipe.wire.calibration.calibrate_wire import calibrate
 from labpipe.wire.calibration.fit import CalibrationFit, Settings, find
 from labpipe.wire.calibration.law_components import split_wire
-from labpipe.wire.calibration.local_minima import find_minima
-from labpipe.wire.calibration.nonlinearity import tube_quantile
+from labpipe.wire.calibration.local_minima import _differences, find_minima, tube_quantile
 from labpipe.wire.calibration.parameter_search import (
     Fit,
     Levels,
@@ -30,9 +30,8 @@ from labpipe.wire.calibration.parameter_search import (
     normal_matrix,
     search,
 )
-from labpipe.wire.calibration.profile_likelihood import reach, traces
-from labpipe.wire.calibration.scatter_mixture import quantiles
-from labpipe.wire.calibration.variances import quantile
+from labpipe.wire.calibration.profile_likelihood import Trace, reach, traces, union
+from labpipe.wire.calibration.variances import quantile, quantiles
 from tests.builders.loading_tests import TRUTH, measured, wire_of
 
 WIRE = wire_of("A2")
@@ -66,6 +65,9 @@ def test_the_least_has_no_slope() -> None:
         point = replace(fit.point, logs=fit.point.logs + step)
         beside = search(PROBLEM, LEVELS, point, np.zeros(3, np.bool_))
         assert beside.objective > fit.objective - 1e-4
+    # Nearly as good a fit elsewhere does not end the search early.
+    again = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), ALL, lowest=fit.objective - 1e-3)
+    assert again.objective == pytest.approx(fit.objective, abs=1e-4)
     # bounds and priors hold, and the others go on; without scatter and gain there are no factors
     lower = PROBLEM.lower + np.array([0.0, 5.0 + np.log(1.1), 0.0])
     bounded = replace(PROBLEM, lower=lower)
@@ -78,6 +80,26 @@ def test_the_least_has_no_slope() -> None:
     assert np.exp(fit.point.logs[2]) == pytest.approx(1.5, rel=1e-3)
     assert fit.point.gain == 0.0
     assert not fit.point.offsets.any()
+
+
+def test_how_far_fits_are_apart_in_standard_deviations() -> None:
+    """Of the forces, of priors, of the load cell's gain and of the samples' factors."""
+    problem = replace(PROBLEM, precision=np.array([4.0, 0.0, 9.0]))
+    here, there = (
+        search(problem, LEVELS, start(*factors), np.zeros(3, np.bool_))
+        for factors in ((1.0, 1.0, 1.0), (1.2, 0.8, 1.5))
+    )
+
+    def weighed(fit: Fit) -> Floats:
+        point, curves = fit.point, zip(problem.sample, fit.models, CURVES, strict=True)
+        factors = np.exp(point.gain + point.offsets)
+        forces = [factors[at] * model.force / curve.noise for at, model, curve in curves]
+        rest = [*(point.logs * [2.0, 0.0, 3.0]), point.gain / 0.005, *(point.offsets / 0.03)]
+        return np.concatenate([*forces, rest])
+
+    apart = np.sum((weighed(there) - weighed(here)) ** 2)
+    products = _differences(problem, LEVELS, [here, there], here)
+    np.testing.assert_allclose(products, [[0.0, 0.0], [0.0, apart]], rtol=1e-9, atol=1e-9)
 
 
 def test_offsets_are_shrunken_factors_of_the_samples() -> None:
@@ -114,7 +136,8 @@ def test_both_solutions_are_kept_and_said() -> None:
     first, second = copper.intervals
     assert first.lower < TRUTH[2] < first.upper < second.lower < high[2] < second.upper
     assert [profile.deviance.min() for profile in copper.profiles] == [0.0, other.rise]
-    assert "two_solutions" in [note.code for note in calibration.notes]
+    (note,) = (note for note in calibration.notes if note.code == "two_solutions")
+    assert note.message.startswith("two solutions fit the tests: (1) ")
     assert calibration.widening == pytest.approx(1.2, abs=0.03)
 
 
@@ -179,6 +202,13 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
     close = 0.15 if samples == 2 else 0.03
     half = 0.5 * (high[0] - low[0])
     assert half / error == pytest.approx(quantile(samples - 1.0), rel=close)
+
+
+def test_intervals_that_touch_or_overlap_are_one() -> None:
+    none = np.zeros(0)
+    ends = [(4.0, 5.0), (0.0, 2.0), (2.0, 3.0), (0.5, 1.0)]
+    parts = (Trace(none, none, *pair, False, False, 3.84, 3.84) for pair in ends)
+    assert union(tuple(parts)) == ((0.0, 3.0), (4.0, 5.0))
 
 
 def test_two_distributions() -> None:

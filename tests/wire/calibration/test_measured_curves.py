@@ -62,8 +62,9 @@ def test_whitening_undoes_memory() -> None:
 
 def test_agreement_takes_the_sample_s_factor_out_of_residuals_only() -> None:
     model = np.linspace(0.0, 1.0, 50)
-    force = 1.1 * model + 0.01 * (-1.0) ** np.arange(50)
-    curve = MeasuredCurve("A2", "t", "s", 0.085, 0.05 * model, force, 0.01)
+    noise = 0.01 * (1.0 + model)
+    force = 1.1 * model + noise * (-1.0) ** np.arange(50)
+    curve = MeasuredCurve("A2", "t", "s", 0.085, 0.05 * model, force, noise)
     found = agreement(curve, model, 1.1)
     assert found.sse == pytest.approx(float((force - model) @ (force - model)))
     assert found.lag_one_correlation == pytest.approx(-0.98)
