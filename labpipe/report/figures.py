@@ -58,7 +58,7 @@ from labpipe.report.wording import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the API imports it from here
 
 
 class Treatment(Enum):

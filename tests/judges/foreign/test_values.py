@@ -29,8 +29,6 @@ WRONG: dict[Case, set[str]] = {
 }
 # Sound tests with results that are not `ok`, and the reason given.
 NOT_OK: dict[Case, str] = {
-    ("three-point-bend", 0, ""): "partial_cycle",
-    ("three-point-bend", 108, ""): "partial_cycle",
     ("conduit-bundle", 0, ""): "no_camera_clock",
 }
 CASES = {0: "white", 24: "hum", 48: "steps", 108: "memory"}
