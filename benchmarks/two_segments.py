@@ -54,7 +54,6 @@ def comparisons() -> list[tuple[str, Work, Work]]:
 
     def ours() -> tuple[Hinges, Segments]:
         hinges = Hinges.of(x, y)
-        assert isinstance(hinges, Hinges)
         return hinges, hinges.fitted(y)
 
     def with_intervals() -> Segments:

@@ -100,26 +100,8 @@ _PLAIN = {
 }
 # Coherent units; but for those above, no two of them convert.
 _SI = {
-    "1",
-    "m",
-    "s",
-    "N",
-    "V",
-    "kg",
-    "J",
-    "Pa",
-    "N/m",
-    "m/s",
-    "1/s",
-    "Hz",
-    "rad",
-    "m^2",
-    "1/m",
-    "N*m",
-    "K",
-    "N*m^2",
-    "m/N",
-    "kg/m",
+    *("1", "m", "s", "kg", "K", "rad", "V", "m^2", "1/m", "m/s", "1/s", "Hz", "kg/m"),
+    *("N", "J", "Pa", "N/m", "m/N", "N*m", "N*m^2"),
 }
 
 _COHERENT = {

@@ -27,8 +27,9 @@ from labpipe.protocol.load import (
 )
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.readers import READERS
-from labpipe.records.curve import SlipDecision
+from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
 from labpipe.records.declarations import Step
+from labpipe.records.recording import MarkerTracks, RigidBody
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -373,26 +374,25 @@ def test_every_key_step_and_reader_is_named(name: str) -> None:
 
 
 def test_the_listing_of_the_result_file_holds_the_names_of_the_layout() -> None:
-    from labpipe.store import layout
+    from labpipe.store.layout import ROW_AXES, columns_of, fields_of
 
     text = page("docs/reference/result-file.md")
-    tables = [value for value in vars(layout).values() if isinstance(value, layout.Table)]
-    assert len(tables) > 5
-    for name in {name for table in tables for name in table.columns}:
+    assert len(ROW_AXES) > 5
+    for name in {name for row in ROW_AXES for name in columns_of(row)}:
         assert f"`{name}`" in text or f"/{name} " in text, name
     listing = "".join(fenced(page("docs/reference/result-file.md"), ""))
-    for name in (f"{layout.LINES}/slope", f"{layout.SLIPS}/drop", f"{layout.BRANCHES}/start"):
-        assert f"/{layout.CURVE}/{name} " in listing
+    for name in ("lines/slope", "slips/drop", "branches/start"):
+        assert f"/curve/{name} " in listing
     fields = {
-        f"/{layout.CURVE}/": layout.CURVE_FIELDS,
-        f"/{layout.SHAPE}/": layout.SHAPE_FIELDS,
-        f"/{layout.ALIGNED}/{layout.EVENTS}/": layout.EVENT_FIELDS,
-        f"/{layout.RAW}/markers/{layout.MARKERS}/": layout.MARKER_FIELDS,
-        f"/{layout.RAW}/markers/{layout.BODIES}/Clamp/": layout.BODY_FIELDS,
+        "/curve/": fields_of(Curve),
+        "/shape/": fields_of(Shape),
+        "/aligned/events/": fields_of(ClockFit),
+        "/raw/markers/markers/": fields_of(MarkerTracks),
+        "/raw/markers/rigid_bodies/Clamp/": fields_of(RigidBody),
     }
     for group, kinds in fields.items():
         for name, kind in kinds.items():
-            line = rf"^{re.escape(group + name)} +\(.*\) +{re.escape(str(kind.unit))}$"
+            line = rf"^{re.escape(group + name)} +\(.*\) +{re.escape(kind.unit or 's')}$"
             assert re.search(line, listing, flags=re.MULTILINE), group + name
 
 

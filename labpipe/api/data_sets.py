@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from labpipe.errors import UsageError, error_text
-from labpipe.store import layout
-from labpipe.store.layout import Field
+from labpipe.records.arrays import AXIS_LABELS
+from labpipe.records.curve import Series
+from labpipe.store.layout import NO_UNIT, Field, fields_of, link_name, scales_of
 
 if TYPE_CHECKING:
     from xarray import Dataset as Dataset  # noqa: PLC0414 - for `Test`
@@ -42,37 +44,31 @@ def dataset_of(result: TestResult, part: str) -> Dataset | None:
         return _of_recording(result.recordings[part])
     if part == "aligned":
         return None if result.aligned is None else _of_aligned(result.aligned)
-    record, fields, scales = _record(result, part)
-    return None if record is None else _of_record(record, fields, scales)
+    record = _record(result, part)
+    return None if record is None else _of_record(record)
 
 
-def _record(result: TestResult, part: str) -> tuple[object, Mapping[str, Field], Mapping[str, str]]:
-    """Return a part (None if missing), its arrays and their dimensions."""
-    bending, curve = result.bending, result.curve
-    if part == "curve":
-        time = Field(("sample",), "s" if curve is None else curve.time_unit)
-        return curve, {"time": time, **layout.CURVE_FIELDS}, layout.SAMPLE_SCALES
-    if part == "shape":
-        names = Field(("point",), layout.TEXT)
-        return result.shape, {"names": names, **layout.SHAPE_FIELDS}, layout.SHAPE_SCALES
-    if part == "bending":
-        cloud = None if bending is None else bending.cloud
-        return cloud, layout.CLOUD_FIELDS, layout.CLOUD_SCALES
-    law = None if bending is None else bending.law
-    return law, layout.LAW_FIELDS, layout.LAW_SCALES
+def _record(result: TestResult, part: str) -> object:
+    """Return a part, None if missing."""
+    if part in ("curve", "shape"):
+        return getattr(result, part)
+    bending = result.bending
+    return None if bending is None else bending.cloud if part == "bending" else bending.law
 
 
-def _of_record(record: object, fields: Mapping[str, Field], scales: Mapping[str, str]) -> Dataset:
-    arrays = {name: np.asarray(getattr(record, name)) for name in fields}
-    return _dataset(arrays, fields, scales)
+def _of_record(record: object) -> Dataset:
+    fields = {
+        name: replace(field, unit=getattr(record, field.stated_in, field.unit))
+        for name, field in fields_of(type(record)).items()
+    }
+    return _dataset({name: np.asarray(getattr(record, name)) for name in fields}, fields)
 
 
-def _dataset(
-    arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field], scales: Mapping[str, str]
-) -> Dataset:
+def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field]) -> Dataset:
     """Make a Dataset whose dimensions have the names of the scales in a result file."""
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
+    scales = scales_of(fields)
     for name, values in arrays.items():
         axes = [
             scales.get(axis, axis) + ("_2" if axis in fields[name].axes[:place] else "")
@@ -80,8 +76,8 @@ def _dataset(
         ]
         variables[name] = (axes, values, {"units": fields[name].unit})
         for axis, dimension in zip(fields[name].axes, axes, strict=True):
-            if axis in layout.COORDINATES:
-                coordinates[dimension] = list(layout.COORDINATES[axis])
+            if axis in AXIS_LABELS:
+                coordinates[dimension] = list(AXIS_LABELS[axis])
             if dimension.endswith("_2"):
                 coordinates[dimension] = arrays[scales[axis]]
     dataset: Dataset = _xarray().Dataset(variables, coords=coordinates)
@@ -89,13 +85,9 @@ def _dataset(
 
 
 def _of_aligned(aligned: Aligned) -> Dataset:
-    arrays = {
-        "time": aligned.time,
-        **{name: series.values for name, series in aligned.series.items()},
-    }
-    fields = {"time": Field(("sample",), aligned.time_unit)}
-    fields |= {name: Field(("sample",), series.unit) for name, series in aligned.series.items()}
-    return _dataset(arrays, fields, layout.SAMPLE_SCALES)
+    series = {"time": Series(aligned.time, aligned.time_unit), **aligned.series}
+    fields = {name: Field(("sample",), one.unit) for name, one in series.items()}
+    return _dataset({name: one.values for name, one in series.items()}, fields)
 
 
 def _of_recording(recording: Recording) -> Dataset:
@@ -109,15 +101,15 @@ def _of_recording(recording: Recording) -> Dataset:
         dimension = of_clock[clock.name]
         variables[dimension] = ([dimension], clock.time, {"units": clock.unit})
     for channel in recording.channels:
-        name = layout.link_name(channel.name, variables)
-        about = {"units": channel.unit or layout.NO_UNIT, "name_in_file": channel.path}
+        name = link_name(channel.name, variables)
+        about = {"units": channel.unit or NO_UNIT, "name_in_file": channel.path}
         variables[name] = ([of_clock[channel.clock]], channel.values, about)
     tracks = recording.markers
     if tracks is not None:
         frame = "time_markers" if recording.clocks else "time"
         variables[frame] = ([frame], tracks.time, {"units": "s"})
         variables["marker"] = (["marker"], list(tracks.names))
-        variables["xyz"] = (["xyz"], list(layout.COORDINATES["xyz"]))
+        variables["xyz"] = (["xyz"], list(AXIS_LABELS["xyz"]))
         variables["positions"] = ([frame, "marker", "xyz"], tracks.positions, {"units": "m"})
     dataset: Dataset = _xarray().Dataset(variables)
     return dataset

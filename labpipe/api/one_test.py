@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     import datetime
 
     import pandas as pd
-    from matplotlib.figure import Figure
 
     from labpipe.api.data_sets import Dataset
     from labpipe.records.result import Instrument, Result, Specimen
+    from labpipe.report.figures import Figure
 
 _RESULT, _FIGURE, _PART, _CURVE, _SHAPE = "result", "figure", "part", "curve", "shape"
 

@@ -294,10 +294,7 @@ def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floa
     """Return x'', y'', x', y' at the stations per marker coordinate: (4, stations, 2 markers)."""
     ends, terms = layout.ends, layout.terms
     basis = curve_basis(
-        terms=terms,
-        length=ends.length,
-        clamped=ends.direction is not None,
-        free_tip=ends.free_tip,
+        terms=terms, length=ends.length, clamped=ends.direction is not None, free_tip=ends.free_tip
     )
     if len(places) < basis.unknowns:
         return None
@@ -473,12 +470,7 @@ class BendingTest:
         )
 
     def moments(
-        self,
-        coefficients: Floats,
-        reading: Floats,
-        places: Floats,
-        *,
-        pull: TipPull | None = None,
+        self, coefficients: Floats, reading: Floats, places: Floats, *, pull: TipPull | None = None
     ) -> Floats:
         """Return bending moments along fitted curves.
 

@@ -161,11 +161,7 @@ class _Shared:
         return LawShapes.of(loaded, self.fit.basis).movement(self.fit.compliance)
 
     def with_moments(
-        self,
-        *,
-        reading: Floats | None = None,
-        pull: TipPull | None = None,
-        finer: bool = False,
+        self, *, reading: Floats | None = None, pull: TipPull | None = None, finer: bool = False
     ) -> Loaded:
         """Return the data with another force, pull at the tip, or one more coefficient."""
         test, frames, rest = self.test, self.frames, self.test.specimen_at_rest
@@ -236,12 +232,7 @@ class LawPoints:
 
 
 def law_points(
-    knots: Floats,
-    compliance: Floats,
-    covariance: Floats,
-    curvature: Floats,
-    *,
-    scale_error: float,
+    knots: Floats, compliance: Floats, covariance: Floats, curvature: Floats, *, scale_error: float
 ) -> LawPoints:
     """Evaluate a law at curvatures.
 

@@ -12,8 +12,8 @@ from labpipe.errors import StoreError, UsageError, error_text, refusal
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import FIGURES, SUMMARY_FILE
 from labpipe.protocol.sheet_grammar import SHEET_NAME
-from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, storing
+from labpipe.store.summaries import FAILURE_FILE
 
 RAW, PROCESSED = "raw", "processed"
 _OUTCOME = (SUMMARY_FILE, FAILURE_FILE, RESULT_FILE)

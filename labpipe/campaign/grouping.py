@@ -12,11 +12,11 @@ from labpipe.errors import UsageError, error_text, nearest
 from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Difference, Group, Sample
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.statistics.group_division import divide
 from labpipe.statistics.group_fields import (
     NOT_SAID,
     TYPE,
     differing_fields,
+    divide,
     fields_of,
     in_order,
     known_fields,

@@ -12,8 +12,7 @@ from labpipe.campaign.campaign_folders import OutcomeFiles
 from labpipe.errors import error_text
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import SUMMARY_FILE
-from labpipe.store.failure_file import FAILURE_FILE
-from labpipe.store.summaries import SUMMARY_SCHEMA, sealed
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_SCHEMA, sealed
 
 NEWER_RESULT: Final = "newer_result"
 """Code of a test whose results are from a newer labpipe; they are not changed."""

@@ -15,8 +15,8 @@ from labpipe.campaign.executors import Executor, Outcome, Task
 from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
 from labpipe.errors import StoreError, UsageError, error_text, nearest
 from labpipe.protocol.sheet_grammar import SHEET_NAME
-from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import storing
+from labpipe.store.summaries import FAILURE_FILE
 
 _RETRY_PAUSE, _TRIES = 1.0, 60
 """s between attempts to process a test that another process still writes, and their number."""

@@ -167,7 +167,7 @@ def _measure_repeat(
         guess=guess,
         hysteresis=False,
     )
-    begin, top, end = (fit.to_force_seconds(time) for time in (start, turn, stop))
+    begin, top, end = (fit.to_force_time(time) for time in (start, turn, stop))
     lag_of = partial(
         fit_lag,
         start=begin,

@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.curve import Branch, Curve, Direction
-from labpipe.records.limits import LIMITS, Limits
+from labpipe.records.declarations import LIMITS, Limits
 from labpipe.records.quality import Finding, doubtful
 from labpipe.results.reduced_test import sense_of_loading
 from labpipe.signal.turning_points import noise_level

@@ -20,10 +20,10 @@ from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, or_failure
 from labpipe.records.quality import Finding, blocking, doubtful, info_note, warning
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.curve_replicates import cuts_of, loading_of, replicate_curves, traced
+from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
 from labpipe.results.failures import (
     LossOfForce,
     final_loss,
@@ -32,8 +32,12 @@ from labpipe.results.failures import (
     slow_loss,
 )
 from labpipe.results.reduced_test import FailurePoint, ReducedTest, sense_of_loading
-from labpipe.results.slack import counted_from_taut, slack_of
-from labpipe.results.slips import add_back, find_slips, samples_before
+from labpipe.results.slack_and_slips import (
+    counted_from_taut,
+    find_slips,
+    samples_before,
+    slack_of,
+)
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers
@@ -370,7 +374,7 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     """
     # Share of the replicate curves.
     max_falling_share = 0.025
-    measured = test.measure(decide)
+    measured = or_failure(test.measure)(decide)
     if isinstance(measured, Failure):
         return measured
     slack, trace = measured[0], traced(test)
@@ -398,7 +402,7 @@ def _preload_explains(slack: Measured, decide: Decide, trace: Trace, start: int)
     if slack.interval.upper >= first:
         return True
     preloaded = replace(trace, force=trace.force - trace.force[start])
-    above = decide(preloaded)
+    above = or_failure(decide)(preloaded)
     if isinstance(above, Failure):
         return False
     place = float(above.numbers(preloaded)[0])

@@ -20,7 +20,7 @@ from labpipe.results.cycles import sense_of
 from labpipe.results.failures import LossOfForce
 from labpipe.results.kinds import Kind
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.slack import slack_of
+from labpipe.results.slack_and_slips import slack_of
 from labpipe.results.stiffness import Window
 
 _PERCENTAGES = range(5, 100, 5)
@@ -97,8 +97,8 @@ def _windows(entry: Window, test: ReducedTest, key: str) -> Iterator[Values]:
     for count in (count for count in sample_counts if count <= len(above)):
         high = min(entry.stop, _rounded(float(above[-1]), floor))
         high = max(high, _rounded(float(above[count - 1]), ceil))
-        numbers = replace(entry, start=low, stop=high).compute(test).numbers if low < high else ()
-        if any(not isinstance(number.outcome, Failure) for number in numbers):
+        results = replace(entry, start=low, stop=high).compute(test).results if low < high else ()
+        if any(result.value is not None for result in results):
             ends = (("from", entry.start, low), ("to", entry.stop, high))
             yield {f"{key}.{end}": f"{1e3 * new:g} mm" for end, old, new in ends if new != old}
 

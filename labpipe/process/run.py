@@ -35,11 +35,10 @@ from labpipe.protocol.values import is_name_of_a_test
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
-from labpipe.store.failure_file import FAILURE_FILE, FailedTest, write_failure
 from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
+from labpipe.store.summaries import FAILURE_FILE, FailedTest, write_failure, write_summary
 from labpipe.store.summaries import SUMMARY_FILE as SUMMARY_FILE  # noqa: PLC0414 - as `FIGURES`
-from labpipe.store.summaries import write_summary
 from labpipe.store.write import write_result
 
 FIGURES = "figures"

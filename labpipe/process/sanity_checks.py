@@ -17,9 +17,8 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction, Shape
-from labpipe.records.declarations import TravelFromSpeed
+from labpipe.records.declarations import LIMITS, Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
-from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import (
     Finding,
     Findings,

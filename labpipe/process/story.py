@@ -41,14 +41,12 @@ from labpipe.process.steps import run_steps
 from labpipe.process.zeros import check_begin, check_break, check_zeros, rezero_at_rest
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
-from labpipe.records.declarations import FitShape
-from labpipe.records.limits import Limits
+from labpipe.records.declarations import FitShape, Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.beam import BendingStiffness
-from labpipe.results.kinds import to_result
 from labpipe.results.reduced_test import LoadString, ReducedTest, Setup
 from labpipe.results.shapes import MomentCurvature
 from labpipe.uncertainty.intervals import Measured
@@ -277,7 +275,7 @@ def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
         computed = entry.compute(test)
-        numbers = [to_result(test, number) for number in computed.numbers]
+        numbers = list(computed.results)
         if any(result.status is Status.FAILED for result in numbers):
             from labpipe.process.remedies import with_remedy  # most tests do not need it
 

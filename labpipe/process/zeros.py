@@ -11,8 +11,8 @@ import numpy as np
 from labpipe.process.motion import Motion
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction, Interval
+from labpipe.records.declarations import LIMITS, Limits
 from labpipe.records.estimates import Failure
-from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Finding, Findings, doubtful, info_note
 from labpipe.records.signals import Clocks, Signals, Stretch
 from labpipe.results.reduced_test import FailurePoint, sense_of_loading

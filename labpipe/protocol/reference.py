@@ -27,8 +27,7 @@ from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.plausible import KEYS, PLAUSIBLE
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.records.declarations import Needs, existing_in
-from labpipe.records.limits import Limits
+from labpipe.records.declarations import Limits, Needs, existing_in
 from labpipe.records.quality import Severity
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind

@@ -18,6 +18,7 @@ from labpipe.protocol.plausible import Plausible, SizeUncertainties
 from labpipe.protocol.source import ChannelSource, Role, Source
 from labpipe.protocol.values import FileStem, OrShort, Remark, Text
 from labpipe.records.declarations import (
+    LIMITS,
     Area,
     Compliance,
     Distance,
@@ -27,6 +28,7 @@ from labpipe.records.declarations import (
     Key,
     LargerThan,
     Length,
+    Limits,
     LinearMass,
     Mass,
     Moment,
@@ -40,7 +42,6 @@ from labpipe.records.declarations import (
     Uncertainty,
     WholeNumber,
 )
-from labpipe.records.limits import LIMITS, Limits
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +19,37 @@ Samples: TypeAlias = slice | Ints
 Vector: TypeAlias = Annotated[Floats, "n"]
 """Shape (n,), with one n in all of a record."""
 
+AXIS_LABELS: Final[Mapping[str, tuple[str, ...]]] = {
+    "xyz": ("x", "y", "z"),
+    "xyzw": ("x", "y", "z", "w"),
+    "xy": ("x", "y"),
+    "specimen": ("x", "y", "z"),
+    "lab": ("x", "y", "z"),
+}
+"""Labels along axes of a fixed length."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """SI unit of a field, in its annotation.
+
+    Parameters
+    ----------
+    symbol : unit; empty if a text field states it
+    stated_in : name of that text field, of the record or of the one that contains it
+    """
+
+    symbol: str = ""
+    stated_in: str = ""
+
 
 class ArrayRecord:
     """A frozen record whose arrays are read-only, of the number type and the shape of their fields.
 
-    The axes of a field are in its type, ``Annotated[Floats, "frames", 3]``: a length, the name of
-    a tuple of the record with as many entries, or a word for a length that is the same throughout
-    the record. Arrays of the right type are not copied.
+    The axes of a field are in its type, ``Annotated[Floats, "frame", "xyz", Unit("m")]``: a length,
+    a key of `AXIS_LABELS`, the name of a tuple of the record with as many entries, or a word for a
+    length that is the same throughout the record, that of an annotated tuple included. Arrays of
+    the right type are not copied.
 
     Raises
     ------
@@ -35,8 +61,9 @@ class ArrayRecord:
 
     def __post_init__(self) -> None:
         record_type: Any = type(self)
-        lengths: dict[int | str, int] = {}
-        for name, dtype, axes in _arrays_of(record_type):
+        arrays, tuples = _fields_with_axes(record_type)
+        lengths = {axis: len(getattr(self, name)) for name, axis in tuples}
+        for name, dtype, axes in arrays:
             array = np.asarray(getattr(self, name), dtype=dtype).view()
             shape = tuple(self._length(axis, lengths) for axis in axes)
             if not _fits(array, shape) or any(
@@ -52,18 +79,29 @@ class ArrayRecord:
         """Return the length of an axis; None where any will do."""
         if isinstance(axis, int):
             return axis
-        entries = getattr(self, axis, None)
+        entries = AXIS_LABELS.get(axis) or getattr(self, axis, None)
         return len(entries) if isinstance(entries, tuple) else lengths.get(axis)
 
 
+def dtype_of(array_type: Any) -> Any:
+    """Return the number type of an array type such as `Floats`."""
+    return get_args(get_args(array_type)[1])[0]
+
+
 @cache
-def _arrays_of(record_type: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
-    """Return the name, number type and axes of every array of a record."""
-    hints = get_type_hints(record_type, include_extras=True).items()
-    parts = ((name, get_args(hint)) for name, hint in hints if get_origin(hint) is Annotated)
-    return tuple(
-        (name, get_args(get_args(array)[1])[0], tuple(axes)) for name, (array, *axes) in parts
-    )
+def _fields_with_axes(
+    record_type: Any,
+) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]]]:
+    """Return name, number type and axes of arrays, and name and axis of annotated tuples."""
+    arrays, tuples = [], []
+    for name, hint in get_type_hints(record_type, include_extras=True).items():
+        values, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        axes = tuple(axis for axis in marks if isinstance(axis, str | int))
+        if axes and get_origin(values) is np.ndarray:
+            arrays.append((name, dtype_of(values), axes))
+        elif axes and get_origin(values) is tuple:
+            tuples.append((name, axes[0]))
+    return arrays, tuples
 
 
 def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:
@@ -123,6 +161,18 @@ def median(values: Floats) -> float:
         return float("nan")
     upper = float(ordered[half])
     return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
+
+
+def means_from(values: Floats, starts: Ints) -> Floats:
+    """Return the mean of the samples from each start to the next one.
+
+    Parameters
+    ----------
+    values : shape (n,)
+    starts : shape (m,), ascending, the first one 0
+    """
+    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
+    return means
 
 
 def part_of(samples: Samples, stretch: slice) -> Samples:

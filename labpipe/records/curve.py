@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Annotated, TypeAlias
+from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Unit
 from labpipe.records.quality import Reason
+
+Time = TypeVar("Time", float, Floats)
+"""One time, or many."""
 
 AT_REST = -1
 """Branch number of samples that belong to no branch: before, after and between movements."""
@@ -67,12 +70,12 @@ class Branch:
         than the samples
     """
 
-    start: int
-    stop: int
+    start: Annotated[int, Unit("sample")]
+    stop: Annotated[int, Unit("sample")]
     cycle: int
     direction: Direction
-    start_time: float
-    stop_time: float
+    start_time: Annotated[float, Unit(stated_in="time_unit")]
+    stop_time: Annotated[float, Unit(stated_in="time_unit")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,25 +93,21 @@ class ClockFit(ArrayRecord):
     method : in words
     """
 
-    offset: float
-    drift: float
+    offset: Annotated[float, Unit("s")]
+    drift: Annotated[float, Unit("1")]
     offset_interval: Interval
     drift_interval: Interval
-    residual: float
-    event_times_motion: Vector
-    event_times_force: Vector
-    event_errors: Vector
+    residual: Annotated[float, Unit("s")]
+    event_times_motion: Annotated[Floats, "event", Unit("s")]
+    event_times_force: Annotated[Floats, "event", Unit("s")]
+    event_errors: Annotated[Floats, "event", Unit("s")]
     method: str
 
-    def to_force_seconds(self, marker_time: float) -> float:
-        """Return the force-clock time of one marker-clock time, s."""
-        return self.offset + (1.0 + self.drift) * marker_time
-
-    def to_force_time(self, marker_time: Floats) -> Floats:
+    def to_force_time(self, marker_time: Time) -> Time:
         """Return the force-clock time of marker-clock times, s."""
         return self.offset + (1.0 + self.drift) * marker_time
 
-    def to_marker_time(self, force_time: Floats) -> Floats:
+    def to_marker_time(self, force_time: Time) -> Time:
         """Return the marker-clock time of force-clock times, s."""
         return (force_time - self.offset) / (1.0 + self.drift)
 
@@ -123,7 +122,7 @@ class Series(ArrayRecord):
     unit : SI unit
     """
 
-    values: Vector
+    values: Annotated[Floats, "sample", Unit(stated_in="unit")]
     unit: str
 
 
@@ -139,7 +138,7 @@ class Aligned(ArrayRecord):
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
-    time: Vector
+    time: Annotated[Floats, "sample", Unit(stated_in="time_unit")]
     series: Mapping[str, Series]
     clock_fit: ClockFit | None = None
     time_unit: str = "s"
@@ -160,11 +159,11 @@ class Curve(ArrayRecord):
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
-    time: Vector
-    displacement: Vector
-    force: Vector
-    branch: Annotated[Ints, "n"]
-    cycle: Annotated[Ints, "n"]
+    time: Annotated[Floats, "sample", Unit(stated_in="time_unit")]
+    displacement: Annotated[Floats, "sample", Unit("m")]
+    force: Annotated[Floats, "sample", Unit("N")]
+    branch: Annotated[Ints, "sample", Unit("1")]
+    cycle: Annotated[Ints, "sample", Unit("1")]
     branches: tuple[Branch, ...]
     time_unit: str = "s"
 
@@ -182,10 +181,10 @@ class FittedLine:
     """
 
     result: str
-    slope: float
-    level: float
-    start: float
-    stop: float
+    slope: Annotated[float, Unit("N/m")]
+    level: Annotated[float, Unit("N")]
+    start: Annotated[float, Unit("m")]
+    stop: Annotated[float, Unit("m")]
 
 
 class PointFlag(IntEnum):
@@ -224,14 +223,14 @@ class Shape(ArrayRecord):
     rotation_lab_to_specimen : shape (3, 3)
     """
 
-    time: Annotated[Floats, "frames"]
-    positions: Annotated[Floats, "frames", "names", 3]
-    names: tuple[str, ...]
-    flags: Annotated[NDArray[np.uint8], "frames", "names"]
-    arc_length: Annotated[Floats, "names"]
-    coefficients: Annotated[Floats, "frames", 3, "terms"]
-    length: float
-    rotation_lab_to_specimen: Annotated[Floats, 3, 3]
+    time: Annotated[Floats, "frame", Unit("s")]
+    positions: Annotated[Floats, "frame", "point", "xyz", Unit("m")]
+    names: Annotated[tuple[str, ...], "point"]
+    flags: Annotated[NDArray[np.uint8], "frame", "point", Unit("1")]
+    arc_length: Annotated[Floats, "point", Unit("m")]
+    coefficients: Annotated[Floats, "frame", "xyz", "term", Unit("m")]
+    length: Annotated[float, Unit("m")]
+    rotation_lab_to_specimen: Annotated[Floats, "specimen", "lab", Unit("1")]
 
 
 class SlipDecision(StrEnum):
@@ -258,16 +257,17 @@ class Slip:
     start, stop : samples of the curve between which the force falls; `stop` is the first one after
     """
 
-    position: float
-    drop: float
-    position_interval: Interval
-    drop_interval: Interval
+    position: Annotated[float, Unit("m")]
+    drop: Annotated[float, Unit("N")]
+    position_interval: Annotated[Interval, Unit("m")]
+    drop_interval: Annotated[Interval, Unit("N")]
     decision: SlipDecision
-    start: int
-    stop: int
+    start: Annotated[int, Unit("sample")]
+    stop: Annotated[int, Unit("sample")]
 
 
-_Grid: TypeAlias = Annotated[Floats, "n", "stations"]
+_CurvatureGrid: TypeAlias = Annotated[Floats, "mean", "place", Unit("1/m")]
+_MomentGrid: TypeAlias = Annotated[Floats, "mean", "place", Unit("N*m")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,17 +291,17 @@ class BendingCloud(ArrayRecord):
     frames_per_mean : consecutive frames that each row is the mean of
     """
 
-    time: Vector
-    branch: Annotated[Ints, "n"]
-    cycle: Annotated[Ints, "n"]
-    force: Vector
-    arc_length: Annotated[Floats, "stations"]
-    curvature: _Grid
-    curvature_error: _Grid
-    curvature_systematic: _Grid
-    moment: _Grid
-    moment_error: _Grid
-    moment_at_rest: Annotated[Floats, "stations"]
+    time: Annotated[Floats, "mean", Unit("s")]
+    branch: Annotated[Ints, "mean", Unit("1")]
+    cycle: Annotated[Ints, "mean", Unit("1")]
+    force: Annotated[Floats, "mean", Unit("N")]
+    arc_length: Annotated[Floats, "place", Unit("m")]
+    curvature: _CurvatureGrid
+    curvature_error: _CurvatureGrid
+    curvature_systematic: _CurvatureGrid
+    moment: _MomentGrid
+    moment_error: _MomentGrid
+    moment_at_rest: Annotated[Floats, "place", Unit("N*m")]
     frames_per_mean: int
 
     @property
@@ -312,6 +312,10 @@ class BendingCloud(ArrayRecord):
         """
         other = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
         return np.asarray(np.hypot(self.curvature_error, other), dtype=np.float64)
+
+
+_Moments: TypeAlias = Annotated[Floats, "point", Unit("N*m")]
+_Stiffnesses: TypeAlias = Annotated[Floats, "point", Unit("N*m^2")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -342,26 +346,26 @@ class MeasuredLaw(ArrayRecord):
         without the scale of the force
     """
 
-    curvature: Vector
-    moment: Vector
-    moment_lower: Vector
-    moment_upper: Vector
-    secant: Vector
-    secant_lower: Vector
-    secant_upper: Vector
-    tangent: Vector
-    tangent_lower: Vector
-    tangent_upper: Vector
-    is_known: Annotated[Flags, "n"]
+    curvature: Annotated[Floats, "point", Unit("1/m")]
+    moment: _Moments
+    moment_lower: _Moments
+    moment_upper: _Moments
+    secant: _Stiffnesses
+    secant_lower: _Stiffnesses
+    secant_upper: _Stiffnesses
+    tangent: _Stiffnesses
+    tangent_lower: _Stiffnesses
+    tangent_upper: _Stiffnesses
+    is_known: Annotated[Flags, "point", Unit("1")]
     reason: Reason | None
-    floor: float
-    scale_error: float
-    residual: float
-    noise: float
+    floor: Annotated[float, Unit("1/m")]
+    scale_error: Annotated[float, Unit("1")]
+    residual: Annotated[float, Unit("m")]
+    noise: Annotated[float, Unit("m")]
     n_frames: int
-    knots: Annotated[Floats, "knots"]
-    compliance: Annotated[Floats, "knots"]
-    compliance_covariance: Annotated[Floats, "knots", "knots"]
+    knots: Annotated[Floats, "knot", Unit("N*m")]
+    compliance: Annotated[Floats, "knot", Unit("1/(N*m^2)")]
+    compliance_covariance: Annotated[Floats, "knot", "knot", Unit("1/(N*m^2)^2")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from math import hypot
+from typing import NoReturn, ParamSpec, TypeVar
 
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
@@ -29,6 +32,45 @@ class Estimate:
 
 Failure = Reason
 """The reason why an estimate is not available."""
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+class UnavailableError(Exception):
+    """A number cannot be read from a test.
+
+    Parameters
+    ----------
+    failure : the reason
+    """
+
+    def __init__(self, failure: Failure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
+
+
+def fail(code: str, message: str) -> NoReturn:
+    """Raise `UnavailableError`.
+
+    Parameters
+    ----------
+    code, message : of the reason
+    """
+    raise UnavailableError(Failure(code, message))
+
+
+def or_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
+    """Return a function that returns the reason instead of raising `UnavailableError`."""
+
+    @wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R | Failure:
+        try:
+            return function(*args, **kwargs)
+        except UnavailableError as error:
+            return error.failure
+
+    return call
 
 
 def add_errors(estimate: Estimate, *errors: float) -> Estimate:

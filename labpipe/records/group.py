@@ -7,21 +7,45 @@ from dataclasses import dataclass, field
 from datetime import date as Day  # noqa: N812 - a record has a field called date
 from enum import StrEnum
 from math import expm1, hypot, log
+from typing import Annotated
 
 import numpy as np
 
-from labpipe.records.arrays import ArrayRecord, Ints, Vector
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.result import (
-    Contribution,
-    InputFile,
-    Instrument,
-    Result,
-    Specimen,
-    apart_from,
-)
+from labpipe.records.result import Contribution, InputFile, Instrument, Result, Specimen, apart_from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnShapes(ArrayRecord):
+    """Shapes of a specimen at equal steps of its first loading.
+
+    Parameters
+    ----------
+    deflection : shape (steps,), m, of the curve
+    positions : shape (steps, points, 2), m, in the specimen frame: along it, and in the plane of
+        bending; NaN where no camera saw the point
+    """
+
+    deflection: Annotated[Floats, "steps"]
+    positions: Annotated[Floats, "steps", "points", 2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnLaw(ArrayRecord):
+    """The measured moment-curvature law of a first loading, with its 95 % interval.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, increasing
+    moment, moment_lower, moment_upper : shape (n,), N m
+    """
+
+    curvature: Vector
+    moment: Vector
+    moment_lower: Vector
+    moment_upper: Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)

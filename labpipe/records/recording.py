@@ -8,7 +8,7 @@ from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import ArrayRecord, Floats, Vector
+from labpipe.records.arrays import ArrayRecord, Floats, Unit, Vector
 from labpipe.records.quality import QualityNote
 
 
@@ -60,7 +60,7 @@ class Clock(ArrayRecord):
     """
 
     name: str
-    time: Vector
+    time: Annotated[Floats, "sample", Unit(stated_in="unit")]
     unit: str = "s"
 
 
@@ -103,9 +103,9 @@ class RigidBody(ArrayRecord):
     """
 
     name: str
-    position: Annotated[Floats, "frames", 3]
-    rotation: Annotated[Floats, "frames", 4]
-    error: Annotated[Floats, "frames"]
+    position: Annotated[Floats, "frame", "xyz", Unit("m")]
+    rotation: Annotated[Floats, "frame", "xyzw", Unit("1")]
+    error: Annotated[Floats, "frame", Unit("m")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,11 +124,11 @@ class MarkerTracks(ArrayRecord):
     unit_in_file : unit of length as the export writes it, empty if it does not
     """
 
-    time: Annotated[Floats, "n"]
-    frames: Annotated[Floats, "n"]
+    time: Annotated[Floats, "frame", Unit("s")]
+    frames: Annotated[Floats, "frame", Unit("1")]
     rate: float
-    names: tuple[str, ...]
-    positions: Annotated[Floats, "n", "names", 3]
+    names: Annotated[tuple[str, ...], "marker"]
+    positions: Annotated[Floats, "frame", "marker", "xyz", Unit("m")]
     bodies: tuple[RigidBody, ...] = ()
     unit_in_file: str = ""
 

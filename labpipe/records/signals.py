@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET
-from labpipe.records.curve import ClockFit
+from labpipe.records.curve import ClockFit, Time
 
 
 class FilterFunction(Protocol):
@@ -206,20 +206,15 @@ class Clocks:
             variants[CLOCK_DRIFT] = replace(self, force=faster)
         return variants
 
-    def to_curve(self, time: float, clock: str) -> float:
-        """Put a time of a clock on that of the curve; as it is while they are not joined."""
+    def to_curve(self, time: Time, clock: str) -> Time:
+        """Return times of a clock on that of the curve; as they are while they are not joined."""
         fit = self._fit(clock)
-        return time if fit is None else (time - fit.offset) / (1.0 + fit.drift)
+        return time if fit is None else fit.to_marker_time(time)
 
-    def times_on_curve(self, signal: Signal) -> Floats:
-        """Put the times of a signal on the clock of the curve, shape (n,), s."""
-        fit = self._fit(signal.clock)
-        return signal.time if fit is None else (signal.time - fit.offset) / (1.0 + fit.drift)
-
-    def from_curve(self, time: float, clock: str) -> float:
-        """Put a time of the curve on another clock; as it is while they are not joined."""
+    def from_curve(self, time: Time, clock: str) -> Time:
+        """Return times of the curve on another clock; as they are while they are not joined."""
         fit = self._fit(clock)
-        return time if fit is None else fit.to_force_seconds(time)
+        return time if fit is None else fit.to_force_time(time)
 
     def sampled(self, signal: Signal, time: Floats) -> Floats:
         """Interpolate a signal at times of the curve's clock.
@@ -233,9 +228,7 @@ class Clocks:
         -------
         Shape (n,), in the unit of the signal; NaN beyond its ends, nothing is extrapolated.
         """
-        fit = self._fit(signal.clock)
-        if fit is not None:
-            time = fit.to_force_time(time)
+        time = self.from_curve(time, signal.clock)
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
         return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)

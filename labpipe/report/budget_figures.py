@@ -32,7 +32,7 @@ from labpipe.report.wording import (
     unit_words,
     write_number,
 )
-from labpipe.statistics.group_budgets import SCATTER, group_budget, in_order
+from labpipe.statistics.means import SCATTER, group_budget, in_order
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -63,7 +63,7 @@ from labpipe.report.workbook_file import (
     sheet_of,
     unite_heads,
 )
-from labpipe.statistics.group_budgets import group_budget
+from labpipe.statistics.means import group_budget
 
 _ABOUT = (
     "Cells hold all digits of a number and show two digits of its interval. Lower and upper are the"

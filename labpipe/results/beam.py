@@ -12,20 +12,9 @@ import numpy as np
 
 from labpipe.errors import Fault
 from labpipe.records.arrays import Floats
-from labpipe.records.declarations import (
-    Distance,
-    Length,
-    Output,
-    Ratio,
-    Snake,
-    StiffnessName,
-)
-from labpipe.records.estimates import Failure
-from labpipe.results.kinds import (
-    Computed,
-    Outcome,
-    marked_slips,
-)
+from labpipe.records.declarations import Distance, Length, Output, Ratio, Snake, StiffnessName
+from labpipe.records.estimates import Failure, fail, or_failure
+from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import OfStiffness
 from labpipe.uncertainty.extractors import Trace, combine
@@ -137,7 +126,7 @@ def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
     return np.append(0.0, deflection), np.append(0.0, load)
 
 
-def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Failure:
+def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
     """Return the slope of the load over a range of deflection, as a multiple of 48 EI / span^3.
 
     Parameters
@@ -147,8 +136,13 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
 
     Returns
     -------
-    The ratio; a failure ``beyond_elastica`` if the beam would slip through, or is less than half as
-    stiff as at first.
+    The ratio.
+
+    Raises
+    ------
+    UnavailableError
+        ``beyond_elastica`` if the beam would slip through, or is less than half as stiff as at
+        first.
 
     Examples
     --------
@@ -163,7 +157,7 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
     falling = np.flatnonzero(np.diff(deflection) <= 0.0)
     last = int(falling[0]) if len(falling) else len(deflection) - 1
     if high > deflection[last]:
-        return Failure(
+        fail(
             "beyond_elastica",
             f"an elastic beam on this span slips through at {1e3 * deflection[last]:.4g} mm, the "
             f"stiffness goes up to {1e3 * high:.4g} mm",
@@ -173,7 +167,7 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
     slope = float(np.polynomial.Polynomial.fit(deflections, loads, 1).convert().coef[1])
     ratio = slope * rollers.span**3 / 48.0
     if ratio < min_ratio:
-        return Failure(
+        fail(
             "beyond_elastica",
             f"from {1e3 * low:.4g} mm to {1e3 * high:.4g} mm the load on an elastic beam rises "
             f"{ratio:.2g} times as fast as at first, at least {min_ratio} is needed",
@@ -245,50 +239,38 @@ class BendingStiffness(OfStiffness):
                 remedy = f"Add 'roller: {{{key}: ...}}'."
                 yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Apply the beam formula, with optional corrections for large deflection and rollers."""
+    @property
+    def method(self) -> str:
+        """With the name of the stiffness, and the length."""
         key, formula = _FORMULAS[self.support]
-        method = f"{self.of} x {formula}, L = specimen.{key}"
-        stiffness = test.stiffnesses.get(self.of)
-        if stiffness is None:
-            return self.not_available(self.missing(test), method)
-        outcome: Outcome
-        remark = ""
-        if key not in test.setup.sizes:
-            outcome = Failure(
-                f"no_{key}",
-                f"specimen.{key} is missing: write it into the test sheet, such as "
-                f"'{key}: {_EXAMPLES[key]}'",
-            )
-        else:
-            outcome, remark = self._measured(test, stiffness)
-        doubts = marked_slips(test, stiffness.bends_with)
-        number = self.number(outcome, method, during=stiffness.during, doubts=doubts, remark=remark)
-        return Computed((number,))
+        return f"{self.of} x {formula}, L = specimen.{key}"
 
-    def _measured(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Outcome, str]:
-        """Compute the numbers, and describe the effect of each correction."""
-        ratio, remark = self._ratio(test.setup.sizes, stiffness.window)
-        if isinstance(ratio, Failure):
-            return ratio, ""
-        decide = combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
-        return test.measure_one(decide), remark
+    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+        """Measure the bending stiffness from a stiffness and its length."""
+        key, sizes = _FORMULAS[self.support][0], test.setup.sizes
+        if key not in sizes:
+            example = f"'{key}: {_EXAMPLES[key]}'"
+            message = f"specimen.{key} is missing: write it into the test sheet, such as {example}"
+            fail(f"no_{key}", message)
+        self._ratio(sizes, stiffness.window)
+        return test.measure_one(
+            combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
+        )
+
+    def remark(self, test: ReducedTest, stiffness: Stiffness) -> str:
+        """Name the corrections with their sizes."""
+        ratio = or_failure(self._ratio)(test.setup.sizes, stiffness.window)
+        return "" if isinstance(ratio, Failure) else ratio[1]
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
-        ratio, _ = self._ratio(trace.sizes, window)
+        ratio = or_failure(self._ratio)(trace.sizes, window)
         length = trace.sizes[_FORMULAS[self.support][0]]
         beam_stiffness = stiffness * beam_factor(length, self.support)
-        return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio))
+        return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
-    def _ratio(
-        self, sizes: Mapping[str, float], window: tuple[float, float]
-    ) -> tuple[float | Failure, str]:
-        """Return the effect of the supports on 48 EI / span^3 over the window of the stiffness.
-
-        With the effect of each correction in words; a failure if the window is beyond the
-        deflection of an elastic beam.
-        """
+    def _ratio(self, sizes: Mapping[str, float], window: tuple[float, float]) -> tuple[float, str]:
+        """Return the stiffness of an elastic beam as a multiple of the formula, and a remark."""
         span = sizes.get("span")
         if not self.corrections or span is None:
             return 1.0, ""
@@ -299,8 +281,6 @@ class BendingStiffness(OfStiffness):
             taken = [name for name in _ORDER[: number + 1] if name in self.corrections]
             rollers = self._rollers(taken, span, sizes.get("outer_diameter", 0.0))
             next_ratio = stiffness_ratio(rollers, low=window[0], high=window[1])
-            if isinstance(next_ratio, Failure):
-                return next_ratio, ""
             corrections.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
             ratio = next_ratio
         return ratio, f"corrected as an elastic beam: {', '.join(corrections)}"

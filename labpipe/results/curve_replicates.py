@@ -1,15 +1,15 @@
-"""The curve of a test, and its replicates from noise and uncertain inputs."""
+"""Draw replicates of the curve of a test."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, means_from
 from labpipe.records.causes import (
     CENTRE,
     DRIFT_OF_ZERO,
@@ -27,14 +27,12 @@ from labpipe.records.causes import (
     ZERO_OF_DISPLACEMENT,
     ZERO_OF_FORCE,
 )
-from labpipe.records.curve import Curve, Direction, SlipDecision
+from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
 from labpipe.results.sample_noise import have_no_effect
-from labpipe.results.slips import add_back
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import (
-    Filter,
     Input,
     Law,
     Replicates,
@@ -81,7 +79,13 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     )
     grid = replace(blocks, displacement=records[0], force=records[1])
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
-    inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
+
+    def smooth(change: Floats) -> Floats:
+        """Smooth the effect of an input: its noise would raise the largest of many samples."""
+        parts = spline_intervals_of(grid)
+        return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
+
+    inputs = tuple(_inputs(test, starts, smooth))
     return draw_replicates(
         measured,
         grid,
@@ -157,10 +161,7 @@ def _starts(corners: Sequence[int], curve: Curve) -> Ints:
 
 def _means(values: Floats, starts: Ints) -> Floats:
     """Return the means of the blocks of a grid."""
-    if len(starts) == len(values):
-        return values
-    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-    return means
+    return values if len(starts) == len(values) else means_from(values, starts)
 
 
 def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
@@ -259,53 +260,87 @@ def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[
     return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
 
 
-def _without_noise(change: Floats, *, grid: Trace, cuts: Sequence[int]) -> Floats:
-    """Smooth the effect of an input on a record.
-
-    Its noise would raise the largest of many samples, for either sign of the input.
-    """
-    parts = spline_intervals_of(grid)
-    return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
-
-
-def _inputs(test: ReducedTest, starts: Ints, smooth: Filter) -> Iterator[Input]:
+def _inputs(test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]) -> Iterator[Input]:
     """Yield the uncertain inputs of the whole record."""
-    force, displacement = test.raw_force, test.displacement
-    gain, raised, scaled = (
-        partial(effect, compliance=test.compliance) for effect in (_gain, _raised, _scaled)
-    )
-    for cause, by, moved in (
-        (SCALE_OF_FORCE, force.relative_error, gain),
-        (ZERO_OF_FORCE, force.zero_error, raised),
-        (SCALE_OF_DISPLACEMENT, displacement.relative_error, scaled),
-        (ZERO_OF_DISPLACEMENT, displacement.zero_error, displaced),
-    ):
-        if by:
-            yield Input(cause, partial(moved, by=by))
-    if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
-        half = partial(raised, by=coarse / np.sqrt(12.0))
-        yield Input(RESOLUTION, half, law="uniform")
-    yield from _drift_inputs(test, _means(test.known_curve.time, starts))
+    yield from _scales_and_zeros(test)
+    yield from _levels_of_force(test, starts)
+    displacement, time = test.displacement, test.known_curve.time
     for cause, signal in displacement.moved.items():
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == SHAPE else "normal"
         yield Input(cause, partial(displaced, by=change), law=law)
     for cause, clocks in test.clocks.moved.items():
-        time = test.known_curve.time
         later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
         yield Input(cause, partial(_later, by=_means(later, starts)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (LENGTH, SPAN) else SECTION
         yield Input(cause, partial(_sized, name=name, by=by), moves_curve=False, stream=name)
-    step = len(starts) / len(test.known_curve.time)
-    yield Input(STEP, partial(_beyond, step=step), law="step", moves_curve=False)
+    beyond = partial(_beyond, step=len(starts) / len(time))
+    yield Input(STEP, beyond, law="step", moves_curve=False)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     for number, slip in enumerate(repaired, start=1):
-        error = slip.drop_interval.standard_error
         sample = int(np.searchsorted(starts, slip.stop))
-        back = partial(_added_back, by=error, sample=sample)
+        back = partial(_added_back, by=slip.drop_interval.standard_error, sample=sample)
         yield Input(REPAIRED_SLIPS, back, stream=f"{REPAIRED_SLIPS} {number}")
+
+
+def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
+    force, displacement, compliance = test.raw_force, test.displacement, test.compliance
+
+    def gain(trace: Trace, x: float) -> Trace:
+        return _more_force(trace, x * force.relative_error * trace.force, compliance)
+
+    def scaled(trace: Trace, x: float) -> Trace:
+        whole = trace.displacement + compliance * np.nan_to_num(trace.force)  # with the frame
+        return displaced(trace, x * displacement.relative_error, by=whole)
+
+    if force.relative_error:
+        yield Input(SCALE_OF_FORCE, gain)
+    if force.zero_error:
+        yield Input(ZERO_OF_FORCE, _raised(test, force.zero_error))
+    if displacement.relative_error:
+        yield Input(SCALE_OF_DISPLACEMENT, scaled)
+    if displacement.zero_error:
+        yield Input(ZERO_OF_DISPLACEMENT, partial(displaced, by=displacement.zero_error))
+
+
+def _levels_of_force(test: ReducedTest, starts: Ints) -> Iterator[Input]:
+    """Yield the resolution of the force, and the modes of the drift of its zero."""
+    if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
+        yield Input(RESOLUTION, _raised(test, coarse / np.sqrt(12.0)), law="uniform")
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
+    since = np.abs(_means(test.known_curve.time, starts) - _zeroed_at(test))
+    for number, wave in enumerate(drift_modes(since, drift), start=1):
+        yield Input(DRIFT_OF_ZERO, _raised(test, wave), stream=f"{DRIFT_OF_ZERO} {number}")
+
+
+def _raised(test: ReducedTest, by: float | Floats) -> Callable[[Trace, float], Trace]:
+    return lambda trace, x: _more_force(trace, x * by, test.compliance)
+
+
+def add_back(force: Floats, slips: Sequence[Slip]) -> Floats:
+    """Add the losses of slips back to a force.
+
+    Parameters
+    ----------
+    force : shape (n,), N
+    slips : with the sample numbers of `force`
+
+    Returns
+    -------
+    shape (n,), N. The drop of each slip is added from its `stop` on. Samples between `start` and
+    `stop` are interpolated. NaN stay NaN.
+    """
+    repaired = np.array(force, dtype=np.float64)
+    for slip in slips:
+        repaired[slip.stop :] += slip.drop
+    for slip in slips:
+        inside = np.arange(slip.start + 1, slip.stop)
+        ends = repaired[[slip.start, slip.stop]]
+        line = np.interp(inside, [slip.start, slip.stop], ends)
+        repaired[inside] = np.where(np.isnan(repaired[inside]), np.nan, line)
+    return repaired
 
 
 def _coarse_step(values: Floats) -> float:
@@ -324,14 +359,6 @@ def _coarse_step(values: Floats) -> float:
     return float(np.median(moves[~constant])) if times >= min_levels else 0.0
 
 
-def _drift_inputs(test: ReducedTest, time: Floats) -> Iterator[Input]:
-    """Yield the modes of the drift of the zero of the force."""
-    by = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
-    for number, wave in enumerate(drift_modes(np.abs(time - _zeroed_at(test)), by), start=1):
-        drifted = partial(_raised, by=wave, compliance=test.compliance)
-        yield Input(DRIFT_OF_ZERO, drifted, stream=f"{DRIFT_OF_ZERO} {number}")
-
-
 def _zeroed_at(test: ReducedTest) -> float:
     """Return when the zero of the force was taken last, s on the clock of the curve.
 
@@ -347,24 +374,10 @@ def _zeroed_at(test: ReducedTest) -> float:
     return first if first - time[0] < time[-1] - last else last
 
 
-def _gain(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
-    return _more_force(trace, x * by * trace.force, compliance)
-
-
-def _raised(trace: Trace, x: float, *, by: float | Floats, compliance: float) -> Trace:
-    return _more_force(trace, x * by, compliance)
-
-
 def _more_force(trace: Trace, more: float | Floats, compliance: float) -> Trace:
     """Add force to a trace, and subtract the displacement of the frame."""
     displacement = trace.displacement - compliance * np.nan_to_num(more)
     return replace(trace, force=trace.force + more, displacement=displacement)
-
-
-def _scaled(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
-    """Scale the measured displacement of a trace, including that of the frame."""
-    measured = trace.displacement + compliance * np.nan_to_num(trace.force)
-    return replace(trace, displacement=trace.displacement + x * by * measured)
 
 
 def displaced(trace: Trace, x: float, *, by: float | Floats) -> Trace:

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -15,25 +15,21 @@ from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, fail, or_failure
 from labpipe.records.quality import Reason
+from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import traced
-from labpipe.results.kinds import Computed, Errors, Kind, Number
+from labpipe.results.kinds import Computed, Errors, Kind
 from labpipe.results.least_squares import (
     finite_samples,
     line_in,
     polynomial_weights,
+    require_samples,
     slope_of_line,
     zero_of_line,
 )
-from labpipe.results.reduced_test import (
-    NO_LOADING,
-    FailurePoint,
-    ReducedTest,
-    blocked_or,
-    sense_of_loading,
-)
+from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
 from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
@@ -74,135 +70,25 @@ _MIN_ZERO_FOOT_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThroughZero:
-    """The force continues below zero: parabolas through force and displacement there.
+class Unloaded:
+    """How an unloading ends, with the samples for its residual displacement chosen.
 
     Parameters
     ----------
-    near : samples of the branch
-    time : shape (near,), s, from about when the force is zero
+    how : the force continues below zero; the string is slack and the displacement at rest; or the
+        foot of the force is followed to zero
     limit : N, up to which a force counts as zero
+    n : samples used for the displacement
+    of : returns the displacement at zero force, m, shape (...), from displacements and forces of
+        the branch, shape (..., n)
+    of_each : the same for rows with noise, each with its own foot; None if it is `of`
     """
 
-    near: Samples
-    time: Floats
+    how: Literal["through zero", "at rest", "followed"]
     limit: float
-
-    @property
-    def n(self) -> int:
-        """Return the number of samples used for the displacement."""
-        return len(self.time)
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the displacement at zero force, m, shape (...), from curves (..., n)."""
-        weights = polynomial_weights(self.time, degree=2).T
-        level, slope, bend = np.moveaxis(force[..., self.near] @ weights, -1, 0)
-        zero = np.zeros_like(level)
-        for _ in range(4):  # Newton steps, from near the root
-            step = ratio(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
-            zero = np.clip(zero - step, self.time[0], self.time[-1])
-        place, speed, curve = np.moveaxis(displacement[..., self.near] @ weights, -1, 0)
-        value: Floats = place + zero * (speed + zero * curve)
-        return value
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AtRest:
-    """The string is slack and the displacement at rest: its mean.
-
-    Parameters
-    ----------
-    rest, n : samples of the branch, and their number
-    limit : N, up to which a force counts as zero
-    """
-
-    rest: Samples
     n: int
-    limit: float
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the mean displacement, m, shape (...), from curves (..., n)."""
-        del force
-        value: Floats = displacement[..., self.rest].mean(axis=-1)
-        return value
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FollowedToZero:
-    """The foot of the force is extrapolated to zero, with the displacement of the last second.
-
-    Parameters
-    ----------
-    samples, foot, near : samples of the branch: all without NaN, and two parts
-    time, foot_time, near_time : shape (samples,), (foot,), (near,), s, from the end of the foot
-    is_line : whether a line through the foot falls to zero; else zero is at its end
-    limit, least : N, up to which a force counts as zero, and that limit without noise
-    """
-
-    samples: Samples
-    foot: Samples
-    near: Samples
-    time: Floats
-    foot_time: Floats
-    near_time: Floats
-    is_line: bool
-    limit: float
-    least: float
-
-    @property
-    def n(self) -> int:
-        """Return the number of samples used for the displacement."""
-        return len(self.near_time)
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the displacement at zero force, m, shape (...); NaN if a line does not fall.
-
-        Parameters
-        ----------
-        displacement, force : shape (..., n), m, N, of the branch
-        """
-        zero = _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
-        d = displacement[..., self.near]
-        ahead = zero - self.near_time.mean()
-        value: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
-        return value
-
-    def of_each(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the displacement at zero force of branches with noise, each with its own foot.
-
-        Parameters
-        ----------
-        displacement, force : shape (rows, n), m, N, of the branch
-
-        Returns
-        -------
-        Shape (rows,), m; NaN if the force does not return to zero.
-        """
-        d, f, time = displacement[:, self.samples], force[:, self.samples], self.time
-        limit = np.full((len(f), 1), self.limit)
-        if self.limit > self.least:
-            limit = np.maximum(limits_by_noise(self.limit, f), self.least)[:, np.newaxis]
-        begin, end = _last_flagged(f > _FOOT_LIMITS * limit), _last_flagged(f > limit)
-        stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
-        numbers = np.arange(stretch.start, stretch.stop)
-        foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
-        middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
-        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
-        zeros = np.where(falls, middle - ratio(level, slope), time[end])
-        part = slice(
-            *np.searchsorted(
-                time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
-            )
-        )
-        t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
-        near = (t >= start) & (t <= zeros[:, np.newaxis])
-        middle, level, slope = line_in(near, t, d[:, part])
-        ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
-        return np.where(ended, level + slope * (zeros - middle), np.nan)
-
-
-Unloaded: TypeAlias = ThroughZero | AtRest | FollowedToZero
-"""How an unloading ends, with the samples for its residual displacement."""
+    of: Callable[[Floats, Floats], Floats]
+    of_each: Callable[[Floats, Floats], Floats] | None = None
 
 
 def unloaded(
@@ -212,7 +98,7 @@ def unloaded(
     *,
     force_below: float,
     like: Unloaded | None = None,
-) -> Unloaded | Failure:
+) -> Unloaded:
     """Choose the samples for the displacement at zero force after unloading.
 
     Parameters
@@ -224,8 +110,12 @@ def unloaded(
 
     Returns
     -------
-    The end and its samples, or a failure: ``force_not_zero`` if the branch ends before the force is
-    zero, ``too_few_samples``.
+    The end and its samples.
+
+    Raises
+    ------
+    UnavailableError
+        ``force_not_zero`` if the branch ends before the force is zero, ``too_few_samples``.
 
     Notes
     -----
@@ -241,90 +131,132 @@ def unloaded(
     # Standard deviations of noise above which a force is not zero.
     noise_deviations = 4.0
     finite = finite_samples(displacement, force)
-    branch = _Branch(finite, time[finite], displacement[finite], force[finite])
-    f = branch.force
-    if len(f) < 2 * _MIN_SAMPLES:
-        return Failure("too_few_samples", f"{len(f)} samples, {2 * _MIN_SAMPLES} are needed")
+    t, d, f = (values[finite] for values in (time, displacement, force))
+    require_samples(len(f), 2 * _MIN_SAMPLES, "")
     least = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
-        return Failure("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
+        fail("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
     if above[-1] >= len(f) - 3:
         message = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
-        return Failure("force_not_zero", message)
+        fail("force_not_zero", message)
     goes_on = bool(np.median(f[-_MIN_SAMPLES:]) < -limit)
-    if goes_on if like is None else isinstance(like, ThroughZero):
-        return branch.through_zero(limit)
-    return branch.slack_or_followed(limit, least, like)
+    if goes_on if like is None else like.how == "through zero":
+        return _through_zero(finite, t, f, limit)
+    last, far = int(above[-1]), np.flatnonzero(f > _FOOT_LIMITS * limit)
+    foot = slice(int(far[-1]) if len(far) else 0, last + 1)
+    from_end, zero_time, slope = t - t[last], np.nan, 0.0
+    if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
+        zero_time = float(zero_of_line(from_end[foot], -f[foot]))
+        slope = float(slope_of_line(from_end[foot], f[foot]))
+    falls = not np.isnan(zero_time)
+    zero = float(t[last]) + zero_time if falls else float(t[last])
+    rest = t > zero + 0.2
+    has_stopped = falls and slope * (t[-1] - zero) < -3.0 * limit
+    rests = has_stopped and _is_slack(t[rest], d, f[rest], rest, limit)
+    if rests if like is None else like.how == "at rest" and rest.any():
+        mean = partial(_mean, rest=samples_of(finite[rest]))
+        return Unloaded("at rest", limit, int(rest.sum()), mean)
+    near = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
+    if near.sum() < _MIN_SAMPLES:
+        fail("too_few_samples", f"{int(near.sum())} samples in the 1 s to {zero:.3f} s")
+    of_foot, of_near = ((samples_of(finite[part]), from_end[part]) for part in (foot, near))
+    of = partial(_follow, foot=of_foot if falls else None, near=of_near)
+    each = partial(
+        _follow_each, samples=samples_of(finite), time=from_end, limit=limit, least=least
+    )
+    return Unloaded("followed", limit, int(near.sum()), of, each)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Branch:
-    """An unloading branch without NaN.
+def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Unloaded:
+    """Choose the samples around the zero of a force that continues below it."""
+    middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
+    near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
+    require_samples(int(near.sum()), _MIN_SAMPLES, " near zero force")
+    samples, after = samples_of(finite[near]), time[near] - middle
+    weights = polynomial_weights(after, degree=2).T
 
-    Parameters
-    ----------
-    numbers : shape (n,), samples of the branch
-    time, displacement, force : shape (n,), s, m, N
+    def of(displacement: Floats, force: Floats) -> Floats:
+        level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
+        zero = np.zeros_like(level)
+        for _ in range(4):  # Newton steps, from near the root
+            step = ratio(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
+            zero = np.clip(zero - step, after[0], after[-1])
+        place, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
+        value: Floats = place + zero * (speed + zero * curve)
+        return value
+
+    return Unloaded("through zero", limit, len(after), of)
+
+
+def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
+    """Return whether force and displacement rest within their noise."""
+    if rest.sum() < _MIN_SAMPLES or np.abs(force).max() > 2.0 * limit:
+        return False
+    centred_time, values = time - time.mean(), path[rest]
+    slope = float(slope_of_line(centred_time, values))
+    noise = values - values.mean() - slope * centred_time
+    still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(path))
+    return abs(slope) * float(np.ptp(centred_time)) <= still
+
+
+def _mean(displacement: Floats, force: Floats, *, rest: Samples) -> Floats:
+    del force
+    value: Floats = displacement[..., rest].mean(axis=-1)
+    return value
+
+
+def _follow(
+    displacement: Floats,
+    force: Floats,
+    *,
+    foot: tuple[Samples, Floats] | None,
+    near: tuple[Samples, Floats],
+) -> Floats:
+    """Return the displacement where the line through the foot is zero; NaN if it does not fall.
+
+    Samples come with their times, s, from the end of the foot, where the force is zero without it.
     """
+    zero = np.zeros(()) if foot is None else zero_of_line(foot[1], -force[..., foot[0]])
+    samples, time = near
+    d = displacement[..., samples]
+    value: Floats = d.mean(axis=-1) + slope_of_line(time, d) * (zero - time.mean())
+    return value
 
-    numbers: Ints
-    time: Floats
-    displacement: Floats
-    force: Floats
 
-    def samples(self, chosen: Flags | slice) -> Samples:
-        """Return the numbers of chosen samples in the branch."""
-        return samples_of(self.numbers[chosen])
+def _follow_each(
+    displacement: Floats,
+    force: Floats,
+    *,
+    samples: Samples,
+    time: Floats,
+    limit: float,
+    least: float,
+) -> Floats:
+    """Follow the foot of each row to zero; NaN if its force does not return to zero.
 
-    def through_zero(self, limit: float) -> ThroughZero | Failure:
-        """Choose the samples around the zero of the force."""
-        time = self.time
-        middle = time[min(int((self.force > 0.0).sum()), len(time) - 1)]
-        near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
-        if near.sum() < _MIN_SAMPLES:
-            message = f"{int(near.sum())} samples near zero force, {_MIN_SAMPLES} are needed"
-            return Failure("too_few_samples", message)
-        return ThroughZero(self.samples(near), time[near] - middle, limit)
-
-    def slack_or_followed(
-        self, limit: float, least: float, like: Unloaded | None
-    ) -> Unloaded | Failure:
-        """Choose the samples for a force that stays near zero."""
-        last = int(np.flatnonzero(self.force > limit)[-1])
-        far = np.flatnonzero(self.force > _FOOT_LIMITS * limit)
-        foot = slice(int(far[-1]) if len(far) else 0, last + 1)
-        end = float(self.time[last])
-        from_end = self.time - end
-        zero_time, slope = np.nan, 0.0
-        if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
-            zero_time = float(_zero_time(from_end[foot], self.force[foot]))
-            slope = float(slope_of_line(from_end[foot], self.force[foot]))
-        falls = not np.isnan(zero_time)
-        zero = end + zero_time if falls else end
-        rest = self.time > zero + 0.2
-        has_stopped = falls and slope * (self.time[-1] - zero) < -3.0 * limit
-        rests = has_stopped and self._is_slack(rest, limit)
-        if rests if like is None else isinstance(like, AtRest) and rest.any():
-            return AtRest(self.samples(rest), int(rest.sum()), limit)
-        near = (self.time >= zero - _TIME_BEFORE_ZERO) & (self.time <= zero)
-        if near.sum() < _MIN_SAMPLES:
-            message = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"
-            return Failure("too_few_samples", message)
-        places = samples_of(self.numbers), self.samples(foot), self.samples(near)
-        times = from_end, from_end[foot], from_end[near]
-        return FollowedToZero(*places, *times, falls, limit, least)
-
-    def _is_slack(self, rest: Flags, limit: float) -> bool:
-        """Return whether force and displacement rest within their noise."""
-        if rest.sum() < _MIN_SAMPLES or np.abs(self.force[rest]).max() > 2.0 * limit:
-            return False
-        centred_time, values = self.time[rest] - self.time[rest].mean(), self.displacement[rest]
-        slope = float(slope_of_line(centred_time, values))
-        noise = values - values.mean() - slope * centred_time
-        still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(self.displacement))
-        return abs(slope) * float(np.ptp(centred_time)) <= still
+    `least` is the limit without noise.
+    """
+    d, f = displacement[:, samples], force[:, samples]
+    limits = np.full((len(f), 1), limit)
+    if limit > least:
+        limits = np.maximum(limits_by_noise(limit, f), least)[:, np.newaxis]
+    begin, end = _last_flagged(f > _FOOT_LIMITS * limits), _last_flagged(f > limits)
+    stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
+    numbers = np.arange(stretch.start, stretch.stop)
+    foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
+    middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
+    falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
+    zeros = np.where(falls, middle - ratio(level, slope), time[end])
+    part = slice(
+        *np.searchsorted(time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO])
+    )
+    t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
+    near = (t >= start) & (t <= zeros[:, np.newaxis])
+    middle, level, slope = line_in(near, t, d[:, part])
+    ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
+    return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
 def _last_flagged(flags: Flags) -> Ints:
@@ -332,14 +264,6 @@ def _last_flagged(flags: Flags) -> Ints:
     count: int = flags.shape[1]
     last: Ints = np.where(flags.any(axis=1), count - 1 - np.argmax(flags[:, ::-1], axis=1), -1)
     return last
-
-
-def _zero_time(time: Floats, force: Floats) -> Floats:
-    """Return when a falling line is zero, s, shape (...), or NaN."""
-    return zero_of_line(time, -force)
-
-
-NO_UNLOADING = Failure("partial_cycle", "the cycle has no unloading branch")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -351,69 +275,43 @@ class OfCycle(Kind):
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Range of a cycle that the number depends on, counted in branches: 0.9 is after nine tenths of
     the loading, 1 its end, 2 the end of unloading."""
-    gap: ClassVar[str] = ""
-    """Quantity whose samples next to its largest one must not be missing; empty for none."""
-
-    @property
-    @abstractmethod
-    def method(self) -> str:
-        """Return how the number is computed, in words."""
 
     @abstractmethod
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
-        """Choose the samples for the number of a cycle, or return why there are none.
-
-        Parameters
-        ----------
-        test : for facts that do not depend on the curve
-        trace : one curve
-        number : of the cycle, from 1
-        """
-
-    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
-        """Return the function that chooses the samples of a cycle on a curve.
-
-        Parameters
-        ----------
-        test, number : as for `read`
-        """
-        return partial(self.read, test, number=number)
-
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """Return that function for all cycles of a test, which may share expensive data."""
-        return partial(self.decide_cycle, test)
+        """Return the function from the number of a cycle to the choice of its samples.
+
+        Parameters
+        ----------
+        test : for facts that do not depend on the curve, and data that its cycles share
+        """
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number if it is read from more samples than the curve has."""
         del test, branches
         return None
 
-    def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
+    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return further doubts about the number of a cycle."""
-        del test, number
+        del test, branches
         return ()
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute a number per cycle, or one failure without cycles."""
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure a number per cycle."""
         if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), self.method)
+            raise test.unavailable(NO_LOADING)
         decider = self.decider(test)
         return Computed(tuple(self._of_cycle(test, branches, decider) for branches in test.cycles))
 
     def _of_cycle(
         self, test: ReducedTest, branches: list[Branch], decider: Callable[[int], Decide]
-    ) -> Number:
+    ) -> Result:
         number = branches[0].cycle
-        outcome = test.measure_one(decider(number), self.plain(test, branches))
-        doubts = cut_short(test, branches[: self.complete_branches], self.outputs[0].rests_on)
-        doubts += self.doubts(test, number)
-        if self.gap:
-            doubts += gap_at_peak(test, branches, self.gap)
         return self.number(
-            outcome,
-            self.method,
+            test,
+            or_failure(test.measure_one)(decider(number), self.plain(test, branches)),
             during=_time_of_part(branches, self.reads),
-            doubts=doubts,
+            doubts=cut_short(test, branches[: self.complete_branches], self.outputs[0].rests_on)
+            + self.doubts(test, branches),
             part=f".{number}",
         )
 
@@ -423,16 +321,16 @@ def rectangle(estimate: Estimate, other: Estimate) -> Errors:
     return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
-def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[Reason, ...]:
+def gap_at_peak(test: ReducedTest, branches: list[Branch], what: Quantity) -> tuple[Reason, ...]:
     """Return a doubt if samples next to the largest one of a cycle are missing.
 
     Parameters
     ----------
     test, branches : the cycle
-    what : ``force`` or ``displacement`` of the curve
+    what : quantity of the curve
     """
     curve = test.known_curve
-    values = curve.force if what == "force" else curve.displacement
+    values: Floats = getattr(curve, what)
     signed_values = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
     if np.isnan(signed_values).all():
         return ()
@@ -547,31 +445,38 @@ class Energy(OfCycle):
     result: ClassVar = "energy"
     outputs: ClassVar = (
         Output(
-            "energy",
-            "J",
-            "Energy dissipated",
-            (*CURVE, "start"),
-            first=1,
-            is_raised_by_slips=True,
+            "energy", "J", "Energy dissipated", (*CURVE, "start"), first=1, is_raised_by_slips=True
         ),
     )
     complete_branches: ClassVar = 2
+    method: ClassVar = "integral of force, trapezoids"
 
-    @property
-    def method(self) -> str:
-        """Describe the method, which is the same for all cycles."""
-        return "integral of force, trapezoids"
-
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Choose the samples for the integral of the force over a cycle."""
         del test
-        branches = cycle_of(trace, number)
-        if len(branches) < 2:
-            return NO_UNLOADING
-        return work_over(trace, stretch_of_cycle(trace, branches))
+        return lambda number: partial(_work_over_cycle, number=number)
 
 
-def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
+def _work_over_cycle(trace: Trace, number: int) -> Reading:
+    branches = cycle_of(trace, number)
+    unloading_of(branches)
+    return work_over(trace, stretch_of_cycle(trace, branches))
+
+
+def unloading_of(branches: list[Branch]) -> Branch:
+    """Return the unloading branch of a cycle.
+
+    Raises
+    ------
+    UnavailableError
+        ``partial_cycle`` without one.
+    """
+    if len(branches) < 2:
+        fail("partial_cycle", "the cycle has no unloading branch")
+    return branches[1]
+
+
+def work_over(trace: Trace, stretch: slice) -> Reading:
     """Choose the samples for the work over a part of a curve, J: trapezoids.
 
     Parameters
@@ -579,17 +484,16 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
     trace : one curve
     stretch : of its samples
 
-    Returns
-    -------
-    One number, or a failure: ``gap`` if samples are missing, ``too_few_samples``.
+    Raises
+    ------
+    UnavailableError
+        ``gap`` if samples are missing, ``too_few_samples``.
     """
     min_loop_samples = 3
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
-        return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(force) < min_loop_samples:
-        message = f"{len(force)} samples in the cycle, {min_loop_samples} are needed"
-        return Failure("too_few_samples", message)
+        fail("gap", f"{missing} samples of the cycle have no force or no displacement")
+    require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])
@@ -620,30 +524,26 @@ class ResidualDisplacement(OfCycle):
         """Describe the method with the limit of the force."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
-    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Use the limit of zero force, and the kind of end, of the measured curve."""
-        measured = self._ends(traced(test), number)
-        like = None if isinstance(measured, Failure) else measured
-        return partial(self.read, test, number=number, like=like)
 
-    def read(
-        self, test: ReducedTest, trace: Trace, number: int, like: Unloaded | None = None
-    ) -> Reading | Failure:
+        def decide(number: int) -> Decide:
+            like = or_failure(self._ends)(traced(test), number)
+            return partial(
+                self._read, number=number, like=None if isinstance(like, Failure) else like
+            )
+
+        return decide
+
+    def _read(self, trace: Trace, number: int, like: Unloaded | None) -> Reading:
         """Choose the samples for the displacement at zero force after unloading."""
-        del test
-        ending = self._ends(trace, number, like)
-        if isinstance(ending, Failure):
-            return ending
-        part = cycle_of(trace, number)[1]
+        ending, part = self._ends(trace, number, like), cycle_of(trace, number)[1]
         branch = slice(part.start, part.stop)
-        in_noise = on_part(ending.of_each, branch) if isinstance(ending, FollowedToZero) else None
+        in_noise = on_part(ending.of_each, branch) if ending.of_each else None
         return Reading(on_part(ending.of, branch), ending.n, in_noise)
 
-    def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded | Failure:
-        branches = cycle_of(trace, number)
-        if len(branches) < 2:
-            return NO_UNLOADING
-        parts = on_branch(trace, branches[1])
+    def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded:
+        parts = on_branch(trace, unloading_of(cycle_of(trace, number)))
         return unloaded(*parts, force_below=self.force_below, like=like)
 
 
@@ -682,7 +582,7 @@ def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
 
 def _largest(
     test: ReducedTest, trace: Trace, quantity: Quantity, number: int, steps: float = 1.0
-) -> Reading | Failure:
+) -> Reading:
     """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
@@ -696,7 +596,7 @@ def _largest(
     sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
     seen = sense * values[stretch]
     if np.isnan(seen).all():
-        return Failure("no_sample", "every sample of the stretch is blank")
+        fail("no_sample", "every sample of the stretch is blank")
     travel = sense_of(trace, trace.displacement) * trace.displacement[stretch]
     reach = _reach_beyond_top(seen, travel) / steps
 
@@ -729,16 +629,15 @@ class PeakForce(OfCycle):
     )
     complete_branches: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
-    gap: ClassVar = "force"
+    method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
-    @property
-    def method(self) -> str:
-        """Describe the method of all cycles."""
-        return "largest force of the cycle after the filter, in the sense of loading"
-
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Choose the largest sample of the force."""
-        return peak_of(test, trace, number)
+        return lambda number: partial(peak_of, test, number=number)
+
+    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+        """Return a doubt about missing samples at the peak."""
+        return gap_at_peak(test, branches, "force")
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the largest of all samples of a force on another clock than the curve."""
@@ -753,7 +652,7 @@ class PeakForce(OfCycle):
         return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
 
 
-def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading:
     """Choose the sample of the largest force of a cycle, N.
 
     Parameters
@@ -784,16 +683,15 @@ class PeakDisplacement(OfCycle):
     )
     complete_branches: ClassVar = 1
     reads: ClassVar = (0.9, 1.1)
-    gap: ClassVar = "displacement"
+    method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    @property
-    def method(self) -> str:
-        """Describe the method of all cycles."""
-        return "largest displacement of the cycle, in the sense of loading"
-
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Choose the largest sample of the displacement."""
-        return _largest(test, trace, "displacement", number)
+        return lambda number: partial(_largest, test, quantity="displacement", number=number)
+
+    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+        """Return a doubt about missing samples at the peak."""
+        return gap_at_peak(test, branches, "displacement")
 
 
 KINDS = (PeakForce, PeakDisplacement, Energy, ResidualDisplacement)

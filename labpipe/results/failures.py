@@ -15,13 +15,13 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Needs, Output
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.cycles import sense_of, work_over
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import finite_samples
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, blocked_or
+from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
 from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -175,29 +175,30 @@ class FailureResult(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute displacement and force at the last sample before the final loss of force."""
-        failure = _failure(test)
-        methods = (
+    def methods(self, test: ReducedTest) -> tuple[str, str]:
+        """Of a slow loss, the last sample with a share of the peak."""
+        failure = test.failure
+        if isinstance(failure, FailurePoint) and failure.slow_below is not None:
+            share = f"{failure.slow_below:.0%} of the peak, which is lost slowly"
+            return f"last sample with {share}", f"force at the last sample with {share}"
+        return (
             "first sample of the final loss of force; the interval reaches to the next one",
             "force at the first sample of the final loss",
         )
-        if isinstance(failure, FailurePoint) and failure.slow_below is not None:
-            share = f"{failure.slow_below:.0%} of the peak, which is lost slowly"
-            methods = f"last sample with {share}", f"force at the last sample with {share}"
-        if isinstance(failure, Failure):
-            return self.not_available(failure, *methods)
-        outcome = test.measure(partial(_at_failure, test))
-        if isinstance(outcome, Failure):
-            return self.not_available(outcome, *methods)
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure displacement and force at the last sample before the final loss of force."""
+        failure = _failure(test)
+        place, force = test.measure(partial(_at_failure, test))
         doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
-        at_end = (during[1], during[1])
-        place = self.number(outcome[0], methods[0], during=at_end, doubts=doubts)
-        force = self.number(outcome[1], methods[1], output=1, during=during, doubts=doubts)
-        return Computed((place, force))
+        at_end, (of_place, of_force) = (during[1], during[1]), self.methods(test)
+        return Computed((
+            self.number(test, place, method=of_place, during=at_end, doubts=doubts),
+            self.number(test, force, method=of_force, output=1, during=during, doubts=doubts),
+        ))  # fmt: skip
 
 
-def _at_failure(test: ReducedTest, trace: Trace) -> Reading | Failure:
+def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
     """Choose the samples for displacement and force at the failure, up to a step after its sample.
 
     If that sample has already lost force, the specimen failed in the step before it: the force was
@@ -205,7 +206,7 @@ def _at_failure(test: ReducedTest, trace: Trace) -> Reading | Failure:
     """
     sample = trace.failed_at
     if sample is None:
-        return blocked_or(test, NO_LOADING)
+        raise test.unavailable(NO_LOADING)
     if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
         singles = _single_samples(test, trace, sample)
         return _at_slow_loss(test.failure.slow_below, trace, singles)
@@ -293,8 +294,12 @@ def _next_step(trace: Trace, sample: int) -> tuple[float, float]:
     return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
 
 
-def _failure(test: ReducedTest) -> FailurePoint | Failure:
-    return test.failure or blocked_or(test, NO_LOADING)
+def _failure(test: ReducedTest) -> FailurePoint:
+    if isinstance(test.failure, Failure):
+        raise UnavailableError(test.failure)
+    if test.failure is None:
+        raise test.unavailable(NO_LOADING)
+    return test.failure
 
 
 def _until_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
@@ -330,27 +335,22 @@ class EnergyToBreak(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
-    def compute(self, test: ReducedTest) -> Computed:
+    method: ClassVar = "integral of force up to the failure, trapezoids"
+
+    def measure(self, test: ReducedTest) -> Computed:
         """Integrate the force up to the failure."""
-        method = "integral of force up to the failure, trapezoids"
         failure = _failure(test)
-        if isinstance(failure, Failure):
-            return self.not_available(failure, method)
         outcome = test.measure_one(partial(_work, test))
-        if isinstance(outcome, Failure):
-            return self.not_available(outcome, method)
         doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
-        return Computed((self.number(outcome, method, during=during, doubts=doubts),))
+        return Computed((self.number(test, outcome, during=during, doubts=doubts),))
 
 
-def _work(test: ReducedTest, trace: Trace) -> Reading | Failure:
+def _work(test: ReducedTest, trace: Trace) -> Reading:
     """Choose the samples for the work up to the failure."""
     sample = trace.failed_at
     if sample is None:
-        return blocked_or(test, NO_LOADING)
+        raise test.unavailable(NO_LOADING)
     work = work_over(trace, slice(loading_before(trace, sample).start, sample + 1))
-    if isinstance(work, Failure):
-        return work
     step, _ = _next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:

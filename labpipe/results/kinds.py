@@ -1,7 +1,7 @@
 """A kind of result: one record of its settings, its outputs, its needs, and its computation.
 
 A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
-class variables are its name, outputs and needs, and `compute` returns the numbers of a test.
+class variables are its name, outputs and needs, and `measure` returns the numbers of a test.
 Grammar, cross-checks, JSON Schema, descriptions and the reference page derive from the list
 `labpipe.results.KINDS`.
 """
@@ -10,19 +10,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from labpipe.records.causes import FIT, contribution
+from labpipe.records.causes import FIT, SCALE_OF_FORCE, contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure, add_errors
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_errors
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
-from labpipe.results.reduced_test import ReducedTest, Stiffness, blocked_or
+from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.uncertainty.intervals import Measured
 
 Outcome: TypeAlias = Measured | Estimate | Failure
@@ -31,46 +31,18 @@ Errors: TypeAlias = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
-    """A number of a test before its status.
-
-    Parameters
-    ----------
-    output : its declaration
-    outcome : the value with the standard error of its fit, or why it is not available
-    method : in words
-    errors : further standard errors
-    during : s, on the clock of the curve, the interval that it was read from; None for all
-    doubts : further reasons to doubt it
-    part : of the name, such as ``.1``
-    made_of : name of the result that it depends on; empty for none
-    remark : on the number of this test
-    """
-
-    output: Output
-    outcome: Outcome
-    method: str
-    errors: Errors = field(default_factory=dict)
-    during: Stretch | None = None
-    doubts: tuple[Reason, ...] = ()
-    part: str = ""
-    made_of: str = ""
-    remark: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class Computed:
     """Results of one entry of a protocol.
 
     Parameters
     ----------
-    numbers : in the order of the summary
+    results : in the order of the summary
     stiffnesses : by name, for later entries
     lines : straight lines of the stiffnesses
     findings : notes on the test
     """
 
-    numbers: tuple[Number, ...]
+    results: tuple[Result, ...]
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     lines: tuple[FittedLine, ...] = ()
     findings: tuple[Finding, ...] = ()
@@ -84,54 +56,110 @@ class Kind(ABC):
     outputs: ClassVar[tuple[Output, ...]]
     needs: ClassVar[Needs] = Needs(branches=True)
 
+    @property
+    def method(self) -> str:
+        """How the outputs are made, in words."""
+        return ""
+
+    def methods(self, test: ReducedTest) -> tuple[str, ...]:
+        """Return the method of each output."""
+        del test
+        return (self.method,) * len(self.outputs)
+
     @abstractmethod
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the numbers of a test.
+
+        Parameters
+        ----------
+        test : the test, with the stiffnesses of earlier entries
+
+        Raises
+        ------
+        UnavailableError
+            If the test has none of the outputs.
+        """
+
     def compute(self, test: ReducedTest) -> Computed:
-        """Compute the numbers of a test.
+        """Measure the numbers of a test, or return all outputs as not available.
 
         Parameters
         ----------
         test : the test, with the stiffnesses of earlier entries
         """
+        try:
+            return self.measure(test)
+        except UnavailableError as error:
+            return Computed(
+                tuple(
+                    self.number(
+                        test,
+                        error.failure,
+                        output=place,
+                        method=method,
+                        part="" if output.first is None else f".{output.first}",
+                    )
+                    for place, (output, method) in enumerate(
+                        zip(self.outputs, self.methods(test), strict=True)
+                    )
+                )
+            )
 
     def number(
         self,
+        test: ReducedTest,
         outcome: Outcome,
-        method: str,
         errors: Errors | None = None,
         *,
         output: int = 0,
+        method: str = "",
         during: Stretch | None = None,
         doubts: tuple[Reason, ...] = (),
         part: str = "",
         remark: str = "",
-    ) -> Number:
-        """Return the number of an output, with the settings in its name.
+    ) -> Result:
+        """Give a number its name, interval and status, and the reasons for it.
 
         Parameters
         ----------
-        outcome, method, errors, during, doubts, part, remark : as for `Number`
-        output : place in `outputs`
+        test : with its doubts
+        outcome : the value with the standard error of its fit, or why it is not available; one
+            without an interval gets the normal one
+        errors : further standard errors
+        output : place in `outputs`; settings are filled into its name
+        method : by default `Kind.method`
+        during : s, on the clock of the curve, the interval that it was read from; None for all
+        doubts : further reasons to doubt it
+        part : of the name, such as ``.1``
+        remark : on the number of this test
         """
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        named = replace(self.outputs[output], name=self.outputs[output].name.format_map(values))
-        made_of = getattr(self, "of", "")
-        return Number(named, outcome, method, errors or {}, during, doubts, part, made_of, remark)
-
-    def not_available(self, why: Failure, *methods: str) -> Computed:
-        """Return all outputs as not available, for the same reason.
-
-        Parameters
-        ----------
-        why : code and sentence
-        methods : of the outputs; one for all, or one for each
-        """
-        all_methods = methods if len(methods) > 1 else methods * len(self.outputs)
-        parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
-        return Computed(
-            tuple(
-                self.number(why, method, output=place, part=part)
-                for place, (method, part) in enumerate(zip(all_methods, parts, strict=True))
-            )
+        settings = {field.name: getattr(self, field.name) for field in fields(self)}
+        declared, method = self.outputs[output], method or self.method
+        name, made_of = declared.name.format_map(settings) + part, getattr(self, "of", "")
+        outcome, budget = _completed(outcome, errors or {})
+        if isinstance(outcome, Failure):
+            seen = test.doubts_of((*declared.rests_on, *_BOTH_SIGNS), during)
+            why = [doubt for doubt in seen if doubt.code in _CURVE_ERRORS]
+            both = [*why, outcome] if outcome.code in _TOO_SHORT else [outcome, *why]
+            reasons, failed = tuple(dict.fromkeys(both)), Status.FAILED
+            return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
+        rests = (*declared.rests_on, *_SIGNS_OF_UNIT.get(declared.unit, ()))
+        known = outcome.doubts if isinstance(outcome, Measured) else ()
+        own = [reason for quantity, reason in known if quantity in ("", *declared.rests_on)]
+        reasons = tuple(dict.fromkeys([*test.doubts_of(rests, during), *doubts, *own]))
+        return Result(
+            name,
+            value=outcome.value,
+            unit=declared.unit,
+            interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
+            status=Status.DOUBTFUL if reasons else Status.OK,
+            reasons=reasons,
+            method=method,
+            n=outcome.n,
+            made_of=made_of,
+            remark="; ".join(filter(None, (remark, _added_back(test, declared)))),
+            estimate=outcome.estimate if isinstance(outcome, Measured) else None,
+            budget=budget,
         )
 
 
@@ -139,7 +167,7 @@ def force_scale(test: ReducedTest, outcome: Outcome) -> Errors:
     """Return the error from the scale of the force, of a number in proportion to it."""
     if isinstance(outcome, Failure):
         return {}
-    return {"scale of the force": test.raw_force.relative_error * abs(outcome.value)}
+    return {SCALE_OF_FORCE: test.raw_force.relative_error * abs(outcome.value)}
 
 
 _BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
@@ -156,71 +184,25 @@ _TOO_SHORT = frozenset({"not_reached", "no_travel"})
 """Failures that such a doubt explains, so that it comes first."""
 
 
-def to_result(test: ReducedTest, number: Number) -> Result:
-    """Give a number its interval, its status and the reasons for it.
-
-    Parameters
-    ----------
-    test : with its doubts
-    number : one without an interval gets the normal one
-    """
-    output, outcome = number.output, number.outcome
-    name, number_doubts = output.name + number.part, tuple[Reason, ...]()
-    budget: tuple[Contribution, ...] = ()
+def _completed(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contribution, ...]]:
+    """Widen an estimate by further errors; return it with its budget, or why it is no number."""
+    budget = outcome.budget if isinstance(outcome, Measured) else ()
     if isinstance(outcome, Estimate):
-        budget = _budget(outcome, number.errors)
-        outcome = add_errors(outcome, *number.errors.values())
-    if isinstance(outcome, Measured):
-        rests = ("", *output.rests_on)
-        number_doubts = tuple(reason for quantity, reason in outcome.doubts if quantity in rests)
-        budget = outcome.budget
+        fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
+        changes = {FIT: fit, **errors}
+        if np.isfinite(list(changes.values())).all():
+            budget = tuple(contribution(*change) for change in changes.items() if change[1])
+        outcome = add_errors(outcome, *errors.values())
     if not isinstance(outcome, Failure) and not np.isfinite([outcome.value, outcome.error]).all():
         message = f"value {outcome.value}, standard error {outcome.error}"
-        outcome = Failure("not_finite", message)
-    signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNS_OF_UNIT.get(output.unit, ())
-    doubts = [
-        why for sign in (*output.rests_on, *signs) for why in test.why_doubtful(sign, number.during)
-    ]
-    if isinstance(outcome, Failure):
-        why = [doubt for doubt in doubts if doubt.code in _CURVE_ERRORS]
-        what = [Reason(outcome.code, outcome.message)]
-        reasons = tuple(dict.fromkeys(why + what if outcome.code in _TOO_SHORT else what + why))
-        return Result(
-            name,
-            value=None,
-            unit=output.unit,
-            status=Status.FAILED,
-            reasons=reasons,
-            method=number.method,
-            made_of=number.made_of,
-        )
-    reasons = tuple(dict.fromkeys([*doubts, *number.doubts, *number_doubts]))
+        return Failure("not_finite", message), ()
+    return outcome, budget
+
+
+def _added_back(test: ReducedTest, output: Output) -> str:
     drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     is_raised = drops and output.is_raised_by_slips
-    added_back = f"{sum(drops):.3g} N of slips added back" if is_raised else ""
-    return Result(
-        name=name,
-        value=outcome.value,
-        unit=output.unit,
-        interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
-        status=Status.DOUBTFUL if reasons else Status.OK,
-        reasons=reasons,
-        method=number.method,
-        n=outcome.n,
-        made_of=number.made_of,
-        remark="; ".join(filter(None, (number.remark, added_back))),
-        estimate=outcome.estimate if isinstance(outcome, Measured) else None,
-        budget=budget,
-    )
-
-
-def _budget(outcome: Estimate, errors: Errors) -> tuple[Contribution, ...]:
-    """Return the contributions to an interval: the error of the fit, and further errors."""
-    fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
-    changes = {FIT: fit, **errors}
-    if not np.isfinite(list(changes.values())).all():
-        return ()
-    return tuple(contribution(cause, change) for cause, change in changes.items() if change)
+    return f"{sum(drops):.3g} N of slips added back" if is_raised else ""
 
 
 def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
@@ -250,19 +232,24 @@ class ClockResult(Kind):
         Output("clock_drift", "1", "Drift of the clocks", ("clock",), can_be_negative=True),
     )
     needs: ClassVar = Needs(clocks=True)
+    method: ClassVar = "how the clocks of force and motion were joined"
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Computed:
         """Return offset and drift of force time against marker time."""
         fit = test.clocks.force
         if fit is None:
-            why = blocked_or(test, Failure("one_clock", "there is only one clock"))
-            return self.not_available(why, "how the clocks of force and motion were joined")
+            raise test.unavailable(Failure("one_clock", "there is only one clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
         if np.isnan(fit.drift_interval.lower):
             drift = Failure("one_event", "one turning point gives an offset but no drift")
-        return Computed((self.number(offset, fit.method), self.number(drift, fit.method, output=1)))
+        return Computed(
+            tuple(
+                self.number(test, outcome, output=place, method=fit.method)
+                for place, outcome in enumerate((offset, drift))
+            )
+        )
 
 
 KINDS: tuple[type[Kind], ...] = (ClockResult,)

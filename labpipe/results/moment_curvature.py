@@ -20,13 +20,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.bending.bent_frames import (
-    BendingErrors,
-    BendingTest,
-    TipPull,
-    curves_at,
-    held_at_rest,
-)
+from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, curves_at, held_at_rest
 from labpipe.bending.law_table import measure_bending
 from labpipe.errors import in_test_sheet
 from labpipe.records.arrays import Flags, Floats, Ints

@@ -11,23 +11,17 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.causes import TANGENT
 from labpipe.records.curve import Branch, FittedLine
-from labpipe.records.declarations import (
-    CURVE,
-    Length,
-    Output,
-    Share,
-    StiffnessName,
-)
-from labpipe.records.estimates import Failure
+from labpipe.records.declarations import CURVE, Length, Output, Share, StiffnessName
+from labpipe.records.estimates import Failure, UnavailableError, fail, or_failure
 from labpipe.records.quality import Finding, Reason, info_note
 from labpipe.records.result import Result
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import cut_short
-from labpipe.results.kinds import Computed, Kind, Number, marked_slips, to_result
-from labpipe.results.least_squares import CommonPath, finite_samples
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness, blocked_or
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
-from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.results.kinds import Computed, Kind, marked_slips
+from labpipe.results.least_squares import CommonPath, finite_samples, require_samples
+from labpipe.results.reduced_test import NO_LOADING, Choose, ReducedTest, Stiffness, measured
+from labpipe.uncertainty.extractors import Reading, Trace
+from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.replicates import Input, Replicates
 
 _TANGENTS_PER_LENGTH = 8
@@ -60,7 +54,7 @@ class Tangents:
     last: Ints
 
     @classmethod
-    def of(cls, displacement: Floats, force: Floats, *, length: float) -> Tangents | Failure:
+    def of(cls, displacement: Floats, force: Floats, *, length: float) -> Tangents:
         """Choose the samples of the tangents of a curve.
 
         Parameters
@@ -71,9 +65,13 @@ class Tangents:
 
         Returns
         -------
-        Tangents up to the first place without one, or a failure of the one at the end:
-        ``not_reached`` (the curve is shorter than two of them), ``too_few_samples`` (8),
-        ``no_travel``.
+        Tangents up to the first place without one.
+
+        Raises
+        ------
+        UnavailableError
+            Without one at the end: ``not_reached`` (the curve is shorter than two of them),
+            ``too_few_samples`` (8), ``no_travel``.
 
         Notes
         -----
@@ -86,11 +84,10 @@ class Tangents:
         if not len(d) or np.ptp(d) < 2.0 * length:
             reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
             message = f"the branch is {reached:.4g} mm long, twice {1e3 * length:.4g} mm is needed"
-            return Failure("not_reached", message)
+            fail("not_reached", message)
         low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
         stretches = _Stretches.of(d, np.arange(high, low, -length / _TANGENTS_PER_LENGTH), length)
-        if stretches.failure is not None:
-            return stretches.failure
+        stretches.require_first()
         usable = slice(int(np.argmin([*stretches.is_enough, False])))
         levels, slopes = (stretches.spread(weight)[usable] for weight in stretches.weights())
         path = CommonPath.of(displacement, force, samples)
@@ -293,18 +290,12 @@ class _Stretches:
             (count >= _MIN_TANGENT_SAMPLES) & is_wide,
         )
 
-    @property
-    def failure(self) -> Failure | None:
-        """Return why the first of them have no parabola, or None."""
-        if self.is_enough[0]:
-            return None
+    def require_first(self) -> None:
+        """Require a parabola through the first of them."""
         count = int(self.products[0, 0, 0])
-        if count < _MIN_TANGENT_SAMPLES:
-            return Failure(
-                "too_few_samples",
-                f"{count} samples in the stretch, {_MIN_TANGENT_SAMPLES} are needed",
-            )
-        return Failure("no_travel", "the displacement jumps over the stretch")
+        require_samples(count, _MIN_TANGENT_SAMPLES)
+        if not self.is_enough[0]:
+            fail("no_travel", "the displacement jumps over the stretch")
 
     def spread(self, weights: Floats) -> Floats:
         """Expand weights (p, m) of the samples of each stretch to all samples (p, k)."""
@@ -335,11 +326,6 @@ class _Corner:
     size: Floats
     share: Floats
     base: Floats
-
-    @classmethod
-    def none(cls) -> _Corner:
-        """Return no corner."""
-        return cls(np.zeros(2), np.zeros(2), np.zeros(2))
 
     @classmethod
     def of(cls, seen: Floats, base: Floats, noise: Floats) -> _Corner:
@@ -383,49 +369,48 @@ class Plateau(Kind):
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Compute the slope at the end of the first loading, and the onset of a plateau."""
+        """Measure the plateau; without the slope at the end nothing is said of an onset."""
+        computed = super(Plateau, self).compute(test)
+        is_available = computed.results[0].value is not None
+        return computed if is_available else replace(computed, results=computed.results[:1])
+
+    @property
+    def method(self) -> str:
+        """Of the slope at the end."""
+        return f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the slope at the end of the first loading, and the onset of a plateau."""
         initial = test.stiffnesses.get(self.of)
-        method = f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
         if initial is None:
-            missing = Failure("no_stiffness", f"{self.of} is not available")
-            return Computed((self.number(blocked_or(test, missing), method),))
+            raise test.unavailable(Failure("no_stiffness", f"{self.of} is not available"))
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
-        begun = self._begun(traced(test), initial.decide)
-        if isinstance(outcome, Failure):
-            return Computed((self.number(outcome, method),))
-        if isinstance(begun, Failure):
-            return Computed((self.number(begun, method),))
+        tangents, _ = self._begun(traced(test), initial.decide)
         first = test.cycles[0][:1]
         doubts = (
             marked_slips(test, initial.bends_with)
             or cut_short(test, first, CURVE)
             or _missing_end(test, first[0])
         )
-        number = self.number(outcome, method, during=test.while_loading(), doubts=doubts)
-        onset, findings = self._onset(test, initial, to_result(test, number))
-        tangents, (_, f) = begun[0], _loading(traced(test))
+        number = self.number(test, outcome, during=test.while_loading(), doubts=doubts)
+        onset, findings = self._onset(test, initial, number)
+        _, f = _loading(traced(test))
         start, stop = tangents.ends
         slope, level = float(tangents.slope_at_end(f)), tangents.level_at(start, f)
         line = FittedLine("slope_at_end", slope, level, start, stop)
         return Computed((number, *onset), lines=(line,), findings=findings)
 
-    def _begun(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading] | Failure:
+    def _begun(self, trace: Trace, initial: Choose) -> tuple[Tangents, Reading]:
         """Return the tangents of the first loading, and the slope at its start."""
         slope = initial(trace)
-        if isinstance(slope, Failure):
-            return slope
         value = float(slope.numbers(trace)[0])
         if value <= 0.0:
-            return Failure("no_stiffness", f"the slope at the start is {value:.4g} N/m")
-        tangents = Tangents.of(*_loading(trace), length=self.over)
-        return tangents if isinstance(tangents, Failure) else (tangents, slope)
+            fail("no_stiffness", f"the slope at the start is {value:.4g} N/m")
+        return Tangents.of(*_loading(trace), length=self.over), slope
 
-    def _decide_end(self, trace: Trace, *, initial: Decide) -> Reading | Failure:
+    def _decide_end(self, trace: Trace, *, initial: Choose) -> Reading:
         """Choose the samples for the slope at the end over that at the start."""
-        begun = self._begun(trace, initial)
-        if isinstance(begun, Failure):
-            return begun
-        tangents, slope = begun
+        tangents, slope = self._begun(trace, initial)
         steeper = self._one_step_on(trace, tangents)
 
         def numbers(trace: Trace) -> tuple[Floats]:
@@ -440,21 +425,19 @@ class Plateau(Kind):
         From the step before: the machine turned somewhere between two samples.
         """
         d, f = _loading(trace)
-        before = Tangents.of(d[:-1], f[:-1], length=self.over)
+        before = or_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
         if isinstance(before, Failure):
             return 0.0
         return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
 
     def _decide_onset(
-        self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
-    ) -> Reading | Failure:
+        self, trace: Trace, *, initial: Choose, corner: _Corner | None = None
+    ) -> Reading:
         """Choose the samples for the onset of the plateau and its force.
 
         With the error from the length of the tangents.
         """
         begun = self._begun(trace, initial)
-        if isinstance(begun, Failure):
-            return begun
         tangents, slope = begun
 
         def plain(trace: Trace) -> tuple[Floats, Floats]:
@@ -462,7 +445,7 @@ class Plateau(Kind):
             return tangents.onset(f, begin, d, slope_below=self.slope_below)
 
         if np.isnan(plain(trace)[1]):
-            return Failure("no_plateau", "never steeper, or too few samples around the onset")
+            fail("no_plateau", "never steeper, or too few samples around the onset")
         if corner is None:
             return Reading(plain, len(tangents.last))
 
@@ -490,17 +473,13 @@ class Plateau(Kind):
         moved = smearing_factor * smeared
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
-    def _corner(self, replicates: Replicates, initial: Decide) -> _Corner:
+    def _corner(self, replicates: Replicates, initial: Choose) -> _Corner:
         """Return that error for the measured curve, less noise.
 
         The smooth curve may have no corners of this size.
         """
-        begun, smooth = (
-            self._begun(curve, initial) for curve in (replicates.measured, replicates.smooth)
-        )
-        if isinstance(begun, Failure):
-            return _Corner.none()
-        seen = self._corners(replicates.measured, begun)
+        seen = self._corners(replicates.measured, self._begun(replicates.measured, initial))
+        smooth = or_failure(self._begun)(replicates.smooth, initial)
         if isinstance(smooth, Failure):
             return _Corner(seen, np.zeros(2), np.zeros(2))
         base = self._corners(replicates.smooth, smooth)
@@ -509,10 +488,10 @@ class Plateau(Kind):
 
     def _onset(
         self, test: ReducedTest, initial: Stiffness, end: Result
-    ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
+    ) -> tuple[tuple[Result, ...], tuple[Finding, ...]]:
         """Return the onset of the plateau, or a note if there is none, which is not a failure."""
         surely = end.interval is not None and end.interval.upper < self.slope_below
-        outcomes = self._measured_onset(test, initial) if surely else None
+        outcomes = or_failure(self._measured_onset)(test, initial) if surely else None
         if outcomes is None or isinstance(outcomes, Failure):
             return (), (self._no_plateau(test, end),)
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
@@ -520,23 +499,20 @@ class Plateau(Kind):
         doubts = marked_slips(test, initial.bends_with) or _missing_end(test, test.cycles[0][0])
         during, method = test.while_loading(), f"{method} loading"
         return tuple(
-            self.number(outcome, method, output=place, during=during, doubts=doubts)
+            self.number(test, outcome, output=place, method=method, during=during, doubts=doubts)
             for place, outcome in enumerate(outcomes, start=1)
         ), ()
 
-    def _measured_onset(
-        self, test: ReducedTest, initial: Stiffness
-    ) -> tuple[Measured, ...] | Failure:
+    def _measured_onset(self, test: ReducedTest, initial: Stiffness) -> tuple[Measured, ...]:
         """Measure the onset, with the length of the tangents as a further input."""
         replicates = test.replicates
         if replicates is None:
-            return NO_LOADING
+            raise UnavailableError(NO_LOADING)
         length = Input(TANGENT, _shortened, law="step")
         more = replace(replicates, inputs=(*replicates.inputs, length))
         decide = partial(self._decide_onset, initial=initial.decide)
-        if isinstance(failed := decide(replicates.measured), Failure):
-            return failed
-        return measure(more, partial(decide, corner=self._corner(replicates, initial.decide)))
+        decide(replicates.measured)
+        return measured(more, partial(decide, corner=self._corner(replicates, initial.decide)))
 
     def _no_plateau(self, test: ReducedTest, end: Result) -> Finding:
         reached = float(np.nanmax(_loading(traced(test))[0]))

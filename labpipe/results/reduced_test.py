@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, median
-from labpipe.records.curve import (
-    Aligned,
-    Bending,
-    Branch,
-    Curve,
-    Direction,
-    Shape,
-    Slip,
-)
-from labpipe.records.estimates import Estimate, Failure
-from labpipe.records.limits import LIMITS, Limits
+from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
+from labpipe.records.declarations import LIMITS, Limits
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
-from labpipe.uncertainty.extractors import Decide
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.replicates import Replicates
 
@@ -47,6 +39,9 @@ class FailurePoint:
     lost_before: float = 0.0
     slow_below: float | None = None
 
+
+Choose: TypeAlias = Callable[[Trace], Reading]
+"""Chooses the samples of numbers on a curve; raises `UnavailableError` if there are none."""
 
 NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
 
@@ -135,7 +130,7 @@ class Stiffness:
     bends_with : m, range in which a slip would affect it; None if slips are ignored
     """
 
-    decide: Decide
+    decide: Choose
     estimate: Estimate
     during: Stretch | None
     window: tuple[float, float]
@@ -217,27 +212,29 @@ class ReducedTest:
 
     def measure(
         self, decide: Decide, values: Sequence[float] | None = None
-    ) -> tuple[Measured, ...] | Failure:
+    ) -> tuple[Measured, ...]:
         """Measure numbers of the curve with their uncertainty.
 
         Parameters
         ----------
-        decide, values : as for `labpipe.uncertainty.intervals.measure`
+        decide, values : as for `labpipe.uncertainty.intervals.measure`; `decide` may raise
 
-        Returns
-        -------
-        The numbers, or a failure, also without a curve.
+        Raises
+        ------
+        UnavailableError
+            If there are no such numbers, or no curve.
         """
         if self.replicates is None:
-            return blocked_or(self, NO_LOADING)
-        return measure(self.replicates, decide, values)
+            raise self.unavailable(NO_LOADING)
+        return measured(self.replicates, decide, values)
 
-    def measure_one(
-        self, decide: Decide, values: Sequence[float] | None = None
-    ) -> Measured | Failure:
-        """Measure the first number of a reading."""
-        outcome = self.measure(decide, values)
-        return outcome if isinstance(outcome, Failure) else outcome[0]
+    def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
+        """Measure the first number of a reading, as `measure`."""
+        return self.measure(decide, values)[0]
+
+    def unavailable(self, reason: Failure) -> UnavailableError:
+        """Return the error for what stopped the test, or else for another reason."""
+        return UnavailableError(self.findings.blocked or reason)
 
     @property
     def cycles(self) -> list[list[Branch]]:
@@ -298,6 +295,10 @@ class ReducedTest:
                 reasons.setdefault(doubt.reason.code, doubt.reason)
         return tuple(reasons.values())
 
+    def doubts_of(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
+        """Return the doubts about a number from a time interval of several quantities."""
+        return [why for quantity in quantities for why in self.why_doubtful(quantity, during)]
+
     def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:
             return True
@@ -313,10 +314,14 @@ class ReducedTest:
         return any(start <= end and begin <= stop for begin, end in stretches)
 
 
-def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
-    """Return the failure that stopped the test, or else another one."""
-    blocked = test.findings.blocked
-    return otherwise if blocked is None else Failure(blocked.code, blocked.message)
+def measured(
+    replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
+) -> tuple[Measured, ...]:
+    """Measure numbers of replicates, as `ReducedTest.measure`."""
+    outcome = measure(replicates, or_failure(decide), values)
+    if isinstance(outcome, Failure):
+        raise UnavailableError(outcome)
+    return outcome
 
 
 def sense_of_loading(values: Floats) -> float:

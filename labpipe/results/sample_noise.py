@@ -70,9 +70,7 @@ class SampleNoise:
         ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
         low, high = np.searchsorted(signal.time, ends).tolist()
         values = signal.values[low:high]
-        time = test.clocks.times_on_curve(
-            replace(signal, time=signal.time[low:high], values=values, moved={})
-        )
+        time = test.clocks.to_curve(signal.time[low:high], signal.clock)
         smooth = _interpolated(trace, getattr(trace, quantity), time, part)
         is_valid = ~np.isnan(values - smooth)
         if is_valid.sum() < min_samples:

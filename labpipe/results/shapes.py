@@ -15,11 +15,12 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, fail, or_failure
 from labpipe.records.quality import Reason, info_note
 from labpipe.results.cycles import rectangle
 from labpipe.results.kinds import Computed, Errors, Kind, force_scale
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend, blocked_or
+from labpipe.results.least_squares import require_samples
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
 from labpipe.uncertainty.autocorrelation import long_run_variance
@@ -28,9 +29,7 @@ from labpipe.uncertainty.replicates import N_REPLICATES, random_stream, smooth_c
 from labpipe.units import GRAVITY
 
 
-def secant_stiffness(
-    time: Floats, displacement: Floats, force: Floats, chosen: Flags
-) -> Estimate | Failure:
+def secant_stiffness(time: Floats, displacement: Floats, force: Floats, chosen: Flags) -> Estimate:
     """Return the slope of force against displacement over chosen samples.
 
     Parameters
@@ -40,7 +39,12 @@ def secant_stiffness(
 
     Returns
     -------
-    N/m, or a failure ``too_few_samples`` or ``no_travel``.
+    N/m.
+
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples`` or ``no_travel``.
 
     Notes
     -----
@@ -51,13 +55,12 @@ def secant_stiffness(
     """
     chosen = chosen & ~np.isnan(displacement) & ~np.isnan(force)
     count = int(chosen.sum())
-    if count < 8:
-        return Failure("too_few_samples", f"{count} samples in the stretch, 8 are needed")
+    require_samples(count, 8)
     t, d, f = time[chosen], displacement[chosen], force[chosen]
     weight = t - t.mean()
     travel = float(weight @ (d - d.mean()))
     if travel == 0.0:
-        return Failure("no_travel", "the displacement does not change over the stretch")
+        fail("no_travel", "the displacement does not change over the stretch")
     slope = float(weight @ (f - f.mean())) / travel
     scaled = weight / np.abs(weight).max()
     residuals = f - slope * d
@@ -82,19 +85,22 @@ class TipTravel(Kind):
     outputs: ClassVar = (Output("tip_travel", "m", "Travel of the tip", ("displacement",)),)
     needs: ClassVar = Needs(shape="fit-shape")
 
-    def compute(self, test: ReducedTest) -> Computed:
+    method: ClassVar = (
+        "largest distance of the last point of the shape from its mean over five frames"
+    )
+
+    def measure(self, test: ReducedTest) -> Computed:
         """Measure the largest distance of the last point of the shape from its start."""
-        method = "largest distance of the last point of the shape from its mean over five frames"
-        return Computed((self.number(_tip_travel(test), method),))
+        return Computed((self.number(test, _tip_travel(test)),))
 
 
-def _tip_travel(test: ReducedTest) -> Estimate | Failure:
+def _tip_travel(test: ReducedTest) -> Estimate:
     if test.shape is None:
-        return Failure("no_shape", "the protocol fits no shape")
+        fail("no_shape", "the protocol fits no shape")
     tip = test.shape.positions[:, -1]
     is_finite = np.isfinite(tip).all(axis=1)
     if is_finite.sum() < 16:
-        return Failure("too_few_samples", f"the tip is seen in {int(is_finite.sum())} frames")
+        fail("too_few_samples", f"the tip is seen in {int(is_finite.sum())} frames")
     begin = tip[is_finite][:5].mean(axis=0)
     distances = np.linalg.norm(tip[is_finite] - begin, axis=1)
     error = np.sqrt(2.0) * noise_level(distances)
@@ -114,52 +120,47 @@ class MomentCurvature(Kind):
     ] = "secant"
     name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute the secant or tangent stiffness of the measured law at a curvature."""
-        method = (
-            f"{self.kind} at {self.at:g} 1/m of the monotone law that the shapes of the first "
-            "loading obey together"
-        )
+    @property
+    def method(self) -> str:
+        """With the curvature."""
+        law = "the monotone law that the shapes of the first loading obey together"
+        return f"{self.kind} at {self.at:g} 1/m of {law}"
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the secant or tangent stiffness of the law at a curvature."""
         bending = test.bending
         if bending is None or isinstance(bending, Failure):
             why = bending or Failure("no_cycle", "there is no loading with a shape and a force")
-            return self.not_available(blocked_or(test, why), method)
+            raise test.unavailable(why)
         law = bending.law
         if law is None:
-            why = bending.reason or Failure("no_law", "no law was found")
-            return self.not_available(why, method)
-        outcome = _stiffness(law, self)
+            raise UnavailableError(bending.reason or Failure("no_law", "no law was found"))
+        outcome = or_failure(_stiffness)(law, self)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
-        number = self.number(
-            outcome,
-            method,
-            {SCALE_OF_FORCE: scale},
-            during=test.while_loading(),
-            doubts=_misfit(test, law)
-            or _bent_before(bending, law, self) + _no_weight(test, law, self),
+        doubts = _misfit(test, law) or _bent_before(bending, law, self) + _no_weight(
+            test, law, self
         )
-        return Computed((number,))
+        during = test.while_loading()
+        return Computed(
+            (self.number(test, outcome, {SCALE_OF_FORCE: scale}, during=during, doubts=doubts),)
+        )
 
 
-def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate | Failure:
+def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
     largest = float(law.curvature[-1])
     if entry.at > largest:
         message = (
             f"the first loading bends the wire to {largest:.3g} 1/m, {entry.at:g} 1/m is needed"
         )
-        return Failure("not_reached", message)
+        fail("not_reached", message)
     if entry.at <= law.floor:
         message = (
             f"curvatures up to {law.floor:.3g} 1/m are not distinct from their noise, "
             f"{entry.at:g} 1/m is needed"
         )
-        return Failure("below_noise", message)
+        fail("below_noise", message)
     points = law_points(
-        law.knots,
-        law.compliance,
-        law.compliance_covariance,
-        np.array([entry.at]),
-        scale_error=0.0,
+        law.knots, law.compliance, law.compliance_covariance, np.array([entry.at]), scale_error=0.0
     )
     value, error = (
         (points.secant, points.secant_error)
@@ -216,13 +217,13 @@ def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
 _Parts: TypeAlias = tuple[SpanBend, Curve, Branch, Floats]
 
 
-def _span_parts(test: ReducedTest) -> _Parts | Failure:
+def _span_parts(test: ReducedTest) -> _Parts:
     """Return axis, curve, first loading, and times of the frames on the clock of the curve."""
     bend, curve, branch = test.span, test.curve, test.first_loading
     if isinstance(bend, Failure):
-        return bend
+        raise UnavailableError(bend)
     if bend is None or curve is None or branch is None:
-        return blocked_or(test, NO_LOADING)
+        raise test.unavailable(NO_LOADING)
     fit = test.clocks.others.get(test.signals.raw[_SPAN].clock)
     return bend, curve, branch, bend.time if fit is None else fit.to_marker_time(bend.time)
 
@@ -244,43 +245,49 @@ class MidSpan(Window):
         "large-deflection: the supports push along the specimen as well",
     ] = ()
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute the slope of moment against curvature at mid-span, and the largest curvature."""
+    def methods(self, test: ReducedTest) -> tuple[str, str]:
+        """With the range, and the moment of large deflections."""
+        del test
         large = "large-deflection" in self.corrections
         moment = "P L / 4 + P tan(slope at the supports) x deflection / 2" if large else "P L / 4"
-        methods = (
+        return (
             f"slope of the moment {moment} against the curvature at mid-span {self.in_words} of "
             "the first loading, time as instrument",
             "curvature at mid-span where the motion turns, against rest",
         )
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
         parts = _span_parts(test)
-        if isinstance(parts, Failure):
-            return self.not_available(parts, *methods)
         bend, frames = parts[0], _Frames.of(test, parts)
         outcomes, other = (
-            (self._stiffness(parts, curvature), _at_turn(curvature, frames, "mid-span curvature"))
+            (
+                or_failure(self._stiffness)(parts, curvature),
+                or_failure(_at_turn)(curvature, frames, "mid-span curvature"),
+            )
             for curvature in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
         )
         errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
             errors[0] = {**errors[0], **force_scale(test, outcomes[0])}
+        during, methods = test.while_loading(), self.methods(test)
         return Computed(
             tuple(
-                self.number(outcome, method, error, output=place, during=test.while_loading())
-                for place, (outcome, method, error) in enumerate(
-                    zip(outcomes, methods, errors, strict=True)
+                self.number(
+                    test, outcome, error, output=place, method=methods[place], during=during
                 )
+                for place, (outcome, error) in enumerate(zip(outcomes, errors, strict=True))
             )
         )
 
-    def _stiffness(self, parts: _Parts, curvature: Floats) -> Estimate | Failure:
+    def _stiffness(self, parts: _Parts, curvature: Floats) -> Estimate:
         bend, curve, branch, time = parts
         inside = (time >= branch.start_time) & (time < branch.stop_time)
         travelled = np.interp(time, curve.time, curve.displacement)
         if not (travelled[inside] > self.stop).any():
             reached = 1e3 * float(np.max(travelled[inside], initial=0.0))
             required = f"{1e3 * self.stop:.4g} mm is needed"
-            return Failure("not_reached", f"the first loading reaches {reached:.4g} mm, {required}")
+            fail("not_reached", f"the first loading reaches {reached:.4g} mm, {required}")
         inside &= (travelled >= self.start) & (travelled <= self.stop)
         bent = bend.shape.bent
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
@@ -350,9 +357,7 @@ class _Frames:
         return np.concatenate(records).astype(np.float64)
 
 
-def _at_turn(
-    values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()
-) -> Estimate | Failure:
+def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()) -> Estimate:
     """Estimate a quantity at the end of loading, less that at rest.
 
     Its noise is estimated together with that of similar ones.
@@ -360,12 +365,10 @@ def _at_turn(
     still = frames.rest & np.isfinite(values)
     if still.sum() < 8:
         n_frames = int(still.sum())
-        return Failure("no_rest", f"{n_frames} frames before the loading show it, 8 are needed")
+        fail("no_rest", f"{n_frames} frames before the loading show it, 8 are needed")
     branch = frames.loading
     window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
     weights = _turn_weights(frames.time - branch.stop_time, values, window)
-    if isinstance(weights, Failure):
-        return weights
     count = int((weights != 0.0).sum())
     weights = weights - still / still.sum()
     value = float(weights @ np.nan_to_num(values))
@@ -374,12 +377,12 @@ def _at_turn(
     return Estimate(value, float(off.std()), count, Interval(value - high, value - low))
 
 
-def _turn_weights(time: Floats, values: Floats, window: float) -> Floats | Failure:
+def _turn_weights(time: Floats, values: Floats, window: float) -> Floats:
     """Return the weights of frames in the value of two parabolas that meet at time zero."""
     near = np.isfinite(values) & (np.abs(time) <= window)
     t = time[near]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
-        return Failure("too_few_samples", f"{len(t)} frames within {window:.3g} s of the turn")
+        fail("too_few_samples", f"{len(t)} frames within {window:.3g} s of the turn")
     ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
     design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
     weights = np.zeros(len(time))
@@ -395,37 +398,33 @@ class Twist(Kind):
     outputs: ClassVar = (Output("twist", "rad", "Twist", ("displacement", "clock")),)
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute the twist of the section nearest to mid-span at the turn of the motion."""
-        method = (
-            "size of the turn of the markers of the section nearest to mid-span about the axis, "
-            "where the motion turns"
-        )
+    method: ClassVar = (
+        "size of the turn of the markers of the section nearest to mid-span about the axis, where "
+        "the motion turns"
+    )
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the turn of a section where the motion turns, against rest."""
         parts = _span_parts(test)
-        if isinstance(parts, Failure):
-            return self.not_available(parts, method)
-        bend = parts[0]
-        shape = bend.shape
+        bend, shape = parts[0], parts[0].shape
         able = np.flatnonzero(shape.lever > 0.0)
         if not len(able):
-            message = (
+            fail(
+                "too_few_markers",
                 "twist needs two markers at different places around the axis in one section, none "
-                f"of the {len(shape.lever)} sections has them"
+                f"of the {len(shape.lever)} sections has them",
             )
-            return self.not_available(Failure("too_few_markers", message), method)
         x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
         section = int(able[np.argmin(np.abs(x[able]))])
         text = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
         frames = _Frames.of(test, parts)
         others = [shape.twist[:, other] for other in able if other != section]
         alike = [other for other in others if np.isfinite(other).any()]
-        turned = _at_turn(shape.twist[:, section], frames, "twist", alike)
+        turned = or_failure(_at_turn)(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
-            # its sign only depends on which end of the conduit is called the first
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
-        number = self.number(turned, method, during=test.while_loading())
-        note = info_note("twist_section", "markers", text)
-        return Computed((number,), findings=(note,))
+        number = self.number(test, turned, during=test.while_loading())
+        return Computed((number,), findings=(info_note("twist_section", "markers", text),))
 
 
 KINDS = (TipTravel, MomentCurvature, MidSpan, Twist)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -23,27 +24,30 @@ from labpipe.records.declarations import (
     Snake,
     StiffnessName,
 )
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, UnavailableError, fail, or_failure
 from labpipe.records.quality import Reason
+from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import (
-    NO_UNLOADING,
     OfCycle,
     cut_short,
     cycle_of,
     on_branch,
     peak_of,
     sense_of,
+    unloading_of,
 )
 from labpipe.results.kinds import Computed, Kind, Outcome, marked_slips
 from labpipe.results.least_squares import (
     finite_samples,
     line_in,
     polynomial_weights,
+    require_samples,
+    require_travel,
     slope_of_line,
     zero_of_line,
 )
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness, blocked_or
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness
 from labpipe.signal.filters import moving_average
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine, on_part
@@ -123,7 +127,7 @@ class TakeUp:
 
 def take_up(
     displacement: Floats, force: Floats, *, limit: float | None = None, steps: int = 1
-) -> TakeUp | Failure:
+) -> TakeUp:
     """Choose the samples of a loading branch for the start of its force.
 
     Parameters
@@ -136,9 +140,13 @@ def take_up(
 
     Returns
     -------
-    The samples, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` if the branch
-    begins under a force too large for extrapolation, ``no_force`` if its force is never above its
-    noise.
+    The samples.
+
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples`` (16 are needed), ``not_unloaded`` if the branch begins under a force
+        too large for extrapolation, ``no_force`` if its force is never above its noise.
 
     Notes
     -----
@@ -158,16 +166,12 @@ def take_up(
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
     max_extrapolation = 0.02  # share of the branch
     finite = finite_samples(displacement, force)
-    if len(finite) < 2 * _MIN_FOOT_SAMPLES:
-        return Failure(
-            "too_few_samples", f"{len(finite)} samples, {2 * _MIN_FOOT_SAMPLES} are needed"
-        )
+    require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
     d, f = displacement[finite], force[finite]
     limit = noise_deviations * float(fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
-        message = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"
-        return Failure("no_force", message)
+        fail("no_force", f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N")
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
     beyond = np.flatnonzero(f[first:] > _FOOT_LIMITS * limit)
@@ -176,8 +180,7 @@ def take_up(
     zero = float(zero_of_line(d[first:last], f[first:last]))
     is_line = not np.isnan(zero)
     if not len(within) and not (is_line and zero >= d[0] - max_extrapolation * float(np.ptp(d))):
-        message = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
-        return Failure("not_unloaded", message)
+        fail("not_unloaded", f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N")
     foot = samples_of(finite[first:last])
     return TakeUp(samples_of(finite), top, int(finite[first]), foot, is_line, limit)
 
@@ -276,7 +279,7 @@ class WindowSlope:
 
 def window_slope(
     time: Floats, displacement: Floats, force: Floats, path: Floats, *, low: float, high: float
-) -> WindowSlope | Failure:
+) -> WindowSlope:
     """Choose the samples of a branch for a stiffness.
 
     Parameters
@@ -287,7 +290,12 @@ def window_slope(
 
     Returns
     -------
-    The window, or a failure ``not_reached``, ``too_few_samples`` or ``no_travel``.
+    The window.
+
+    Raises
+    ------
+    UnavailableError
+        ``not_reached``, ``too_few_samples`` or ``no_travel``.
 
     Notes
     -----
@@ -299,38 +307,18 @@ def window_slope(
     travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (travelled > high).any():
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
-        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is needed")
+        fail("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is needed")
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
     samples = samples_of(finite_samples(displacement, force))
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
-    if fit.n < _MIN_WINDOW_SAMPLES:
-        message = f"{fit.n} samples in the stretch, {_MIN_WINDOW_SAMPLES} are needed"
-        return Failure("too_few_samples", message)
-    if np.ptp(displacement[fit.window]) == 0.0:
-        return Failure("no_travel", "the displacement does not change over the stretch")
+    require_samples(fit.n, _MIN_WINDOW_SAMPLES)
+    require_travel(displacement[fit.window])
     return fit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Turn:
-    """Value of a signal at the start of a branch, from a parabola.
-
-    Parameters
-    ----------
-    samples : of the signal
-    weights : shape (samples,), of the samples in the value
-    """
-
-    samples: Samples
-    weights: Floats
-
-    def of(self, values: Floats) -> Floats:
-        """Return the value at the turn, shape (...), of a signal of shape (..., n)."""
-        value: Floats = np.vecdot(values[..., self.samples], self.weights)
-        return value
-
-
-def turn_at(time: Floats, values: Floats, *, turn_time: float, first: int, stop: int) -> Turn:
+def turn_at(
+    time: Floats, values: Floats, *, turn_time: float, first: int, stop: int
+) -> Callable[[Floats], Floats]:
     """Choose the samples for the value at the turn at the start of a branch.
 
     Parameters
@@ -341,15 +329,17 @@ def turn_at(time: Floats, values: Floats, *, turn_time: float, first: int, stop:
 
     Returns
     -------
-    A parabola through the first tenth of the branch after the turn, at most 50 samples; the first
+    A function of values of shape (..., n) that returns those at the turn, shape (...): of the
+    parabola through the first tenth of the branch after the turn, at most 50 samples; the first
     sample of the branch if that has fewer than 8.
     """
     start = max(first, int(np.searchsorted(time, turn_time)))
     begin = np.arange(start, start + min(50, (stop - start) // 10))
     begin = begin[~np.isnan(values[begin])]
     if len(begin) < _MIN_WINDOW_SAMPLES:
-        return Turn(samples_of(np.array([first])), np.ones(1))
-    return Turn(samples_of(begin), polynomial_weights(time[begin] - turn_time, degree=2)[0])
+        return lambda values: np.asarray(values[..., first])
+    samples, weights = samples_of(begin), polynomial_weights(time[begin] - turn_time, degree=2)[0]
+    return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -416,7 +406,7 @@ def loading_slope(
     length: float,
     like: LoadingSlope | None = None,
     steps: int = 1,
-) -> LoadingSlope | Failure:
+) -> LoadingSlope:
     """Choose the samples for the stiffness of a loading branch.
 
     Parameters
@@ -428,7 +418,12 @@ def loading_slope(
 
     Returns
     -------
-    The samples, or a failure of `take_up` or `window_slope`.
+    The samples.
+
+    Raises
+    ------
+    UnavailableError
+        As `take_up` or `window_slope`.
 
     Notes
     -----
@@ -439,8 +434,6 @@ def loading_slope(
     """
     limit = None if like is None else like.take_up.limit
     begin = take_up(displacement, force, limit=limit, steps=steps)
-    if isinstance(begin, Failure):
-        return begin
     start, first = float(begin.of(displacement, force)), begin.sample
     if like is not None and begin.is_line:
         zero_time = float(zero_of_line(time[begin.foot], force[begin.foot]))
@@ -450,8 +443,6 @@ def loading_slope(
     taut = slice(first, None)
     path = displacement[taut]
     slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + length)
-    if isinstance(slope, Failure):
-        return slope
     return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
 
 
@@ -463,39 +454,9 @@ def _start_of_motion(time: Floats, displacement: Floats, start: float, length: f
     return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UnloadingSlope:
-    """Stiffness over a length after a turn.
-
-    Parameters
-    ----------
-    turn : of the curve
-    branch : samples of the curve
-    slope : of the branch
-    sense : 1 if loading increases the displacement, else -1
-    ahead : m, from the displacement at the turn to that in the middle of the window
-    """
-
-    turn: Turn
-    branch: slice
-    slope: WindowSlope
-    sense: float
-    ahead: float
-
-    def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the stiffness, N/m, shape (...), of a curve of shape (..., n), m, N, or NaN.
-
-        The window has the same distance from the turn of each row.
-        """
-        d, f = displacement[..., self.branch], force[..., self.branch]
-        middle = d[..., self.slope.window].mean(axis=-1)
-        later = self.sense * (middle - self.turn.of(displacement) - self.ahead)
-        return self.slope.of(d, f, later)
-
-
 def unloading_slope(
     time: Floats, displacement: Floats, force: Floats, part: Branch, *, length: float, sense: float
-) -> UnloadingSlope | Failure:
+) -> tuple[Callable[[Floats, Floats], Floats], int]:
     """Choose the samples for the stiffness after a turn.
 
     Parameters
@@ -507,26 +468,34 @@ def unloading_slope(
 
     Returns
     -------
-    The samples, or a failure as for `window_slope`.
+    A function of curves of shape (..., n), m, N, that returns the stiffness, N/m, shape (...), or
+    NaN; the window has the same distance from the turn of each row. And the number of samples.
+
+    Raises
+    ------
+    UnavailableError
+        As `window_slope`.
     """
-    turn = turn_at(time, displacement, turn_time=part.start_time, first=part.start, stop=part.stop)
-    start, branch = float(turn.of(displacement)), slice(part.start, part.stop)
-    off = sense * (start - displacement[branch])
-    slope = window_slope(
-        time[branch], displacement[branch], force[branch], off, low=0.1 * length, high=length
+    at_turn = turn_at(
+        time, displacement, turn_time=part.start_time, first=part.start, stop=part.stop
     )
-    if isinstance(slope, Failure):
-        return slope
-    ahead = float(displacement[branch][slope.window].mean()) - start
-    return UnloadingSlope(turn, branch, slope, sense, ahead)
+    start, branch = float(at_turn(displacement)), slice(part.start, part.stop)
+    d, f = displacement[branch], force[branch]
+    slope = window_slope(time[branch], d, f, sense * (start - d), low=0.1 * length, high=length)
+    ahead = float(d[slope.window].mean()) - start
+
+    def stiffness(displacement: Floats, force: Floats) -> Floats:
+        d, f = displacement[..., branch], force[..., branch]
+        later = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - ahead)
+        return slope.of(d, f, later)
+
+    return stiffness, slope.n
 
 
 MIN_LINE_SAMPLES = 5
 
 
-def compliance_window(
-    displacement: Floats, force: Floats, *, start: float, stop: float
-) -> Samples | Failure:
+def compliance_window(displacement: Floats, force: Floats, *, start: float, stop: float) -> Samples:
     """Find the samples over which the force first rises from one value to another.
 
     Parameters
@@ -535,26 +504,22 @@ def compliance_window(
         are ignored
     start, stop : N, force window; below it grips and joints settle
 
-    Returns
-    -------
-    The samples, or a failure: ``too_few_samples``, ``no_travel`` if the force is constant,
-    ``not_reached`` if it does not reach `stop`.
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples``, ``no_travel`` if the force is constant, ``not_reached`` if it does not
+        reach `stop`.
     """
     finite = finite_samples(displacement, force)
     f = force[finite]
     if len(f) == 0 or float(f.max()) < stop:
         max_force = float(f.max()) if len(f) else 0.0
-        return Failure(
-            "not_reached", f"the force reaches {max_force:.4g} N, the window ends at {stop:.4g} N"
-        )
+        fail("not_reached", f"the force reaches {max_force:.4g} N, the window ends at {stop:.4g} N")
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
     inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
-    if len(inside) < MIN_LINE_SAMPLES:
-        message = f"{len(inside)} samples in the stretch, {MIN_LINE_SAMPLES} are needed"
-        return Failure("too_few_samples", message)
-    if np.ptp(force[inside]) == 0.0:
-        return Failure("no_travel", "the force does not change over the stretch")
+    require_samples(len(inside), MIN_LINE_SAMPLES)
+    require_travel(force[inside], "force")
     return samples_of(inside)
 
 
@@ -576,19 +541,16 @@ class UnloadingStiffness(OfCycle):
             f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
         )
 
-    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """Choose the samples at the start of the unloading branch, without its first tenth."""
         del test
-        branches, d = cycle_of(trace, number), trace.displacement
-        if len(branches) < 2:
-            return NO_UNLOADING
+        return lambda number: partial(self._read, number=number)
+
+    def _read(self, trace: Trace, number: int) -> Reading:
+        part, d = unloading_of(cycle_of(trace, number)), trace.displacement
         sense = sense_of(trace, d)
-        fit = unloading_slope(
-            trace.time, d, trace.force, branches[1], length=self.over, sense=sense
-        )
-        if isinstance(fit, Failure):
-            return fit
-        return Reading(on_part(fit.of, slice(None)), fit.slope.n)
+        slope, n = unloading_slope(trace.time, d, trace.force, part, length=self.over, sense=sense)
+        return Reading(on_part(slope, slice(None)), n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -605,21 +567,18 @@ class LoadingStiffness(OfCycle):
         """Describe the method with its range."""
         return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
 
-    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
-        """Use the limit of zero force of the measured curve."""
-        return partial(self.read, test, number=number, like=self._measured(test, number))
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
+        """Choose the samples behind the take-up, by the zero force of the measured curve."""
+        return lambda number: partial(self._read, number=number, like=self._measured(test, number))
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number of the measured curve, taut from the first sample above noise."""
         fit = self._measured(test, branches[0].cycle)
-        if fit is None:
-            return None
-        _, d, f = on_branch(traced(test), branches[0])
-        return [float(fit.of(d, f))]
+        return None if fit is None else [float(fit.of(*on_branch(traced(test), branches[0])[1:]))]
 
-    def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
+    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about samples at rest in the window, more than 10 %."""
-        fit = self._measured(test, number)
+        fit = self._measured(test, branches[0].cycle)
         if fit is None or fit.share_at_rest <= 0.1:
             return ()
         message = (
@@ -630,19 +589,14 @@ class LoadingStiffness(OfCycle):
 
     def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
         curve = traced(test)
-        fit = loading_slope(*on_branch(curve, cycle_of(curve, number)[0]), length=self.over)
+        parts = on_branch(curve, cycle_of(curve, number)[0])
+        fit = or_failure(loading_slope)(*parts, length=self.over)
         return None if isinstance(fit, Failure) else fit
 
-    def read(
-        self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
-    ) -> Reading | Failure:
-        """Choose the samples of the range after the take-up."""
-        del test
+    def _read(self, trace: Trace, number: int, like: LoadingSlope | None) -> Reading:
         part = cycle_of(trace, number)[0]
         parts, steps = on_branch(trace, part), trace.steps
         fit = loading_slope(*parts, length=self.over, like=like, steps=steps)
-        if isinstance(fit, Failure):
-            return fit
         branch = slice(part.start, part.stop)
         numbers, in_noise = on_part(fit.of, branch), on_part(fit.of_each, branch)
         return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
@@ -656,29 +610,33 @@ class Hardening(Kind):
     outputs: ClassVar = (Output("hardening", "1", "Hardening", CURVE, first=2),)
     over: Length
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute the ratio to the first cycle; the scale cancels."""
-        method = (
-            f"slope over {1e3 * self.over:g} mm from the take-up / that of cycle 1, scale cancelled"
-        )
+    @property
+    def method(self) -> str:
+        """With its range."""
+        over = f"{1e3 * self.over:g} mm"
+        return f"slope over {over} from the take-up / that of cycle 1, scale cancelled"
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the ratio of each later cycle to the first one; the scale cancels."""
         if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), method)
-        stiffness, numbers = LoadingStiffness(over=self.over), []
-        before = stiffness.decide_cycle(test, 1)
-        first = test.measure_one(before)
-        for later in test.cycles[1:]:
-            number = later[0].cycle
-            after = stiffness.decide_cycle(test, number)
-            plain = [stiffness.plain(test, cycle) for cycle in (later, test.cycles[0])]
-            values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
-            outcome = test.measure_one(combine(_hardened, after, partial(_first, before)), values)
+            raise test.unavailable(NO_LOADING)
+        first, *others = test.cycles
+        stiffness = LoadingStiffness(over=self.over)
+        before = stiffness.decider(test)(1)
+        base = or_failure(test.measure_one)(before)
+        plain, doubts = stiffness.plain(test, first), stiffness.doubts(test, first)
+        numbers = []
+        for later in others:
+            decide = combine(_hardened, stiffness.decider(test)(later[0].cycle), _first_of(before))
+            own = stiffness.plain(test, later)
+            values = [own[0] / plain[0]] if own and plain else None
             numbers.append(
                 self.number(
-                    _above_noise(first, outcome),
-                    method,
-                    doubts=(*stiffness.doubts(test, 1), *stiffness.doubts(test, number)),
-                    during=(test.cycles[0][0].start_time, later[0].stop_time),
-                    part=f".{number}",
+                    test,
+                    or_failure(_above_noise)(test, decide, values, base),
+                    doubts=doubts + stiffness.doubts(test, later),
+                    during=(first[0].start_time, later[0].stop_time),
+                    part=f".{later[0].cycle}",
                 )
             )
         return Computed(tuple(numbers))
@@ -689,23 +647,27 @@ def _hardened(trace: Trace, after: Floats, before: Floats) -> Floats:
     return ratio(after, before)
 
 
-def _first(before: Decide, trace: Trace) -> Reading | Failure:
-    """Choose the samples for the stiffness of the first cycle, or name it as missing."""
-    reading = before(trace)
-    if isinstance(reading, Failure):
-        message = f"that of cycle 1 is not available: {reading.message}"
-        return Failure("no_stiffness", message)
-    return reading
+def _first_of(before: Decide) -> Decide:
+    """Name the stiffness of the first cycle as missing if it is not available."""
+
+    def decide(trace: Trace) -> Reading:
+        reading = or_failure(before)(trace)
+        if isinstance(reading, Failure):
+            fail("no_stiffness", f"that of cycle 1 is not available: {reading.message}")
+        return reading
+
+    return decide
 
 
-def _above_noise(first: Measured | Failure, outcome: Measured | Failure) -> Measured | Failure:
-    """Return a ratio if the stiffness of the first cycle is above noise."""
-    if isinstance(outcome, Failure):
-        return outcome
-    if isinstance(first, Failure):
-        return first
-    if first.value <= 3.0 * first.error:
-        return Failure("no_stiffness", f"{first.value:.4g} N/m in cycle 1 is no more than noise")
+def _above_noise(
+    test: ReducedTest, decide: Decide, values: list[float] | None, base: Measured | Failure
+) -> Measured:
+    """Measure a ratio to a stiffness that is above its noise."""
+    outcome = test.measure_one(decide, values)
+    if isinstance(base, Failure):
+        raise UnavailableError(base)
+    if base.value <= 3.0 * base.error:
+        fail("no_stiffness", f"{base.value:.4g} N/m in cycle 1 is no more than noise")
     return outcome
 
 
@@ -721,51 +683,49 @@ class Window(Kind):
         """Return the range in millimetres."""
         return f"from {1e3 * self.start:g} mm to {1e3 * self.stop:g} mm"
 
-    def inside(self, displacement: Floats) -> slice | Failure:
+    def inside(self, displacement: Floats) -> slice:
         """Return the samples from the first one at `start` to the last one before `stop`.
 
         Parameters
         ----------
         displacement : shape (n,), m, of a loading branch
 
-        Returns
-        -------
-        The samples, or a failure ``not_reached``.
+        Raises
+        ------
+        UnavailableError
+            ``not_reached``.
         """
         low, high = self.start, self.stop
         finite = displacement[~np.isnan(displacement)]
         if not len(finite) or finite.max() < high:
             reached = float(finite.max()) if len(finite) else float("nan")
             message = f"the branch reaches {1e3 * reached:.4g} mm, {1e3 * high:.4g} mm is needed"
-            return Failure("not_reached", message)
+            fail("not_reached", message)
         if finite[0] > low + 0.02 * (high - low):
             message = f"the branch begins at {1e3 * finite[0]:.4g} mm, {1e3 * low:.4g} mm is needed"
-            return Failure("not_reached", message)
+            fail("not_reached", message)
         stop = int(np.argmax(displacement > high)) or None
         return slice(int(np.argmax(displacement >= low)), stop)
 
 
 def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
-    """Compute the slope between two displacements of a shape, with time as instrument."""
-    method = (
-        f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
-    )
-    decide = partial(_secant, low=kind.start, high=kind.stop)
+    """Measure the slope between two displacements of a shape, with time as instrument."""
+    method, window = _secant_method(kind), (kind.start, kind.stop)
+    decide, during = partial(_secant, low=kind.start, high=kind.stop), test.while_loading(*window)
     outcome = test.measure_one(decide)
-    if isinstance(outcome, Failure):
-        return kind.not_available(outcome, method)
-    during, window = test.while_loading(kind.start, kind.stop), (kind.start, kind.stop)
-    number = kind.number(outcome, method, during=during)
+    number = kind.number(test, outcome, method=method, during=during)
     return Computed((number,), {name: Stiffness(decide, outcome.as_estimate, during, window)})
 
 
-def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
+def _secant_method(kind: Window) -> str:
+    return f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
+
+
+def _secant(trace: Trace, low: float, high: float) -> Reading:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     part = trace.branches[0]
     branch, (time, path, force) = slice(part.start, part.stop), on_branch(trace, part)
     fit = window_slope(time, path, force, path, low=low, high=high)
-    if isinstance(fit, Failure):
-        return fit
     middle = path[fit.window].mean()
 
     def with_own_window(path: Floats, force: Floats) -> Floats:
@@ -782,8 +742,13 @@ class InitialStiffness(Window):
     result: ClassVar = "initial-stiffness"
     outputs: ClassVar = (Output("initial_stiffness", "N/m", "Initial stiffness"),)
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute the slope between two displacements, with time as instrument."""
+    @property
+    def method(self) -> str:
+        """With its range."""
+        return _secant_method(self)
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the slope between two displacements, with time as instrument."""
         return _secant_from_shape(self, test, "initial_stiffness")
 
 
@@ -795,20 +760,21 @@ class LineStiffness(Window):
     outputs: ClassVar = (Output("{name}", "N/m"),)
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def methods(self, test: ReducedTest) -> tuple[str]:
+        """Of a test with a shape, time is the instrument."""
+        return (self.method if test.shape is None else _secant_method(self),)
+
+    @property
+    def method(self) -> str:
+        """Of a test without a shape."""
+        return f"straight line {self.in_words} of the first loading, interval for correlated noise"
+
+    def measure(self, test: ReducedTest) -> Computed:
         """Fit a least-squares line, with an interval for correlated noise."""
         if test.shape is not None:
             return _secant_from_shape(self, test, self.name)
-        method = (
-            f"straight line {self.in_words} of the first loading, interval for correlated noise"
-        )
-        slope = test.measure_one(self.decide)
-        if isinstance(slope, Failure):
-            return self.not_available(slope, method)
-        curve = traced(test)
+        slope, curve = test.measure_one(self.decide), traced(test)
         window = self.samples(curve)
-        if isinstance(window, Failure):
-            return self.not_available(window, method)
         d = curve.displacement[window]
         low, high = float(d.min()), float(d.max())
         level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
@@ -816,14 +782,14 @@ class LineStiffness(Window):
         if slope.value <= 0.0:
             falls = Reason("negative_slope", "the force falls where the frame pulls")
             doubts = (falls, *doubts)
-        number = self.number(slope, method, during=during, doubts=doubts)
+        number = self.number(test, slope, during=during, doubts=doubts)
         made_of = Stiffness(
             self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
         )
         drawn = FittedLine(self.name, slope.value, level, low, high)
         return Computed((number,), {self.name: made_of}, (drawn,))
 
-    def samples(self, trace: Trace) -> Ints | Failure:
+    def samples(self, trace: Trace) -> Ints:
         """Return the samples in the window of the first loading, up to the failure.
 
         Parameters
@@ -832,13 +798,11 @@ class LineStiffness(Window):
         """
         stretch = loading_of(trace)
         window = self.inside(trace.displacement[stretch])
-        if isinstance(window, Failure):
-            return window
         part = np.arange(stretch.start, stretch.stop)[window]
         is_finite = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
         return part[is_finite]
 
-    def decide(self, trace: Trace) -> Reading | Failure:
+    def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of the line over the window.
 
         Parameters
@@ -846,13 +810,8 @@ class LineStiffness(Window):
         trace : one curve
         """
         chosen = self.samples(trace)
-        if isinstance(chosen, Failure):
-            return chosen
-        if len(chosen) < MIN_LINE_SAMPLES:
-            message = f"{len(chosen)} samples in the stretch, {MIN_LINE_SAMPLES} are needed"
-            return Failure("too_few_samples", message)
-        if np.ptp(trace.displacement[chosen]) == 0.0:
-            return Failure("no_travel", "the displacement does not change over the stretch")
+        require_samples(len(chosen), MIN_LINE_SAMPLES)
+        require_travel(trace.displacement[chosen])
         return Reading(on_part(slope_of_line, samples_of(chosen)), len(chosen), is_cut=True)
 
 
@@ -862,9 +821,38 @@ class OfStiffness(Kind):
 
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
-    def missing(self, test: ReducedTest) -> Failure:
-        """Return the failure for a missing stiffness."""
-        return blocked_or(test, Failure("no_stiffness", f"{self.of} is not available"))
+    @abstractmethod
+    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+        """Measure the number of a test from its stiffness."""
+
+    def during(self, test: ReducedTest, stiffness: Stiffness) -> Stretch | None:
+        """Return the time interval that the number depends on."""
+        del test
+        return stiffness.during
+
+    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
+        """Return further doubts about the number."""
+        del test, stiffness
+        return ()
+
+    def remark(self, test: ReducedTest, stiffness: Stiffness) -> str:
+        """Return a remark on the number of this test."""
+        del test, stiffness
+        return ""
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the number from the stiffness."""
+        stiffness = test.stiffnesses.get(self.of)
+        if stiffness is None:
+            raise test.unavailable(Failure("no_stiffness", f"{self.of} is not available"))
+        number = self.number(
+            test,
+            or_failure(self.outcome)(test, stiffness),
+            during=self.during(test, stiffness),
+            doubts=marked_slips(test, stiffness.bends_with) + self.doubts(test, stiffness),
+            remark=self.remark(test, stiffness),
+        )
+        return Computed((number,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -875,38 +863,42 @@ class NormalisedStiffness(OfStiffness):
     outputs: ClassVar = (Output("{of}_per_peak_force", "1/m"),)
     needs: ClassVar = Needs()
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute the ratio, in which a gain error cancels."""
-        method = (
-            f"{self.of} / peak force of the same sample, errors independent, scale error cancelled"
-        )
-        stiffness, cycles = test.stiffnesses.get(self.of), test.cycles
-        if stiffness is None:
-            return self.not_available(self.missing(test), method)
-        window = stiffness.during
-        during = (window[0], max(window[1], cycles[-1][0].stop_time)) if window else None
-        doubts = marked_slips(test, stiffness.bends_with) + cut_short(test, cycles[-1][:1])
-        outcome = _per_peak(test, stiffness)
-        return Computed((self.number(outcome, method, during=during, doubts=doubts),))
+    @property
+    def method(self) -> str:
+        """With the name of the stiffness."""
+        of = "peak force of the same sample, errors independent, scale error cancelled"
+        return f"{self.of} / {of}"
 
+    def during(self, test: ReducedTest, stiffness: Stiffness) -> Stretch | None:
+        """Return the time from the stiffness to the last peak."""
+        window, stop = stiffness.during, test.cycles[-1][0].stop_time
+        return (window[0], max(window[1], stop)) if window else None
 
-def _per_peak(test: ReducedTest, stiffness: Stiffness) -> Outcome:
-    """Measure a stiffness over the largest force of all cycles."""
-    trace = traced(test)
-    peaks = {cycle[0].cycle: peak_of(test, trace, cycle[0].cycle) for cycle in test.cycles}
-    readings = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
-    if not readings:
-        return next(peak for peak in peaks.values() if isinstance(peak, Failure))
-    values = {key: float(reading.numbers(trace)[0]) for key, reading in readings.items()}
-    largest = max(values, key=lambda key: values[key])
-    peak = test.measure_one(lambda trace: peak_of(test, trace, largest))
-    if isinstance(peak, Failure):
-        return peak
-    if peak.value <= 3.0 * peak.error:
-        return Failure("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
-    return test.measure_one(
-        combine(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
-    )
+    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
+        """Return a doubt about a record that ends before the last peak."""
+        del stiffness
+        return cut_short(test, test.cycles[-1][:1])
+
+    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+        """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
+        trace = traced(test)
+        peaks = {
+            cycle[0].cycle: or_failure(peak_of)(test, trace, cycle[0].cycle)
+            for cycle in test.cycles
+        }
+        readings = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
+        if not readings:
+            return next(peak for peak in peaks.values() if isinstance(peak, Failure))
+        values = {key: float(reading.numbers(trace)[0]) for key, reading in readings.items()}
+        largest = max(values, key=lambda key: values[key])
+
+        def peak_force(trace: Trace) -> Reading:
+            return peak_of(test, trace, largest)
+
+        peak = test.measure_one(peak_force)
+        if peak.value <= 3.0 * peak.error:
+            fail("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
+        return test.measure_one(combine(_quotient, stiffness.decide, peak_force))
 
 
 def _quotient(trace: Trace, one: Floats, other: Floats) -> Floats:
@@ -927,40 +919,35 @@ class Modulus(OfStiffness):
     ]
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Compute the modulus with the uncertainties of stiffness, gauge length and area."""
-        method = f"{self.of} x specimen.length / area ({self.area})"
-        stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.sizes)
-        if stiffness is None:
-            return self.not_available(self.missing(test), method)
-        outcome: Outcome
+    @property
+    def method(self) -> str:
+        """With the name of the stiffness, and the area."""
+        return f"{self.of} x specimen.length / area ({self.area})"
+
+    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+        """Measure the modulus with the uncertainties of stiffness, gauge length and area."""
         if "length" not in test.setup.sizes:
-            outcome = Failure("no_length", "specimen.length, the gauge length, is not given")
-        elif isinstance(area, Failure):
-            outcome = area
-        else:
-            outcome = test.measure_one(combine(self._modulus, stiffness.decide))
-        doubts = marked_slips(test, stiffness.bends_with) + _of_the_machine(test, stiffness)
-        return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))
+            fail("no_length", "specimen.length, the gauge length, is not given")
+        _area(self.area, test.setup.sizes)
+        return test.measure_one(combine(self._modulus, stiffness.decide))
 
     def _modulus(self, trace: Trace, stiffness: Floats) -> Floats:
-        area = _area(self.area, trace.sizes)
+        area = or_failure(_area)(self.area, trace.sizes)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
-
-def _of_the_machine(test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
-    """Return a doubt if the displacement may be that of frame and grips."""
-    limits = test.setup.limits
-    share = limits.machine_compliance * stiffness.estimate.value
-    if test.setup.compliance_stated or not share > limits.machine_share:
-        return ()
-    message = (
-        f"curve.compliance is not stated: {1e6 * limits.machine_compliance:g} um/N, as frames and "
-        f"grips often have, would be {share:.0%} of the displacement; measure it with a stiff bar "
-        "(protocol stiff-bar), or state 0 um/N where an extensometer measured"
-    )
-    return (Reason("machine_compliance", message),)
+    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
+        """Return a doubt if the displacement may be that of frame and grips."""
+        limits = test.setup.limits
+        share = limits.machine_compliance * stiffness.estimate.value
+        if test.setup.compliance_stated or not share > limits.machine_share:
+            return ()
+        message = (
+            f"curve.compliance is not stated: {1e6 * limits.machine_compliance:g} um/N, as frames "
+            f"and grips often have, would be {share:.0%} of the displacement; measure it with a "
+            "stiff bar (protocol stiff-bar), or state 0 um/N where an extensometer measured"
+        )
+        return (Reason("machine_compliance", message),)
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
@@ -979,16 +966,16 @@ differ: a modulus has to state which one it refers to.
 """
 
 
-def _area(section_kind: str, given: Mapping[str, float]) -> float | Failure:
+def _area(section_kind: str, given: Mapping[str, float]) -> float:
     """Compute an area from its sizes."""
     needs, area_of = _AREAS[section_kind]
     sizes = [given[name] for name in needs if name in given]
     if len(sizes) < len(needs):
         missing = " and ".join(f"specimen.section.{name}" for name in needs)
-        return Failure("no_area", f"{missing} not given")
+        fail("no_area", f"{missing} not given")
     area = area_of(*sizes)
     if not area > 0.0:
-        return Failure("no_area", f"the {section_kind} area comes out as {area:.4g} m^2")
+        fail("no_area", f"the {section_kind} area comes out as {area:.4g} m^2")
     return area
 
 
@@ -1001,18 +988,18 @@ class ComplianceResult(Kind):
     start: Annotated[Force, Key("from")]
     stop: Annotated[Force, Key("to"), LargerThan("start", "from")]
 
-    def compute(self, test: ReducedTest) -> Computed:
-        """Fit displacement against force, with a rigid bar."""
-        method = (
-            f"displacement against force from {self.start:g} N to {self.stop:g} N, the bar taken "
-            "for rigid"
-        )
-        outcome = test.measure_one(self.decide)
-        if isinstance(outcome, Failure):
-            return self.not_available(outcome, method)
-        return Computed((self.number(outcome, method, during=test.while_loading()),))
+    @property
+    def method(self) -> str:
+        """With its range."""
+        window = f"from {self.start:g} N to {self.stop:g} N"
+        return f"displacement against force {window}, the bar taken for rigid"
 
-    def decide(self, trace: Trace) -> Reading | Failure:
+    def measure(self, test: ReducedTest) -> Computed:
+        """Fit displacement against force, with a rigid bar."""
+        compliance = test.measure_one(self.decide)
+        return Computed((self.number(test, compliance, during=test.while_loading()),))
+
+    def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of displacement against force over the window.
 
         Parameters
@@ -1022,11 +1009,9 @@ class ComplianceResult(Kind):
         stretch = loading_of(trace)
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = compliance_window(d, f, start=self.start, stop=self.stop)
-        if isinstance(window, Failure):
-            return window
         slope = float(slope_of_line(f[window], d[window]))
         if slope <= 0.0:
-            return Failure("not_positive", f"slope {slope:.4g} m/N")
+            fail("not_positive", f"slope {slope:.4g} m/N")
         compliance = on_part(lambda d, f: slope_of_line(f, d), (stretch, window))
         return Reading(compliance, len(d[window]), is_cut=True)
 

@@ -12,11 +12,11 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.declarations import Output
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import fail, or_failure
 from labpipe.records.quality import Reason
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import Computed, marked_slips
-from labpipe.results.least_squares import CommonPath, finite_samples
+from labpipe.results.least_squares import CommonPath, finite_samples, require_samples
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -28,17 +28,13 @@ _Place = TypeVar("_Place", float, Floats)
 _MIN_SEGMENT_SAMPLES = 4
 
 
-def _sort_samples(displacement: Floats, finite: Ints) -> Ints | Failure:
+def _sort_samples(displacement: Floats, finite: Ints) -> Ints:
     """Sort the samples of a stretch of increasing displacement."""
     min_samples = 16
     d = displacement[finite]
-    if len(d) < min_samples:
-        return Failure(
-            "too_few_samples", f"{len(d)} samples in the stretch, {min_samples} are needed"
-        )
+    require_samples(len(d), min_samples)
     if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
-        message = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
-        return Failure("not_increasing", message)
+        fail("not_increasing", f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m")
     return finite[np.argsort(d, kind="stable")]
 
 
@@ -165,7 +161,7 @@ class Hinges:
     moved: float = 0.0
 
     @classmethod
-    def of(cls, displacement: Floats, force: Floats) -> Hinges | Failure:
+    def of(cls, displacement: Floats, force: Floats) -> Hinges:
         """Choose the places between which a curve may bend.
 
         Parameters
@@ -176,12 +172,15 @@ class Hinges:
         Returns
         -------
         Equidistant places, the first and the last with eight samples beyond (an eighth of fewer
-        than 64 samples, at least four), or a failure: ``too_few_samples`` (fewer than 16),
-        ``not_increasing`` if the displacement does not increase over the stretch.
+        than 64 samples, at least four).
+
+        Raises
+        ------
+        UnavailableError
+            ``too_few_samples`` (fewer than 16), ``not_increasing`` if the displacement does not
+            increase over the stretch.
         """
         order = _sort_samples(displacement, finite_samples(displacement, force))
-        if isinstance(order, Failure):
-            return order
         scan = _Scan.of(displacement[order], force[order])
         margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(order) // 8)) - 1
         places = np.linspace(scan.x[margin], scan.x[-1 - margin], 300)
@@ -266,8 +265,8 @@ class Hinges:
         return best
 
 
-def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    """Test whether a curve bends, by its replicates.
+def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> None:
+    """Require that a curve bends, by its replicates.
 
     Parameters
     ----------
@@ -276,11 +275,12 @@ def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
     drawn : of the replicates, shape (R,); NaN for those without a number
     hinges : of the curve itself
 
-    Returns
-    -------
-    ``no_bend`` if the slopes differ by at most four standard errors, or if 2.5 % of the replicates
-    have their break within two places of an end, or the interval of the break has an end there;
-    None if the curve bends.
+    Raises
+    ------
+    UnavailableError
+        ``no_bend`` if the slopes differ by at most four standard errors, or if 2.5 % of the
+        replicates have their break within two places of an end, or the interval of the break has
+        an end there.
 
     Notes
     -----
@@ -295,7 +295,7 @@ def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
     middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
     if not abs(bend) > min_bend_errors * error:
-        return Failure(
+        fail(
             "no_bend",
             f"slopes {first:.6g} and {second:.6g} N/m differ by {abs(bend):.3g} N/m, "
             f"{min_bend_errors} standard errors of {error:.3g} N/m are needed",
@@ -307,61 +307,56 @@ def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
         if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
             start, stop = hinges.ends
             ends = f"{start:.6g} to {stop:.6g} m"
-            return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
-    return None
+            fail("no_bend", f"the break may be at an end of the stretch, {ends}")
 
 
-def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    """Test whether the slope of a curve decreases at a kink, by its replicates.
+def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> None:
+    """Require that the slope of a curve decreases at a kink, by its replicates.
 
     Parameters
     ----------
-    fit, smooth, drawn, hinges : as for `why_no_bend`
+    fit, smooth, drawn, hinges : as for `require_bend`
 
-    Returns
-    -------
-    ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet in
-    the first or the last twentieth of the stretch; None for a kink.
+    Raises
+    ------
+    UnavailableError
+        ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet
+        in the first or the last twentieth of the stretch.
     """
-    straight = why_no_bend(fit, smooth, drawn, hinges)
+    straight = or_failure(require_bend)(fit, smooth, drawn, hinges)
     if straight is not None:
-        return Failure("no_kink", f"{hinges.straight_line}: {straight.message}")
+        fail("no_kink", f"{hinges.straight_line}: {straight.message}")
     first, second, break_point = float(fit.first), float(fit.second), float(fit.break_point)
     if second >= first:
         rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
-        return Failure("no_kink", f"{rises} at {1e3 * break_point:.4g} mm")
+        fail("no_kink", f"{rises} at {1e3 * break_point:.4g} mm")
     start, stop = hinges.ends
     margin = 0.05 * (stop - start)
-    if start + margin <= break_point <= stop - margin:
-        return None
-    return Failure(
-        "kink_at_end",
-        f"the slope falls at {1e3 * break_point:.4g} mm, next to an end of the stretch from "
-        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm",
-    )
+    if not start + margin <= break_point <= stop - margin:
+        stretch = f"the stretch from {1e3 * start:.4g} to {1e3 * stop:.4g} mm"
+        fail(
+            "kink_at_end",
+            f"the slope falls at {1e3 * break_point:.4g} mm, next to an end of {stretch}",
+        )
 
 
-def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Reason | None:
-    """Test whether the interval of a break is short enough.
+def doubts_of_break(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
+    """Return a doubt ``wide_break`` if an interval is longer than a quarter of the stretch.
 
     Parameters
     ----------
     interval : m, of the break
     hinges : of its fit
-
-    Returns
-    -------
-    ``wide_break`` if the interval is longer than a quarter of the stretch, else None.
     """
     start, stop = hinges.ends
     width = interval.upper - interval.lower
     if width <= 0.25 * (stop - start):
-        return None
-    return Reason(
-        "wide_break",
+        return ()
+    message = (
         f"the break lies within {1e3 * width:.3g} mm, more than a quarter of the stretch from "
-        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm",
+        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm"
     )
+    return (Reason("wide_break", message),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -374,8 +369,7 @@ class _TwoLineFit:
     @property
     def doubts_of_break(self) -> tuple[Reason, ...]:
         """Return the doubts about the break."""
-        wide = why_break_is_doubtful(self.numbers[0].interval, self.hinges)
-        return () if wide is None else (wide,)
+        return doubts_of_break(self.numbers[0].interval, self.hinges)
 
     def lines(self, before: str, behind: str) -> tuple[FittedLine, ...]:
         """Return both lines with their names."""
@@ -397,35 +391,29 @@ class _TwoLines(Window):
         return f"two segments that meet, {self.in_words}, all breaks tried"
 
     def fit(
-        self,
-        test: ReducedTest,
-        why_none: Callable[[Segments, Segments, Segments, Hinges], Failure | None],
-    ) -> _TwoLineFit | Failure:
+        self, test: ReducedTest, require: Callable[[Segments, Segments, Segments, Hinges], None]
+    ) -> _TwoLineFit:
         """Fit two lines to the curve of a test.
 
         Parameters
         ----------
         test : the test
-        why_none : tests whether the curve has such a break, as `why_no_bend`
+        require : requires such a break of the curve, as `require_bend`
         """
         numbers = test.measure(self.decide)
-        if isinstance(numbers, Failure):
-            return numbers
-        places = self._places(traced(test))
-        if isinstance(places, Failure):
-            return places
+        _, hinges = self._places(traced(test))
         measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
         if test.replicates is not None:
-            reading = self.decide(test.replicates.smooth)
+            reading = or_failure(self.decide)(test.replicates.smooth)
             if isinstance(reading, Reading):
                 smooth = Segments(*reading.numbers(test.replicates.smooth))
         drawn = Segments(
             *(value + number.off for value, number in zip(smooth, numbers, strict=True))
         )
-        hinges = places[1]
-        return why_none(measured, smooth, drawn, hinges) or _TwoLineFit(numbers, hinges)
+        require(measured, smooth, drawn, hinges)
+        return _TwoLineFit(numbers, hinges)
 
-    def decide(self, trace: Trace) -> Reading | Failure:
+    def decide(self, trace: Trace) -> Reading:
         """Choose the places at which the lines may meet.
 
         Parameters
@@ -436,17 +424,14 @@ class _TwoLines(Window):
         -------
         A reading of the numbers of `Segments`.
         """
-        places = self._places(trace)
-        if isinstance(places, Failure):
-            return places
-        part, hinges = places
+        part, hinges = self._places(trace)
 
         def numbers(trace: Trace) -> Segments:
             return hinges.fitted(trace.force[..., part], trace.displacement[..., part])
 
         return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
 
-    def one_of(self, trace: Trace, *, number: int) -> Reading | Failure:
+    def one_of(self, trace: Trace, *, number: int) -> Reading:
         """Choose the places for one of the numbers.
 
         Parameters
@@ -455,20 +440,15 @@ class _TwoLines(Window):
         number : place in the reading of `decide`
         """
         reading = self.decide(trace)
-        if isinstance(reading, Failure):
-            return reading
         return replace(reading, numbers=lambda trace: (reading.numbers(trace)[number],))
 
-    def _places(self, trace: Trace) -> tuple[slice, Hinges] | Failure:
+    def _places(self, trace: Trace) -> tuple[slice, Hinges]:
         """Return the samples of the range, and the places in it."""
         stretch = loading_of(trace)
         window = self.inside(trace.displacement[stretch])
-        if isinstance(window, Failure):
-            return window
         stop = stretch.stop if window.stop is None else stretch.start + window.stop
         part = slice(stretch.start + window.start, stop)
-        hinges = Hinges.of(trace.displacement[part], trace.force[part])
-        return hinges if isinstance(hinges, Failure) else (part, hinges)
+        return part, Hinges.of(trace.displacement[part], trace.force[part])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -482,11 +462,9 @@ class TwoSegments(_TwoLines):
         Output("break_point", "m", "Break point of the two segments"),
     )
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Computed:
         """Fit the best two segments that meet."""
-        fit = self.fit(test, why_no_bend)
-        if isinstance(fit, Failure):
-            return self.not_available(fit, self.method)
+        fit = self.fit(test, require_bend)
         place, first, second, _ = fit.numbers
         start, stop = read = fit.hinges.ends
         bend, during = place.value, test.while_loading(*read)
@@ -496,7 +474,7 @@ class TwoSegments(_TwoLines):
         sides = ((one, 1, (max(start, 0.0), bend)), (other, 2, (max(bend, 0.0), stop)))
         return Computed(
             tuple(
-                self.number(number, self.method, output=output, during=during, doubts=doubts)
+                self.number(test, number, output=output, during=during, doubts=doubts)
                 for output, (number, doubts) in enumerate(numbers)
             ),
             {
@@ -523,17 +501,15 @@ class Kink(_TwoLines):
         Output("kink_force", "N", "Kink force"),
     )
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Computed:
         """Find the decrease of the slope of the first loading."""
-        fit = self.fit(test, why_no_kink)
-        if isinstance(fit, Failure):
-            return self.not_available(fit, self.method)
+        fit = self.fit(test, require_kink)
         place, _, _, level = fit.numbers
         doubts = marked_slips(test, fit.hinges.ends) + fit.doubts_of_break
         during = test.while_loading(*fit.hinges.ends)
         return Computed(
             tuple(
-                self.number(number, self.method, output=output, during=during, doubts=doubts)
+                self.number(test, number, output=output, during=during, doubts=doubts)
                 for output, number in enumerate((place, level))
             ),
             lines=fit.lines("before_kink", "behind_kink"),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
-from re import ASCII, split
 
 import numpy as np
 
 from labpipe.records.group import Difference, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.statistics.group_fields import shared_fields
+from labpipe.statistics.group_fields import natural_order, shared_fields
 from labpipe.statistics.group_notes import (
     method_caveats,
     method_notes,
@@ -20,10 +19,15 @@ from labpipe.statistics.group_notes import (
     sample_keys,
     sample_notes,
 )
-from labpipe.statistics.log_scale import can_be_on_a_log_scale, on_log_scale
 from labpipe.statistics.mean_curves import loading_band, scaled_band
-from labpipe.statistics.means import DEFAULT_LIMITS, PoolingLimits, nested_mean
-from labpipe.statistics.shared_causes import add_common_causes
+from labpipe.statistics.means import (
+    DEFAULT_LIMITS,
+    PoolingLimits,
+    add_common_causes,
+    can_be_on_a_log_scale,
+    nested_mean,
+    on_log_scale,
+)
 from labpipe.statistics.two_groups import compare
 
 __all__ = ["PoolingLimits", "build_group", "compare_groups", "group_number"]
@@ -62,40 +66,34 @@ def build_group(
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
     made_otherwise = otherwise_made(ordered)
     numbers = tuple(
-        group_number(
-            name,
-            ordered,
-            limits,
-            without=made_otherwise.get(name, {}),
-            is_signed=name.partition(".")[0] in signed,
+        replace(
+            group_number(
+                name,
+                ordered,
+                limits,
+                without=made_otherwise.get(name, {}),
+                is_signed=name.partition(".")[0] in signed,
+            ),
+            is_set_by_rig=name.partition(".")[0] in set_by_rig,
         )
         for name in names
     )
     band, notes = loading_band(ordered, limits)
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
-    group_notes = [
+    all_notes = (
         *method_notes(made_otherwise, ordered),
         *sample_notes(ordered),
         *number_notes(numbers),
-    ]
-    every = (*group_notes, *notes, *share_notes)
-    numbers = tuple(
-        replace(number, is_set_by_rig=number.name.partition(".")[0] in set_by_rig)
-        for number in numbers
+        *notes,
+        *share_notes,
     )
-    return Group(name, protocol, ordered, numbers, band, share, every, shared_fields(ordered))
+    return Group(name, protocol, ordered, numbers, band, share, all_notes, shared_fields(ordered))
 
 
-def _order(sample: Sample) -> list[list[tuple[int, str]]]:
+def _order(sample: Sample) -> list[tuple[tuple[int, str], ...]]:
     """Return a sort key with sample 2 before sample 10."""
     parts = (sample.specimen.spool, sample.specimen.sample, sample.test, sample.source)
-    return [
-        [
-            (int(piece), "") if piece.isdecimal() else (0, piece)
-            for piece in split(r"(\d+)", part, flags=ASCII)
-        ]
-        for part in parts
-    ]
+    return list(map(natural_order, parts))
 
 
 def group_number(
@@ -161,14 +159,13 @@ def _why_not(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
     return ()
 
 
-def _value(result: Result) -> float:
-    return float("nan") if result.value is None else result.value
-
-
 def _nested(
     spools: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
 ) -> NestedMean:
-    values = {name: [_value(result) for result in results] for name, results in spools.items()}
+    values = {
+        name: np.array([result.value for result in results], dtype=np.float64)
+        for name, results in spools.items()
+    }
     mean = add_common_causes(nested_mean(values, limits), spools)
     every = [result for results in spools.values() for result in results]
     return mean if is_signed or not can_be_on_a_log_scale(every) else on_log_scale(mean)
@@ -193,17 +190,14 @@ def compare_groups(
     """
     one = {number.name: number for number in first.numbers}
     two = {number.name: number for number in second.numbers}
-    wanted = [name for name in (names or one) if name in one and name in two]
-    compare_groups = (
-        _difference(first.name, one[name], second.name, two[name], margin) for name in wanted
-    )
-    return tuple(finding for finding in compare_groups if finding is not None)
-
-
-def _difference(
-    first: str, one: GroupNumber, second: str, two: GroupNumber, margin: float | None
-) -> Difference | None:
-    if one.mean is None or two.mean is None or one.unit != two.unit:
-        return None
-    difference = compare(one.name, one.unit, (first, one.mean), (second, two.mean), margin)
-    return replace(difference, caveats=(*difference.caveats, *method_caveats(one, two)))
+    differences = []
+    for name in names or one:
+        first_number, second_number = one.get(name), two.get(name)
+        if first_number is None or second_number is None or first_number.unit != second_number.unit:
+            continue
+        if first_number.mean is not None and second_number.mean is not None:
+            means = (first.name, first_number.mean), (second.name, second_number.mean)
+            difference = compare(name, first_number.unit, *means, margin)
+            caveats = (*difference.caveats, *method_caveats(first_number, second_number))
+            differences.append(replace(difference, caveats=caveats))
+    return tuple(differences)

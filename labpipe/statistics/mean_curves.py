@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, special
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, means_from
 from labpipe.records.group import Band, NestedMean, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.statistics.group_notes import group_note, sample_keys
@@ -382,7 +382,4 @@ def block_means(values: Floats, points: int) -> Floats:
     """
     size = max(1, len(values) // points)
     starts = np.arange(0, max(len(values) - size + 1, 1), size)
-    if not len(values):
-        return values
-    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-    return means
+    return means_from(values, starts) if len(values) else values

@@ -1,21 +1,24 @@
-"""Means with intervals: of a few values, and of samples nested in spools."""
+"""Means of samples cut from spools, causes that tests of a rig share, and budgets of groups."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import permutations
-from math import factorial, prod
+from math import exp, factorial, hypot, prod
+from statistics import median
 
 import numpy as np
 from scipy import special
 
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
-from labpipe.records.group import Decision, MeanInterval, NestedMean
+from labpipe.records.group import Decision, GroupNumber, MeanInterval, NestedMean
 from labpipe.records.quality import Reason
+from labpipe.records.result import Contribution, Result
 
 LEVEL = 0.95
 """Level of every interval: two-sided."""
@@ -350,3 +353,260 @@ def smallest_p(counts: tuple[int, ...]) -> float:
     orders = set(permutations(sorted(counts)))
     ranks = np.arange(sum(counts), dtype=np.float64)
     return min(equal_spools_p(np.split(ranks, np.cumsum(order)[:-1])) for order in orders)
+
+
+SCATTER = "scatter of the tests"
+"""Contribution to the mean besides the causes of its tests: their differences, for any reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupBudget:
+    """Contributions to the intervals of one number, as shares that add to one.
+
+    Parameters
+    ----------
+    of_tests : by cause, median share of the variance over the tests; empty without budgets
+    of_mean : by `SCATTER` and common cause, share of the squared half width; empty without an
+        interval
+    """
+
+    of_tests: Mapping[str, float]
+    of_mean: Mapping[str, float]
+
+
+def group_budget(number: GroupNumber) -> GroupBudget:
+    """Summarise the budgets of the tests of a group, and compute that of their mean.
+
+    Parameters
+    ----------
+    number : of a group; tests without a budget do not count
+
+    Returns
+    -------
+    Causes in the order of `IS_COMMON`. Medians are scaled to add to one; a test without a cause has
+    a share of zero.
+    """
+    tests = [
+        {row.cause: share for row, share in zip(value.budget, value.shares, strict=True)}
+        for value in number.values.values()
+        if value.largest_share is not None
+    ]
+    causes = in_order({cause for test in tests for cause in test})
+    medians = {cause: median(test.get(cause, 0.0) for test in tests) for cause in causes}
+    total = sum(medians.values())
+    shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
+    return GroupBudget(shares, {} if number.mean is None else _of_mean(number.mean.chosen))
+
+
+def in_order(causes: set[str]) -> list[str]:
+    """Sort causes in the order of budgets and figures; unknown ones come last."""
+    return [*(cause for cause in IS_COMMON if cause in causes), *sorted(causes - set(IS_COMMON))]
+
+
+def _of_mean(mean: MeanInterval) -> dict[str, float]:
+    if mean.interval is None or not mean.interval.upper > mean.interval.lower:
+        return {}
+    normal = Interval.normal_95(0.0, 1.0).upper / mean.half
+    common = {
+        contribution.cause: (normal * contribution.change) ** 2
+        for contribution in mean.common
+        if contribution.change
+    }
+    scatter = 1.0 - (normal * standard_uncertainty(mean.common)) ** 2
+    return {SCATTER: scatter, **{cause: common[cause] for cause in in_order(set(common))}}
+
+
+@dataclass(frozen=True, slots=True)
+class _Shared:
+    """Errors of one result, or of a mean, that scatter does not show.
+
+    Parameters
+    ----------
+    off : value less estimate
+    changes : by common cause of all tests of a rig
+    """
+
+    off: float
+    changes: Mapping[str, float]
+
+
+def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
+    """Add the common causes of all tests to the intervals of a mean.
+
+    Parameters
+    ----------
+    mean : of `spools`, from the scatter alone
+    spools : the averaged results, by spool
+
+    Returns
+    -------
+    The same means and scatter. Every interval is about the mean of the estimates, and is widened by
+    common causes (`widened_by`), which are named in the decision.
+
+    Notes
+    -----
+    A common cause moves all numbers at once, each by its own signed change, and so moves their
+    mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
+    """
+    results_by_spool = {
+        name: [_shared_of_result(spool) for spool in spools[name]] for name in mean.spool_means
+    }
+    means = {name: _mean_shared(results) for name, results in results_by_spool.items()}
+    samples = _mean_shared([result for results in results_by_spool.values() for result in results])
+    over_samples = _add_shared(mean.over_samples, samples)
+    over_spools = mean.over_spools and _add_shared(
+        mean.over_spools, _mean_shared(list(means.values()))
+    )
+    chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
+    causes = tuple(contribution.cause for contribution in chosen.common)
+    because = (f"its interval holds what all tests of a rig share: {', '.join(causes)}",)
+    decision = replace(
+        mean.decision, because=(*mean.decision.because, *(because if causes else ()))
+    )
+    return replace(
+        mean,
+        chosen=chosen,
+        over_samples=over_samples,
+        over_spools=over_spools,
+        spool_means={
+            name: _add_shared(spool_mean, means[name])
+            for name, spool_mean in mean.spool_means.items()
+        },
+        decision=decision,
+    )
+
+
+def _shared_of_result(result: Result) -> _Shared:
+    value = 0.0 if result.value is None else result.value
+    estimate = value if result.estimate is None else result.estimate
+    changes = {
+        contribution.cause: contribution.change
+        for contribution in result.budget
+        if contribution.is_common
+    }
+    return _Shared(value - estimate, changes)
+
+
+def _mean_shared(several: Sequence[_Shared]) -> _Shared:
+    """Average results; a missing cause counts as no change."""
+    causes = dict.fromkeys(cause for shared in several for cause in shared.changes)
+    if not several:
+        return _Shared(0.0, {})
+    changes = {
+        cause: float(np.mean([shared.changes.get(cause, 0.0) for shared in several]))
+        for cause in causes
+    }
+    return _Shared(float(np.mean([shared.off for shared in several])), changes)
+
+
+def _add_shared(mean: MeanInterval, shared: _Shared) -> MeanInterval:
+    common = tuple(
+        Contribution(cause, change, is_common=True) for cause, change in shared.changes.items()
+    )
+    estimate = mean.mean - shared.off if shared.off else None
+    moved = mean.interval and Interval(
+        mean.interval.lower - shared.off, mean.interval.upper - shared.off
+    )
+    interval = moved and widened_by(moved, common)
+    return replace(mean, interval=interval, estimate=estimate, common=common)
+
+
+def standard_uncertainty(common: Sequence[Contribution]) -> float:
+    """Return the combined standard uncertainty of independent causes."""
+    return hypot(*(contribution.change for contribution in common))
+
+
+def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:
+    """Widen the t interval of a mean by common causes.
+
+    Parameters
+    ----------
+    interval : of Student's t, about its middle
+    common : changes of the mean
+
+    Returns
+    -------
+    Its half width in quadrature with the normal 95 % half width of the common causes.
+
+    Notes
+    -----
+    With effective degrees of freedom (GUM, G.4.1) a common cause would make the interval of two
+    values *shorter*, since t falls from 12.7 faster than the uncertainty grows. Half widths in
+    quadrature never do; for their coverage see docs/explanations/statistics.md.
+    """
+    middle = 0.5 * (interval.lower + interval.upper)
+    shared = Interval.normal_95(0.0, standard_uncertainty(common)).upper
+    half = hypot(0.5 * (interval.upper - interval.lower), shared)
+    return Interval(middle - half, middle + half, interval.level) if shared else interval
+
+
+def difference_of(
+    first: Sequence[Contribution], second: Sequence[Contribution]
+) -> tuple[Contribution, ...]:
+    """Return the changes by common causes of the difference of two means, second less first.
+
+    Parameters
+    ----------
+    first, second : changes of two means of tests on one rig: a cause acts on both alike
+    """
+    one, two = (
+        {contribution.cause: contribution.change for contribution in contributions}
+        for contributions in (first, second)
+    )
+    return tuple(
+        Contribution(cause, two.get(cause, 0.0) - one.get(cause, 0.0), is_common=True)
+        for cause in dict.fromkeys([*one, *two])
+    )
+
+
+def can_be_on_a_log_scale(values: list[Result]) -> bool:
+    """Return whether all values and estimates are above zero.
+
+    Parameters
+    ----------
+    values : of a mean
+    """
+    return all(
+        value.value is not None
+        and value.value > 0.0
+        and (value.estimate is None or value.estimate > 0.0)
+        for value in values
+    )
+
+
+def on_log_scale(mean: NestedMean) -> NestedMean:
+    """Put the intervals of the mean of a positive number on a log scale.
+
+    Parameters
+    ----------
+    mean : with the half widths of Student's t and of the common causes of a rig
+
+    Returns
+    -------
+    The same means and scatters; each interval is middle x exp(-+ half width / middle).
+
+    Notes
+    -----
+    The standard error of log(mean) is that of the mean over the mean. So the interval is for the
+    arithmetic mean, not the geometric one, and can be computed in a spreadsheet:
+    ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. For its
+    coverage see docs/explanations/statistics.md.
+    """
+    return replace(
+        mean,
+        chosen=_log_interval(mean.chosen),
+        over_samples=_log_interval(mean.over_samples),
+        over_spools=mean.over_spools and _log_interval(mean.over_spools),
+        spool_means={
+            name: _log_interval(spool_mean) for name, spool_mean in mean.spool_means.items()
+        },
+    )
+
+
+def _log_interval(mean: MeanInterval) -> MeanInterval:
+    max_exponent = 300.0  # keeps the ends finite and above zero
+    if mean.interval is None or not mean.middle > 0.0:
+        return mean
+    factor = exp(min(mean.half / mean.middle, max_exponent))
+    ends = Interval(mean.middle / factor, mean.middle * factor, mean.interval.level)
+    return replace(mean, interval=ends, is_log=True)

@@ -11,8 +11,8 @@ from scipy import special
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Group, GroupNumber, Outlier
-from labpipe.statistics.families import holm
 from labpipe.statistics.group_notes import sample_keys
+from labpipe.statistics.two_groups import holm
 
 GRUBBS = "Grubbs' test"
 GRUBBS_WITHIN = "Grubbs' test within spools"

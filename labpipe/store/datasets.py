@@ -7,10 +7,10 @@ them. ISA-L deflates six to nine times as fast as zlib at the same size, into th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import repeat
 from math import ceil, prod
 from pathlib import Path
@@ -23,7 +23,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, error_text
-from labpipe.records.arrays import Ints
+from labpipe.records.arrays import AXIS_LABELS, Ints
 from labpipe.store import layout
 from labpipe.store.hdf5_objects import (
     COMPRESSION_LEVEL,
@@ -34,7 +34,7 @@ from labpipe.store.hdf5_objects import (
     set_text,
     set_texts,
 )
-from labpipe.store.layout import Field, Table
+from labpipe.store.layout import Field, scales_of
 from labpipe.store.replace import is_cut_off
 
 CHUNK_BYTES = 1 << 18
@@ -60,13 +60,6 @@ def _chunks_of(array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -
 def place_of(array: NDArray[Any]) -> tuple[object, ...]:
     """Return the memory location and layout of an array, which identify it while it exists."""
     return (array.ctypes.data, array.shape, array.strides, array.dtype.str)
-
-
-def chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Return the shape of a chunk: whole rows, about `CHUNK_BYTES`, at most all rows."""
-    rest = tuple(max(size, 1) for size in shape[1:])
-    rows = max(CHUNK_BYTES // (itemsize * prod(rest)), 1)
-    return (max(min(rows, shape[0]), 1), *rest)
 
 
 def same_content(dataset: Any, array: NDArray[Any]) -> bool:
@@ -132,17 +125,6 @@ def fletcher32(data: bytes) -> int:
     return second << 16 | first
 
 
-def string_array(texts: tuple[str, ...]) -> NDArray[Any]:
-    """Return texts as UTF-8 of fixed width, the only type that all programs read.
-
-    They are declared ASCII, which Octave reads (see `layout`), and end in a zero, for h5dump.
-    With a width of one byte the netCDF library would read single characters.
-    """
-    encoded = [text.encode() for text in texts]
-    longest = max([1, *(len(text) for text in encoded)])
-    return np.array(encoded, dtype=f"S{longest + 1}")
-
-
 @dataclass(frozen=True, slots=True)
 class Target:
     """An open group, the threads for compression, and the datasets already written.
@@ -167,13 +149,15 @@ class Target:
         """Return a subgroup, creating it if needed."""
         return Target(self.group.require_group(name), self.pool, self.written, self.packed)
 
-    def array(self, name: str, values: NDArray[Any], spec: Field, unit: str = "") -> Any:
-        """Write an array of numbers as a chunked dataset with its unit and axes.
+    def array(
+        self, name: str, values: NDArray[Any] | tuple[str, ...], spec: Field, unit: str = ""
+    ) -> Any:
+        """Write numbers or texts as a chunked dataset with its unit and axes.
 
         Parameters
         ----------
         name : of the dataset, unused in this group
-        values : any shape and number type; axis 0 is divided into chunks
+        values : texts, or any shape and number type; axis 0 is divided into chunks
         spec : axes and unit, which become attributes
         unit : used if the layout does not define the unit
 
@@ -185,7 +169,14 @@ class Target:
         -----
         NaN and their bit patterns are kept. An empty array has no chunks.
         """
-        chunk = chunk_shape(values.shape, values.dtype.itemsize)
+        if isinstance(values, tuple):
+            # UTF-8 of fixed width, which all programs read, declared ASCII, which Octave reads;
+            # with a final zero, for h5dump. Of one byte, netCDF would read single characters.
+            encoded = [text.encode() for text in values]
+            values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
+        rest = tuple(max(size, 1) for size in values.shape[1:])
+        rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(rest)), 1)  # at most all rows
+        chunk = (max(min(rows, len(values)), 1), *rest)
         dataset = make_dataset(self.group, name, values, chunk)
         set_text(dataset, "unit", spec.unit or unit)
         set_text(dataset, "axes", ", ".join(spec.axes))
@@ -196,34 +187,18 @@ class Target:
         self.datasets[name] = dataset, spec
         return dataset
 
-    def strings(self, name: str, texts: tuple[str, ...], axis: str) -> None:
-        """Write a dataset of strings."""
-        self.array(name, string_array(texts), Field((axis,), layout.TEXT))
+    def link(self, name: str, dataset: Any, spec: Field) -> None:
+        """Add a dataset of another group to this one."""
+        self.group[name] = dataset
+        self.datasets[name] = self.group[name], spec
 
-    def columns(self, table: Table, rows: Sequence[Sequence[Any]], unit: str = "") -> None:
-        """Write a table into this group.
-
-        Parameters
-        ----------
-        table : its columns
-        rows : any number, with a cell per column
-        unit : of the columns whose unit the layout does not define
-        """
-        for index, (column, field_) in enumerate(table.columns.items()):
-            cells = [row[index] for row in rows]
-            is_text = field_.dtype == "text"
-            values = string_array(tuple(cells)) if is_text else np.array(cells, field_.dtype)
-            self.array(column, values, field_, unit)
-        self.scaled({table.axis: table.scale})
-
-    def scaled(self, scales: Mapping[str, str]) -> None:
+    def scaled(self) -> None:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
 
-        Parameters
-        ----------
-        scales : dataset or link of this group by axis; any other axis gets a dataset of its name,
-            with the labels of `layout.COORDINATES` or numbers from 0
+        An axis without a dataset of its own (`layout.scales_of`) gets one of its name, with the
+        labels of `AXIS_LABELS` or numbers from 0.
         """
+        scales = scales_of({name: spec for name, (_, spec) in self.datasets.items()})
         opened_scales: dict[str, Any] = {}
         for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
@@ -244,9 +219,8 @@ class Target:
         if name != scale:
             same, spec = self.datasets[scale]
             return self.array(name, self.written[same.name], spec)
-        labels = layout.COORDINATES.get(axis)
-        if labels is not None:
-            return self.array(name, string_array(labels), Field((axis,), layout.TEXT))
+        if axis in AXIS_LABELS:
+            return self.array(name, AXIS_LABELS[axis], Field((axis,), layout.TEXT))
         return self.array(name, np.arange(size), Field((axis,), "1"))
 
     def attach(self, dataset: Any, place: int, scale: Any) -> None:
@@ -261,11 +235,6 @@ class Target:
         if not h5ds.is_scale(scale.id):
             h5ds.set_scale(scale.id, scale.name.rpartition("/")[2].encode())
         h5ds.attach_scale(dataset.id, scale.id, place)
-
-    def fields(self, record: object, kinds: Any) -> None:
-        """Write the fields of a record that are arrays, according to the layout."""
-        for name, spec in kinds.items():
-            self.array(name, getattr(record, name), spec)
 
     def texts(self, name: str, values: tuple[str, ...]) -> None:
         """Write an attribute that is a list of strings."""
@@ -368,53 +337,13 @@ def _utf8_text(value: object) -> str:
     return string
 
 
-def strings(group: Any, name: str, axis: str) -> tuple[str, ...]:
-    """Read a dataset of strings."""
-    encoded = array(group, name, Field((axis,), layout.TEXT, "text"))
-    return tuple(bytes(string).decode() for string in encoded)
-
-
-def rows(parent: Any, name: str, layout: Table, unit: str | None = None) -> list[Mapping[str, Any]]:
-    """Read a table.
-
-    Parameters
-    ----------
-    parent : open group
-    name : of the table in it
-    layout : its columns
-    unit : of the columns whose unit the layout does not define; None for any
-
-    Returns
-    -------
-    Cells by column; none if there is no such table.
-    """
-    if name not in parent:
-        return []
-    table = parent[name]
-    if all(table[column].shape == (0,) for column in layout.columns):
-        return []
-    columns: dict[str, Sequence[Any]] = {
-        column: strings(table, column, layout.axis)
-        if field_.dtype == "text"
-        else array(table, column, field_ if field_.unit else replace(field_, unit=unit)).tolist()
-        for column, field_ in layout.columns.items()
-    }
-    cells = zip(*columns.values(), strict=True)
-    return [dict(zip(columns, row, strict=True)) for row in cells]
-
-
-def arrays(group: Any, kinds: Mapping[str, Field]) -> dict[str, NDArray[Any]]:
-    """Read several datasets; return them by name."""
-    return {name: array(group, name, spec) for name, spec in kinds.items()}
-
-
-def array(group: Any, name: str, spec: Field) -> NDArray[Any]:
-    """Read a dataset after checking unit, axes and number type against the layout."""
+def array(group: Any, name: str, spec: Field) -> Any:
+    """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
     dataset = _checked_dataset(group, name, spec)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
-    return values
+    return tuple(text.decode() for text in values.tolist()) if spec.dtype == layout.TEXT else values
 
 
 def array_rows(group: Any, name: str, spec: Field, chosen: Ints) -> NDArray[Any]:
@@ -435,7 +364,7 @@ def _checked_dataset(group: Any, name: str, spec: Field) -> Any:
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
             _check(dataset, label, expected, _label(dataset, label))
-    if spec.dtype != "text":
+    if spec.dtype != layout.TEXT:
         _check(dataset, "number type", spec.dtype, str(dataset.dtype))
     _check_storage(dataset)
     return dataset

@@ -1,28 +1,62 @@
-"""Names, units and axes of everything in a result file: the schema, as data.
+"""Names, units and axes of everything in a result file, derived from the records.
 
-Every dataset has the attributes ``unit`` and ``axes``; a unit of None here means that the dataset
-defines its own. Each axis has a dimension scale, as netCDF-4 requires: a dataset of its group. A
-table is a group of columns, never a compound: Octave skips compounds, and texts in them crash the
-netCDF library. Texts are UTF-8: of variable length in attributes, of fixed length in datasets,
-where they are declared ASCII. Octave reads only this type of text, and checksums cover it; HDF5 has
-none for variable lengths.
+The annotations of a record define its part of the file: an array with axes and `Unit` is a dataset,
+an annotated tuple of texts one of strings, any other number, text, interval or reason an attribute;
+a tuple of records is a table. Fields that do not count in a comparison are not stored.
+
+Every dataset has the attributes ``unit`` and ``axes``. Each axis has a dimension scale, as netCDF-4
+requires: a dataset of its group. A table is a group of columns, never a compound: Octave skips
+compounds, and texts in them crash the netCDF library. Texts are UTF-8: of variable length in
+attributes, of fixed length in datasets, where they are declared ASCII. Octave reads only this type
+of text, and checksums cover it; HDF5 has none for variable lengths.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from datetime import date
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from labpipe.records.arrays import Unit, dtype_of
+from labpipe.records.curve import Branch, FittedLine, Interval, Slip
+from labpipe.records.quality import QualityNote, Reason
+from labpipe.records.result import Instrument
+
+_R = TypeVar("_R")
 
 SCHEMA: Final = 2
 """Version of the layout; other versions are refused."""
+SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
 
 NO_UNIT: Final = "unknown"
 """Unit of channels for which neither the export nor the protocol states one."""
 
 TEXT: Final = "text"
 """The unit of a dataset of strings."""
+
+# Groups and datasets that several modules name.
+SPECIMEN: Final = "specimen"
+RAW: Final = "raw"
+TIME: Final = "time"
+ALIGNED: Final = "aligned"
+EVENTS: Final = "events"
+CURVE: Final = "curve"
+BRANCHES: Final = "branches"
+SLIPS: Final = "slips"
+LINES: Final = "lines"
+SHAPE: Final = "shape"
+BENDING: Final = "bending"
+LAW: Final = "law"
+RESULTS: Final = "results"
+BUDGETS: Final = "budgets"
+QUALITY: Final = "quality"
+INSTRUMENTS: Final = "instruments"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,278 +67,161 @@ class Field:
     ----------
     axes : names of the axes
     unit : SI unit; None if the dataset defines its own
-    dtype : numpy's name of the number type
+    dtype : numpy's name of the number type; ``text`` for strings
+    stated_in : field of the record that states the unit; empty for none
     """
 
     axes: tuple[str, ...]
     unit: str | None
     dtype: str = "float64"
+    stated_in: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A group of columns of one length.
+class Attribute(NamedTuple):
+    """A field of a record that is an attribute, or a cell of a table.
 
     Parameters
     ----------
-    axis : name of the one axis
-    scale : column that is its dimension scale
-    columns : unit and number type, by name
+    kind : type of the field, without None
+    unit : of a number; None if its annotation states none
+    is_optional : whether it may be None
     """
 
-    axis: str
-    scale: str
-    columns: Mapping[str, Field]
+    kind: Any
+    unit: Unit | None
+    is_optional: bool
 
 
-def _table(axis: str, scale: str, columns: Mapping[str, tuple[str | None, str]]) -> Table:
-    return Table(axis, scale, {name: Field((axis,), *kind) for name, kind in columns.items()})
+class Column(NamedTuple):
+    """A column of a table of records.
+
+    Parameters
+    ----------
+    name : field of the record
+    end : of an interval in that field; empty for any other field
+    field : definition of the dataset
+    """
+
+    name: str
+    end: str
+    field: Field
 
 
-_TEXTS: Final = (TEXT, "text")
+def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
+    """Cache a function of a type; mypy knows no types as keys."""
+    return cache(function)
 
-COORDINATES: Final[Mapping[str, tuple[str, ...]]] = {
-    "xyz": ("x", "y", "z"),
-    "xyzw": ("x", "y", "z", "w"),
-    "xy": ("x", "y"),
-    "specimen": ("x", "y", "z"),
-    "lab": ("x", "y", "z"),
+
+@_cached
+def fields_of(record: Any) -> Mapping[str, Field]:
+    """Return the datasets of a type of record, by name."""
+    datasets: dict[str, Field] = {}
+    for name, (values, axes, unit) in _annotations(record):
+        if get_origin(values) is np.ndarray:
+            dtype = np.dtype(dtype_of(values)).name.replace("bool", "uint8")
+            symbol, stated_in = (unit.symbol or None, unit.stated_in) if unit else (None, "")
+            datasets[name] = Field(axes, symbol, dtype, stated_in)
+        elif get_origin(values) is tuple and axes:
+            datasets[name] = Field(axes, TEXT, TEXT)
+    return datasets
+
+
+def scales_of(datasets: Mapping[str, Field]) -> dict[str, str]:
+    """Return the dimension scale of each axis: the first dataset along it alone."""
+    along_one = [(name, field) for name, field in datasets.items() if len(field.axes) == 1]
+    return {field.axes[0]: name for name, field in reversed(along_one)}
+
+
+@_cached
+def attributes_of(record: Any) -> Mapping[str, Attribute]:
+    """Return the fields of a type of record that are numbers, texts, intervals or reasons."""
+    stored = {field.name for field in fields(record) if field.compare}
+    stored -= {field.stated_in for field in fields_of(record).values()}
+    attributes: dict[str, Attribute] = {}
+    for name, (hint, axes, unit) in _annotations(record):
+        kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+        kind = next(kind for kind in kinds if kind is not NoneType)
+        is_simple = isinstance(kind, type) and issubclass(
+            kind, (int, float, str, date, Interval, Reason)
+        )
+        is_list = get_origin(kind) is tuple and get_args(kind)[0] in (str, Reason) and not axes
+        if name in stored and (is_simple or is_list):
+            attributes[name] = Attribute(kind, unit, NoneType in kinds)
+    return attributes
+
+
+@_cached
+def columns_of(row: Any) -> Mapping[str, Column]:
+    """Return the columns of a table, by name.
+
+    Parameters
+    ----------
+    row : type of record, a key of `ROW_AXES`
+    """
+    number_types = {int: "int64", float: "float64", bool: "uint8", Interval: "float64"}
+    columns: dict[str, Column] = {}
+    for name, (kind, unit, _) in attributes_of(row).items():
+        dtype = number_types.get(kind, TEXT)
+        symbol = TEXT if dtype == TEXT else (unit.symbol or None) if unit else "1"
+        field = Field((ROW_AXES[row],), symbol, dtype)
+        if kind is Interval:
+            columns |= {stem_of(name) + end: Column(name, end, field) for end in ("lower", "upper")}
+        else:
+            columns[name] = Column(name, "", field)
+    return columns
+
+
+def stem_of(interval: str) -> str:
+    """Return the start of the names of an interval's ends: ``drop_`` for ``drop_interval``."""
+    return interval.removesuffix("interval")
+
+
+def _annotations(record: Any) -> Iterator[tuple[str, tuple[Any, tuple[str, ...], Unit | None]]]:
+    """Yield name, type, axes and unit of the fields of a type of record."""
+    for name, hint in get_type_hints(record, include_extras=True).items():
+        value, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        axes = tuple(mark for mark in marks if isinstance(mark, str))
+        yield name, (value, axes, next((mark for mark in marks if isinstance(mark, Unit)), None))
+
+
+@dataclass(frozen=True, slots=True)
+class ResultRow:
+    """A result as a row of ``results/table``, for programs that do not read attributes."""
+
+    name: str
+    value: Annotated[float | None, Unit("of the result")]
+    estimate: Annotated[float | None, Unit("of the result")]
+    lower: Annotated[float, Unit("of the result")]
+    upper: Annotated[float, Unit("of the result")]
+    unit: str
+    level: float
+    status: str
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetRow:
+    """A contribution as a row of ``budgets``; one table for all results of a test."""
+
+    result: str
+    cause: str
+    change: Annotated[float, Unit("of the result")]
+    unit: str
+    share: float
+    is_common: bool
+
+
+ROW_AXES: Final[Mapping[type, str]] = {
+    Branch: "branch",
+    Slip: "slip",
+    FittedLine: "line",
+    Instrument: "instrument",
+    QualityNote: "note",
+    ResultRow: "result",
+    BudgetRow: "contribution",
 }
-"""Labels along an axis without its own dataset; other axes are numbered from 0."""
-
-# Attributes of the root, each also a field of TestResult.
-SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
-ROOT_TEXTS: Final = ("test", "labpipe_version", "protocol", "protocol_yaml", "test_yaml")
-SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
-RUN: Final = "run"
-DISPLAY: Final = "display"
-FIGURES: Final = "figures"
-DATE: Final = "date"
-OPERATOR: Final = "operator"
-INSTRUMENTS: Final = "instruments"
-"""Group of columns, only if the protocol has certificates."""
-INSTRUMENT_TABLE: Final = _table(
-    "instrument",
-    "channel",
-    {
-        "channel": _TEXTS,
-        "measures": _TEXTS,
-        "certificate": _TEXTS,
-        "calibrated": _TEXTS,
-        "due": _TEXTS,
-        "uncertainty": ("1", "float64"),
-        "k": ("1", "float64"),
-    },
-)
-
-SPECIMEN: Final = "specimen"
-"""Group whose attributes are the dimensions: names, values, and their one unit."""
-LABELS: Final = "labels"
-LABEL_WORDS: Final = "label_words"
-BUNDLE: Final = "bundle"
-"""Group in `SPECIMEN`, for a harness bundle only."""
-BUNDLE_TEXTS: Final = ("arrangement", "tape", "taping", "conduit")
-BORE: Final = "conduit_bore"
-WIRE_TYPES: Final = "wire_types"
-WIRE_NUMBERS: Final = "wire_numbers"
-WIRE_NUMBER: Final = Field(("type",), "1", "int64")
-WIRE_DIAMETERS: Final = "wire_diameters"
-WIRE_DIAMETER: Final = Field(("type",), "m")
-POSITIONS: Final = "positions"
-WIRE_POSITION: Final = Field(("wire", "xy"), "m")
-BUNDLE_SCALES: Final = {"type": WIRE_TYPES}
-
-# /raw/<role>
-RAW: Final = "raw"
-RECORDING_TEXTS: Final = ("reader", "program", "program_version")
-INPUT_ORDER: Final = "input_order"
-METADATA: Final = "metadata"
-NOTES: Final = "notes"
-TIME: Final = "time"
-CLOCK_TIME: Final = Field(("sample",), None)
-CHANNEL: Final = Field(("sample",), None)
-CHANNEL_TEXTS: Final = {
-    "name": "name",
-    "path": "name_in_file",
-    "clock": "clock",
-    "unit_in_file": "unit_in_file",
-    "calibration": "calibration",
-}
-MARKERS: Final = "markers"
-NAMES: Final = "names"
-MARKER_FIELDS: Final[Mapping[str, Field]] = {
-    "time": Field(("frame",), "s"),
-    "frames": Field(("frame",), "1"),
-    "positions": Field(("frame", "marker", "xyz"), "m"),
-}
-MARKER_SCALES: Final = {"frame": TIME, "marker": NAMES}
-BODIES: Final = "rigid_bodies"
-BODY_FIELDS: Final[Mapping[str, Field]] = {
-    "position": Field(("frame", "xyz"), "m"),
-    "rotation": Field(("frame", "xyzw"), "1"),
-    "error": Field(("frame",), "m"),
-}
-BODY_SCALES: Final = {"frame": TIME}
-
-# /aligned
-ALIGNED: Final = "aligned"
-SERIES: Final = Field(("sample",), None)
-EVENTS: Final = "events"
-EVENT_FIELDS: Final[Mapping[str, Field]] = {
-    "event_times_motion": Field(("event",), "s"),
-    "event_times_force": Field(("event",), "s"),
-    "event_errors": Field(("event",), "s"),
-}
-EVENT_SCALES: Final = {"event": "event_times_motion"}
-CLOCK_FIT_UNITS: Final = {"offset": "s", "drift": "1", "residual": "s"}
-CLOCK_FIT_INTERVALS: Final = ("offset", "drift")
-
-# /curve
-CURVE: Final = "curve"
-CURVE_FIELDS: Final[Mapping[str, Field]] = {
-    "displacement": Field(("sample",), "m"),
-    "force": Field(("sample",), "N"),
-    "branch": Field(("sample",), "1", "int64"),
-    "cycle": Field(("sample",), "1", "int64"),
-}
-SAMPLE_SCALES: Final = {"sample": TIME}
-"""Of the groups `ALIGNED` and `CURVE`."""
-BRANCHES: Final = "branches"
-BRANCH_TABLE: Final = _table(
-    "branch",
-    "start",
-    {
-        "start": ("sample", "int64"),
-        "stop": ("sample", "int64"),
-        "cycle": ("1", "int64"),
-        "direction": _TEXTS,
-        "start_time": (None, "float64"),
-        "stop_time": (None, "float64"),
-    },
-)
-"""Its times are in the unit of the curve's clock."""
-
-SLIPS: Final = "slips"
-SLIP_TABLE: Final = _table(
-    "slip",
-    "position",
-    {
-        "position": ("m", "float64"),
-        "drop": ("N", "float64"),
-        "position_lower": ("m", "float64"),
-        "position_upper": ("m", "float64"),
-        "drop_lower": ("N", "float64"),
-        "drop_upper": ("N", "float64"),
-        "decision": _TEXTS,
-        "start": ("sample", "int64"),
-        "stop": ("sample", "int64"),
-    },
-)
-
-LINES: Final = "lines"
-LINE_TABLE: Final = _table(
-    "line",
-    "result",
-    {
-        "result": _TEXTS,
-        "slope": ("N/m", "float64"),
-        "level": ("N", "float64"),
-        "start": ("m", "float64"),
-        "stop": ("m", "float64"),
-    },
-)
-
-# /shape
-SHAPE: Final = "shape"
-SHAPE_FIELDS: Final[Mapping[str, Field]] = {
-    "time": Field(("frame",), "s"),
-    "positions": Field(("frame", "point", "xyz"), "m"),
-    "flags": Field(("frame", "point"), "1", "uint8"),
-    "arc_length": Field(("point",), "m"),
-    "coefficients": Field(("frame", "xyz", "term"), "m"),
-    "rotation_lab_to_specimen": Field(("specimen", "lab"), "1"),
-}
-SHAPE_SCALES: Final = {"frame": TIME, "point": NAMES}
-
-# /bending and /bending/law
-BENDING: Final = "bending"
-CLOUD_FIELDS: Final[Mapping[str, Field]] = {
-    "time": Field(("mean",), "s"),
-    "branch": Field(("mean",), "1", "int64"),
-    "cycle": Field(("mean",), "1", "int64"),
-    "force": Field(("mean",), "N"),
-    "arc_length": Field(("place",), "m"),
-    "curvature": Field(("mean", "place"), "1/m"),
-    "curvature_error": Field(("mean", "place"), "1/m"),
-    "curvature_systematic": Field(("mean", "place"), "1/m"),
-    "moment": Field(("mean", "place"), "N*m"),
-    "moment_error": Field(("mean", "place"), "N*m"),
-    "moment_at_rest": Field(("place",), "N*m"),
-}
-CLOUD_SCALES: Final = {"mean": TIME, "place": "arc_length"}
-LAW: Final = "law"
-LAW_FIELDS: Final[Mapping[str, Field]] = {
-    "curvature": Field(("point",), "1/m"),
-    "moment": Field(("point",), "N*m"),
-    "moment_lower": Field(("point",), "N*m"),
-    "moment_upper": Field(("point",), "N*m"),
-    "secant": Field(("point",), "N*m^2"),
-    "secant_lower": Field(("point",), "N*m^2"),
-    "secant_upper": Field(("point",), "N*m^2"),
-    "tangent": Field(("point",), "N*m^2"),
-    "tangent_lower": Field(("point",), "N*m^2"),
-    "tangent_upper": Field(("point",), "N*m^2"),
-    "knots": Field(("knot",), "N*m"),
-    "compliance": Field(("knot",), "1/(N*m^2)"),
-    "compliance_covariance": Field(("knot", "knot"), "1/(N*m^2)^2"),
-}
-LAW_SCALES: Final = {"point": "curvature", "knot": "knots"}
-IS_KNOWN: Final = "is_known"
-KNOWN: Final = Field(("point",), "1", "uint8")
-LAW_UNITS: Final = {"floor": "1/m", "scale_error": "1", "residual": "m", "noise": "m"}
-
-# /results/<name>, /budgets and /quality
-RESULTS: Final = "results"
-RESULT_TEXTS: Final = ("unit", "status", "method", "made_of", "remark", "seal")
-ESTIMATE: Final = "estimate"
-REASON_CODES: Final = "reason_codes"
-REASON_MESSAGES: Final = "reason_messages"
-INTERVAL_NUMBERS: Final = ("lower", "upper", "level")
-RESULT_TABLE: Final = "table"
-"""Group in `RESULTS` with a row per result, for programs that do not read attributes."""
-RESULT_COLUMNS: Final = _table(
-    "result",
-    "name",
-    {
-        "name": _TEXTS,
-        "value": ("of the result", "float64"),
-        "estimate": ("of the result", "float64"),
-        "lower": ("of the result", "float64"),
-        "upper": ("of the result", "float64"),
-        "unit": _TEXTS,
-        "level": ("1", "float64"),
-        "status": _TEXTS,
-        "code": _TEXTS,
-        "reason": _TEXTS,
-    },
-)
-BUDGETS: Final = "budgets"
-"""One table for all results: those of a test have about five rows each."""
-BUDGET_TABLE: Final = _table(
-    "contribution",
-    "result",
-    {
-        "result": _TEXTS,
-        "cause": _TEXTS,
-        "change": ("of the result", "float64"),
-        "unit": _TEXTS,
-        "share": ("1", "float64"),
-        "is_common": ("1", "uint8"),
-    },
-)
-QUALITY: Final = "quality"
-NOTE_COLUMNS: Final = ("code", "severity", "where", "message")
-NOTE_TABLE: Final = _table("note", "code", dict.fromkeys(NOTE_COLUMNS, _TEXTS))
+"""Types of records that are rows of a table, and the axis of the table."""
 
 
 def link_name(name: str, taken: Iterable[str]) -> str:

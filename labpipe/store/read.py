@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import date
-from math import isnan
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar
 
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import (
     Aligned,
+    Bending,
+    BendingCloud,
     Branch,
     ClockFit,
     Curve,
     FittedLine,
-    Interval,
+    MeasuredLaw,
     Series,
     Shape,
     Slip,
     SlipDecision,
 )
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
+from labpipe.records.group import DrawnLaw, DrawnShapes
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
 from labpipe.records.result import (
     Contribution,
@@ -35,15 +36,11 @@ from labpipe.records.result import (
     TestResult,
 )
 from labpipe.store import layout
-from labpipe.store.datasets import array, array_rows, arrays, opened, rows, strings, text, texts
-from labpipe.store.hdf5_objects import get_number, has_attribute
-from labpipe.store.stored_parts import (
-    read_bending,
-    read_notes,
-    read_reasons,
-    read_recording,
-    read_specimen,
-)
+from labpipe.store.datasets import array, array_rows, opened, text, texts
+from labpipe.store.hdf5_objects import get_number
+from labpipe.store.layout import BudgetRow, attributes_of, fields_of
+from labpipe.store.stored_parts import read_recording, read_specimen
+from labpipe.store.stored_records import read_arrays, read_attributes, read_record, read_table
 
 _R = TypeVar("_R")
 
@@ -91,14 +88,12 @@ def read_result(path: Path) -> TestResult:
         If the file is none of labpipe's, of a newer schema, truncated or damaged.
     """
     with opened(path) as root:
-        shape = _shape(root[layout.SHAPE]) if layout.SHAPE in root else None
-        bending = read_bending(root[layout.BENDING]) if layout.BENDING in root else None
         return TestResult(
             **_head(root),
             **_outcome(root),
             aligned=_aligned(root),
-            shape=shape,
-            bending=bending,
+            shape=_shape(root),
+            bending=_bending(root),
         )
 
 
@@ -165,7 +160,7 @@ def _read_drawn_shapes(
 ) -> DrawnShapes | None:
     if layout.SHAPE not in root:
         return None
-    group, fields = root[layout.SHAPE], layout.SHAPE_FIELDS
+    group, fields = root[layout.SHAPE], fields_of(Shape)
     frames, deflection = choose(result, array(group, "time", fields["time"]))
     places = array_rows(group, "positions", fields["positions"], frames)
     return DrawnShapes(deflection, places[:, :, :2])
@@ -176,7 +171,7 @@ def _read_drawn_law(root: Any) -> DrawnLaw | None:
     if group is None:
         return None
     names = ("curvature", "moment", "moment_lower", "moment_upper")
-    return DrawnLaw(**arrays(group, {name: layout.LAW_FIELDS[name] for name in names}))
+    return DrawnLaw(**read_arrays(group, MeasuredLaw, names))
 
 
 def _read_reported(root: Any) -> TestResult:
@@ -204,9 +199,8 @@ def read_stages(path: Path) -> TestResult:
         As `read_result`.
     """
     with opened(path) as root:
-        shape = _shape(root[layout.SHAPE]) if layout.SHAPE in root else None
         head = _head(root, raw=False)
-        return TestResult(**head, **_outcome(root), aligned=_aligned(root), shape=shape)
+        return TestResult(**head, **_outcome(root), aligned=_aligned(root), shape=_shape(root))
 
 
 def read_raw(path: Path) -> RawTest:
@@ -258,7 +252,7 @@ def read_run(path: Path) -> str:
         As `read_result`.
     """
     with opened(path) as root:
-        return text(root, layout.RUN)
+        return text(root, "run")
 
 
 def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
@@ -266,7 +260,7 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     group = root[layout.RAW]
     roles = texts(group, "roles") if raw else ()
     return {
-        **{name: text(root, name) for name in layout.ROOT_TEXTS},
+        **read_attributes(root, RawTest),
         "specimen": read_specimen(root),
         "inputs": _inputs(group),
         "recordings": {role: read_recording(group[role]) for role in roles},
@@ -274,50 +268,29 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
 
 
 def _outcome(root: Any) -> dict[str, Any]:
-    """Read the outcome of processing: curve and numbers."""
-    curve, display = root.get(layout.CURVE), json.loads(text(root, layout.DISPLAY))
+    """Read the outcome of processing: curve, numbers and circumstances."""
+    group, display = root.get(layout.CURVE, {}), json.loads(text(root, "display"))
     return {
-        "curve": None if curve is None else _curve(curve),
+        **read_attributes(root, TestResult, skip=attributes_of(RawTest)),
+        "curve": _curve(group) if group else None,
         "results": _results(root),
-        "quality": read_notes(root[layout.QUALITY]),
+        "quality": read_table(root, layout.QUALITY, QualityNote),
         "display": {str(key): str(unit) for key, unit in display.items()},
-        "run": text(root, layout.RUN),
-        "figures": texts(root, layout.FIGURES),
-        "slips": _records(Slip, rows(curve or {}, layout.SLIPS, layout.SLIP_TABLE)),
-        "lines": _records(FittedLine, rows(curve or {}, layout.LINES, layout.LINE_TABLE)),
-        **_circumstances(root),
+        "slips": _optional_table(group, layout.SLIPS, Slip),
+        "lines": _optional_table(group, layout.LINES, FittedLine),
+        "instruments": _optional_table(root, layout.INSTRUMENTS, Instrument),
     }
 
 
-def _circumstances(root: Any) -> dict[str, Any]:
-    """Read operator, date and instruments of the test."""
-    day = text(root, layout.DATE)
-    return {
-        "date": date.fromisoformat(day) if day else None,
-        "operator": text(root, layout.OPERATOR),
-        "instruments": tuple(
-            _instrument(row) for row in rows(root, layout.INSTRUMENTS, layout.INSTRUMENT_TABLE)
-        ),
-    }
-
-
-def _instrument(row: Mapping[str, Any]) -> Instrument:
-    return Instrument(
-        channel=row["channel"],
-        measures=tuple(row["measures"].split(", ")),
-        certificate=row["certificate"],
-        calibrated=date.fromisoformat(row["calibrated"]),
-        due=date.fromisoformat(row["due"]) if row["due"] else None,
-        uncertainty=None if isnan(row["uncertainty"]) else row["uncertainty"],
-        k=row["k"],
-    )
+def _optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
+    return read_table(parent, name, kind) if name in parent else ()
 
 
 def _inputs(raw: Any) -> tuple[InputFile, ...]:
     inputs: dict[int, InputFile] = {}
     for role, group in raw.items():
         rows = zip(
-            group.attrs[layout.INPUT_ORDER],
+            group.attrs["input_order"],
             texts(group, "file"),
             texts(group, "sha256"),
             group.attrs["bytes"],
@@ -330,100 +303,50 @@ def _inputs(raw: Any) -> tuple[InputFile, ...]:
 def _aligned(root: Any) -> Aligned | None:
     if layout.ALIGNED not in root:
         return None
-    group = root[layout.ALIGNED]
+    group, values = root[layout.ALIGNED], fields_of(Series)["values"]
     series = {
-        text(group[name], "name"): Series(
-            array(group, name, layout.SERIES), text(group[name], "unit")
-        )
+        text(group[name], "name"): Series(array(group, name, values), text(group[name], "unit"))
         for name in texts(group, "series")
     }
-    fit = _clock_fit(group) if layout.EVENTS in group else None
-    time = array(group, layout.TIME, layout.CLOCK_TIME)
-    return Aligned(time, series, fit, text(group[layout.TIME], "unit"))
-
-
-def _clock_fit(group: Any) -> ClockFit:
-    return ClockFit(
-        offset=float(group.attrs["offset"]),
-        drift=float(group.attrs["drift"]),
-        offset_interval=_interval(group, "offset_"),
-        drift_interval=_interval(group, "drift_"),
-        residual=float(group.attrs["residual"]),
-        **arrays(group[layout.EVENTS], layout.EVENT_FIELDS),
-        method=text(group, "method"),
-    )
-
-
-def _interval(group: Any, prefix: str = "") -> Interval:
-    return Interval(*(get_number(group, prefix + end) for end in layout.INTERVAL_NUMBERS))
+    fit = None
+    if layout.EVENTS in group:
+        events = read_arrays(group[layout.EVENTS], ClockFit)
+        fit = ClockFit(**events, **read_attributes(group, ClockFit))
+    return read_record(group, Aligned, series=series, clock_fit=fit)
 
 
 def _curve(group: Any) -> Curve:
     time_unit = text(group[layout.TIME], "unit")
-    return Curve(
-        time=array(group, layout.TIME, layout.CLOCK_TIME),
-        **arrays(group, layout.CURVE_FIELDS),
-        branches=_records(Branch, rows(group, layout.BRANCHES, layout.BRANCH_TABLE, time_unit)),
-        time_unit=time_unit,
-    )
+    branches = read_table(group, layout.BRANCHES, Branch, time_unit)
+    return read_record(group, Curve, branches=branches)
 
 
-def _records(record_type: type[_R], table: Iterable[Any]) -> tuple[_R, ...]:
-    """Convert the rows of a table to records."""
-    hints = get_type_hints(record_type).items()
-    return tuple(record_type(**{key: _cell(row, key, of) for key, of in hints}) for row in table)
+def _shape(root: Any) -> Shape | None:
+    return read_record(root[layout.SHAPE], Shape) if layout.SHAPE in root else None
 
 
-def _cell(row: Any, name: str, cell_type: Any) -> object:
-    """Return one field of a record; ``drop_interval`` is in ``drop_lower`` and ``drop_upper``."""
-    if cell_type is Interval:
-        ends = (f"{name.removesuffix('_interval')}_{end}" for end in ("lower", "upper"))
-        return Interval(*(row[end] for end in ends))
-    return cell_type(row[name])
-
-
-def _shape(group: Any) -> Shape:
-    return Shape(
-        **arrays(group, layout.SHAPE_FIELDS),
-        names=strings(group, layout.NAMES, "point"),
-        length=float(group.attrs["length"]),
-    )
+def _bending(root: Any) -> Bending | None:
+    if layout.BENDING not in root:
+        return None
+    group = root[layout.BENDING]
+    law = read_record(group[layout.LAW], MeasuredLaw) if layout.LAW in group else None
+    return read_record(group, Bending, cloud=read_record(group, BendingCloud), law=law)
 
 
 def _results(root: Any) -> tuple[Result, ...]:
-    group, budgets = root[layout.RESULTS], _budgets(root)
+    group, budgets = root[layout.RESULTS], dict[str, list[Contribution]]()
+    for row in _optional_table(root, layout.BUDGETS, BudgetRow):
+        contribution = Contribution(row.cause, row.change, row.is_common)
+        budgets.setdefault(row.result, []).append(contribution)
     return tuple(
         _result(name, group[name], tuple(budgets.get(name, ()))) for name in texts(group, "order")
     )
 
 
-def _budgets(root: Any) -> dict[str, list[Contribution]]:
-    """Return the rows of the budgets by result."""
-    budgets: dict[str, list[Contribution]] = {}
-    for row in rows(root, layout.BUDGETS, layout.BUDGET_TABLE):
-        contribution = Contribution(row["cause"], row["change"], bool(row["is_common"]))
-        budgets.setdefault(row["result"], []).append(contribution)
-    return budgets
-
-
 def _result(name: str, group: Any, budget: tuple[Contribution, ...]) -> Result:
-    status = Status(text(group, "status"))
-    result = Result(
-        name=name,
-        value=None if status is Status.FAILED else get_number(group, "value"),
-        unit=text(group, "unit"),
-        interval=_interval(group) if has_attribute(group, "lower") else None,
-        status=status,
-        reasons=read_reasons(group),
-        n=int(get_number(group, "n")),
-        estimate=get_number(group, layout.ESTIMATE)
-        if has_attribute(group, layout.ESTIMATE)
-        else None,
-        budget=budget,
-        method=text(group, "method"),
-        made_of=text(group, "made_of"),
-        remark=text(group, "remark"),
-    )
+    fields = read_attributes(group, Result, skip=("name", "value"))
+    value = None if fields["status"] is Status.FAILED else get_number(group, "value")
+    result = Result(name=name, value=value, budget=budget, **fields)
     if text(group, "seal") != result.seal:
         message = f"results/{name}: its numbers were changed after they were written"
         raise ValueError(message)

@@ -1,47 +1,46 @@
-"""Parts of a result file: reasons, specimen, recordings with notes, measured bending."""
+"""Parts of a result file that are more than one record: specimen with bundle, recording."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from math import isnan, nan
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from labpipe.records.curve import Bending, BendingCloud, MeasuredLaw
 from labpipe.records.harness_bundle import ARRANGEMENTS, TAPINGS, Bundle, BundleWire
-from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import Specimen
 from labpipe.store import layout
-from labpipe.store.datasets import Target, array, arrays, strings, text, texts
+from labpipe.store.datasets import Target, array, text, texts
 from labpipe.store.hdf5_objects import set_text
-from labpipe.store.layout import link_name
+from labpipe.store.layout import Field, fields_of, link_name
+from labpipe.store.stored_records import (
+    read_attributes,
+    read_record,
+    read_table,
+    write_attributes,
+    write_record,
+    write_table,
+)
 
-
-def write_reasons(target: Target, reasons: Iterable[Reason]) -> None:
-    """Write reasons.
-
-    Parameters
-    ----------
-    target : group of the result
-    reasons : any number
-    """
-    reasons = tuple(reasons)
-    target.texts(layout.REASON_CODES, tuple(reason.code for reason in reasons))
-    target.texts(layout.REASON_MESSAGES, tuple(reason.message for reason in reasons))
-
-
-def read_reasons(group: Any) -> tuple[Reason, ...]:
-    """Read reasons.
-
-    Parameters
-    ----------
-    group : open HDF5 group that `write_reasons` wrote to
-    """
-    codes, messages = (texts(group, name) for name in (layout.REASON_CODES, layout.REASON_MESSAGES))
-    return tuple(Reason(*code) for code in zip(codes, messages, strict=True))
+_SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
+"""Attributes of the root."""
+_WIRE_TYPE: Final = Field(("type",), layout.TEXT, layout.TEXT)
+_WIRE_NUMBER: Final = Field(("type",), "1", "int64")
+_WIRE_DIAMETER: Final = Field(("type",), "m")
+_WIRE_POSITION: Final = Field(("wire", "xy"), "m")
+_CHANNEL: Final = Field(("sample",), None)
+_CHANNEL_TEXTS: Final = {
+    "name": "name",
+    "path": "name_in_file",
+    "clock": "clock",
+    "unit_in_file": "unit_in_file",
+    "calibration": "calibration",
+}
+_MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:
@@ -49,32 +48,34 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
 
     Parameters
     ----------
-    target : their group, empty
-    specimen : the specimen; type, spool and sample are attributes of the root
+    target : the root
+    specimen : the specimen
     """
+    for name, attribute in _SPECIMEN_TEXTS.items():
+        set_text(target.group, attribute, getattr(specimen, name))
+    target = target.inside(layout.SPECIMEN)
     target.texts("dimensions", tuple(specimen.dimensions))
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
     target.group.attrs["unit"] = "m"
     if specimen.labels:
-        target.texts(layout.LABELS, tuple(specimen.labels))
-        target.texts(layout.LABEL_WORDS, tuple(specimen.labels.values()))
+        target.texts("labels", tuple(specimen.labels))
+        target.texts("label_words", tuple(specimen.labels.values()))
     if specimen.bundle is not None:
-        _write_bundle(target.inside(layout.BUNDLE), specimen.bundle)
+        _write_bundle(target.inside("bundle"), specimen.bundle)
 
 
 def _write_bundle(target: Target, bundle: Bundle) -> None:
-    for name in layout.BUNDLE_TEXTS:
-        target.group.attrs[name] = getattr(bundle, name)
-    target.group.attrs[layout.BORE] = _number(bundle.conduit_bore)
-    target.group.attrs[f"{layout.BORE}_unit"] = "m"
+    write_attributes(target, bundle, skip=("conduit_bore",))
+    target.group.attrs["conduit_bore"] = _number(bundle.conduit_bore)
+    target.group.attrs["conduit_bore_unit"] = "m"
     numbers = np.array([wire.number for wire in bundle.wires], dtype=np.int64)
     diameters = np.array([_number(wire.diameter) for wire in bundle.wires])
-    target.strings(layout.WIRE_TYPES, tuple(wire.type for wire in bundle.wires), "type")
-    target.array(layout.WIRE_NUMBERS, numbers, layout.WIRE_NUMBER)
-    target.array(layout.WIRE_DIAMETERS, diameters, layout.WIRE_DIAMETER)
+    target.array("wire_types", tuple(wire.type for wire in bundle.wires), _WIRE_TYPE)
+    target.array("wire_numbers", numbers, _WIRE_NUMBER)
+    target.array("wire_diameters", diameters, _WIRE_DIAMETER)
     if bundle.positions:
-        target.array(layout.POSITIONS, np.array(bundle.positions), layout.WIRE_POSITION)
-    target.scaled(layout.BUNDLE_SCALES)
+        target.array("positions", np.array(bundle.positions), _WIRE_POSITION)
+    target.scaled()
 
 
 def read_specimen(root: Any) -> Specimen:
@@ -83,51 +84,39 @@ def read_specimen(root: Any) -> Specimen:
     Parameters
     ----------
     root : open result file
-
-    Returns
-    -------
-    The specimen.
     """
-    named = {name: text(root, where) for name, where in layout.SPECIMEN_TEXTS.items()}
+    named = {name: text(root, where) for name, where in _SPECIMEN_TEXTS.items()}
     group = root[layout.SPECIMEN]
     values = (float(value) for value in group.attrs["values"])
     dimensions = dict(zip(texts(group, "dimensions"), values, strict=True))
-    bundle = _bundle(group[layout.BUNDLE]) if layout.BUNDLE in group else None
-    kinds, values_of_labels = (
-        texts(group, name) if layout.LABELS in group.attrs else ()
-        for name in (layout.LABELS, layout.LABEL_WORDS)
+    bundle = _bundle(group["bundle"]) if "bundle" in group else None
+    has_labels = "labels" in group.attrs
+    labels = (
+        zip(texts(group, "labels"), texts(group, "label_words"), strict=True) if has_labels else ()
     )
-    labels = dict(zip(kinds, values_of_labels, strict=True))
-    return Specimen(**named, dimensions=dimensions, bundle=bundle, labels=labels)
+    return Specimen(**named, dimensions=dimensions, bundle=bundle, labels=dict(labels))
 
 
 def _bundle(group: Any) -> Bundle:
     wires = zip(
-        strings(group, layout.WIRE_TYPES, "type"),
-        array(group, layout.WIRE_NUMBERS, layout.WIRE_NUMBER),
-        array(group, layout.WIRE_DIAMETERS, layout.WIRE_DIAMETER),
+        array(group, "wire_types", _WIRE_TYPE),
+        array(group, "wire_numbers", _WIRE_NUMBER),
+        array(group, "wire_diameters", _WIRE_DIAMETER),
         strict=True,
     )
-    has_positions = layout.POSITIONS in group
-    positions = array(group, layout.POSITIONS, layout.WIRE_POSITION) if has_positions else ()
-    return Bundle(
+    positions = array(group, "positions", _WIRE_POSITION) if "positions" in group else ()
+    bundle = Bundle(
         wires=tuple(
             BundleWire(wire_type, int(number), _optional(wide)) for wire_type, number, wide in wires
         ),
-        arrangement=_one_of(ARRANGEMENTS, text(group, "arrangement")),
         positions=tuple((float(x), float(y)) for x, y in positions),
-        tape=text(group, "tape"),
-        taping=_one_of(TAPINGS, text(group, "taping")),
-        conduit=text(group, "conduit"),
-        conduit_bore=_optional(group.attrs[layout.BORE]),
+        conduit_bore=_optional(group.attrs["conduit_bore"]),
+        **read_attributes(group, Bundle, skip=("conduit_bore",)),
     )
-
-
-def _one_of(choices: tuple[str, ...], choice: str) -> str:
-    if choice not in choices:
-        message = f"{choice!r} is none of {', '.join(choices)}"
+    if bundle.arrangement not in ARRANGEMENTS or bundle.taping not in TAPINGS:
+        message = f"{bundle.arrangement!r} or {bundle.taping!r} is unknown"
         raise ValueError(message)
-    return choice
+    return bundle
 
 
 def _number(value: float | None) -> float:
@@ -138,9 +127,6 @@ def _optional(value: float) -> float | None:
     return None if isnan(value) else float(value)
 
 
-_RESERVED = (layout.TIME, layout.MARKERS, layout.BODIES, layout.NOTES)
-
-
 def write_recording(target: Target, recording: Recording) -> None:
     """Write a recording.
 
@@ -149,16 +135,14 @@ def write_recording(target: Target, recording: Recording) -> None:
     target : its group, with the fingerprints of the exports only
     recording : markers, clocks, channels, notes and metadata
     """
-    attributes = target.group.attrs
-    for name in layout.RECORDING_TEXTS:
-        attributes[name] = getattr(recording, name)
-    attributes[layout.METADATA] = json.dumps(dict(recording.metadata), ensure_ascii=False)
-    write_notes(target.inside(layout.NOTES), recording.notes)
+    write_attributes(target, recording)
+    set_text(target.group, "metadata", json.dumps(dict(recording.metadata), ensure_ascii=False))
+    write_table(target, _NOTES, QualityNote, recording.notes)
     if recording.markers is not None:
         _write_markers(target, recording.markers)
     scales = _write_clocks(target, recording.clocks)
     if recording.markers is not None and layout.TIME not in target.group:
-        target.group[layout.TIME] = target.group[layout.MARKERS][layout.TIME]
+        target.group[layout.TIME] = target.group[_MARKERS][layout.TIME]
     _write_channels(target, recording.channels, scales)
 
 
@@ -169,8 +153,8 @@ def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
     for clock in clocks:
         wanted = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
         names.append(link_name(wanted, target.group))
-        dataset = target.array(names[-1], clock.time, layout.CLOCK_TIME, clock.unit)
-        dataset.attrs["clock"] = clock.name
+        dataset = target.array(names[-1], clock.time, fields_of(Clock)["time"], clock.unit)
+        set_text(dataset, "clock", clock.name)
         scales[clock.name] = dataset
     target.texts("clocks", tuple(names))
     return scales
@@ -179,46 +163,28 @@ def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
 def _write_channels(
     target: Target, channels: tuple[Channel, ...], scales: Mapping[str, Any]
 ) -> None:
+    reserved = (layout.TIME, _MARKERS, _BODIES, _NOTES)
     names: list[str] = []
     for channel in channels:
-        names.append(link_name(channel.name, [*target.group, *_RESERVED]))
+        names.append(link_name(channel.name, [*target.group, *reserved]))
         unit = layout.NO_UNIT if channel.unit is None else channel.unit
-        dataset = target.array(names[-1], channel.values, layout.CHANNEL, unit)
-        for field_name, attribute in layout.CHANNEL_TEXTS.items():
+        dataset = target.array(names[-1], channel.values, _CHANNEL, unit)
+        for field_name, attribute in _CHANNEL_TEXTS.items():
             set_text(dataset, attribute, getattr(channel, field_name))
         target.attach(dataset, 0, scales[channel.clock])
     target.texts("channels", tuple(names))
 
 
 def _write_markers(target: Target, tracks: MarkerTracks) -> None:
-    markers = target.inside(layout.MARKERS)
-    markers.fields(tracks, layout.MARKER_FIELDS)
-    markers.strings(layout.NAMES, tracks.names, "marker")
-    markers.scaled(layout.MARKER_SCALES)
-    markers.group.attrs["rate"] = float(tracks.rate)
-    markers.group.attrs["unit_in_file"] = tracks.unit_in_file
-    bodies = target.inside(layout.BODIES)
+    markers, bodies = target.inside(_MARKERS), target.inside(_BODIES)
+    write_record(markers, tracks)
     names: list[str] = []
     for body in tracks.bodies:
         names.append(link_name(body.name, names))
         inside = bodies.inside(names[-1])
-        inside.group.attrs["name"] = body.name
-        inside.fields(body, layout.BODY_FIELDS)
-        inside.group[layout.TIME] = markers.group[layout.TIME]
-        inside.scaled(layout.BODY_SCALES)
+        inside.link(layout.TIME, markers.group[layout.TIME], fields_of(MarkerTracks)["time"])
+        write_record(inside, body)
     bodies.texts("bodies", tuple(names))
-
-
-def write_notes(target: Target, notes: tuple[QualityNote, ...]) -> None:
-    """Write notes as columns of text.
-
-    Parameters
-    ----------
-    target : an empty group
-    notes : in this order
-    """
-    rows = [tuple(str(getattr(note, name)) for name in layout.NOTE_COLUMNS) for note in notes]
-    target.columns(layout.NOTE_TABLE, rows)
 
 
 def read_recording(group: Any) -> Recording:
@@ -235,14 +201,14 @@ def read_recording(group: Any) -> Recording:
     KeyError, ValueError
         If a channel has no clock, or the length of a channel or body differs from its times.
     """
-    has_markers = layout.MARKERS in group
-    recording = Recording(
-        **{name: text(group, name) for name in layout.RECORDING_TEXTS},
+    recording = read_record(
+        group,
+        Recording,
         clocks=tuple(_clock(group, name) for name in texts(group, "clocks")),
         channels=tuple(_channel(group, name) for name in texts(group, "channels")),
-        markers=_markers(group) if has_markers else None,
-        metadata=dict(json.loads(text(group, layout.METADATA)).items()),
-        notes=read_notes(group[layout.NOTES]),
+        markers=_markers(group) if _MARKERS in group else None,
+        metadata=dict(json.loads(text(group, "metadata")).items()),
+        notes=read_table(group, _NOTES, QualityNote),
     )
     _require_equal_lengths(recording)
     return recording
@@ -264,106 +230,18 @@ def _require_equal_lengths(recording: Recording) -> None:
 
 
 def _clock(group: Any, name: str) -> Clock:
-    time = array(group, name, layout.CLOCK_TIME)
+    time = array(group, name, fields_of(Clock)["time"])
     return Clock(text(group[name], "clock"), time, text(group[name], "unit"))
 
 
 def _channel(group: Any, name: str) -> Channel:
-    fields = {key: text(group[name], where) for key, where in layout.CHANNEL_TEXTS.items()}
+    fields = {key: text(group[name], where) for key, where in _CHANNEL_TEXTS.items()}
     unit = text(group[name], "unit")
-    values = array(group, name, layout.CHANNEL)
+    values = array(group, name, _CHANNEL)
     return Channel(**fields, values=values, unit=None if unit == layout.NO_UNIT else unit)
 
 
 def _markers(group: Any) -> MarkerTracks:
-    markers, bodies = group[layout.MARKERS], group[layout.BODIES]
-    return MarkerTracks(
-        **arrays(markers, layout.MARKER_FIELDS),
-        names=strings(markers, layout.NAMES, "marker"),
-        rate=float(markers.attrs["rate"]),
-        unit_in_file=text(markers, "unit_in_file"),
-        bodies=tuple(
-            RigidBody(name=text(bodies[name], "name"), **arrays(bodies[name], layout.BODY_FIELDS))
-            for name in texts(bodies, "bodies")
-        ),
-    )
-
-
-def read_notes(group: Any) -> tuple[QualityNote, ...]:
-    """Read notes that `write_notes` wrote.
-
-    Parameters
-    ----------
-    group : of the notes
-
-    Raises
-    ------
-    StoreError
-        If a column differs from the layout.
-    """
-    columns = [strings(group, name, "note") for name in layout.NOTE_COLUMNS]
-    return tuple(
-        QualityNote(code, Severity(severity), where, message)
-        for code, severity, where, message in zip(*columns, strict=True)
-    )
-
-
-def write_bending(target: Target, bending: Bending) -> None:
-    """Write cloud and law.
-
-    Parameters
-    ----------
-    target : their group, empty
-    bending : measured bending
-    """
-    target.fields(bending.cloud, layout.CLOUD_FIELDS)
-    target.scaled(layout.CLOUD_SCALES)
-    target.group.attrs["frames_per_mean"] = int(bending.cloud.frames_per_mean)
-    write_reasons(target, [bending.reason] if bending.reason else [])
-    if bending.law is not None:
-        _write_law(target.inside(layout.LAW), bending.law)
-
-
-def _write_law(target: Target, law: MeasuredLaw) -> None:
-    target.fields(law, layout.LAW_FIELDS)
-    target.array(layout.IS_KNOWN, law.is_known.astype(np.uint8), layout.KNOWN)
-    target.scaled(layout.LAW_SCALES)
-    for name, unit in layout.LAW_UNITS.items():
-        target.group.attrs[name] = float(getattr(law, name))
-        target.group.attrs[f"{name}_unit"] = unit
-    target.group.attrs["n_frames"] = int(law.n_frames)
-    write_reasons(target, [law.reason] if law.reason else [])
-
-
-def read_bending(group: Any) -> Bending:
-    """Read cloud and law.
-
-    Parameters
-    ----------
-    group : open HDF5 group that `write_bending` made
-
-    Returns
-    -------
-    The measured bending.
-    """
-    return Bending(
-        cloud=BendingCloud(
-            **arrays(group, layout.CLOUD_FIELDS),
-            frames_per_mean=int(group.attrs["frames_per_mean"]),
-        ),
-        law=_law(group[layout.LAW]) if layout.LAW in group else None,
-        reason=next(iter(read_reasons(group)), None),
-    )
-
-
-def _law(group: Any) -> MeasuredLaw:
-    fields: dict[str, Any] = {
-        **arrays(group, layout.LAW_FIELDS),
-        **{name: float(group.attrs[name]) for name in layout.LAW_UNITS},
-    }
-    return MeasuredLaw(
-        **fields,
-        is_known=array(group, layout.IS_KNOWN, layout.KNOWN).astype(np.bool_),
-        n_frames=int(group.attrs["n_frames"]),
-        reason=next(iter(read_reasons(group)), None),
-    )
+    bodies = group[_BODIES]
+    all_bodies = tuple(read_record(bodies[name], RigidBody) for name in texts(bodies, "bodies"))
+    return read_record(group[_MARKERS], MarkerTracks, bodies=all_bodies)

@@ -1,22 +1,25 @@
-"""Writing and reading of summary.json."""
+"""Summary and failure of a test: writing and reading of summary.json, writing of failure.json."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from datetime import date
 from hashlib import sha256
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from labpipe import __version__
 from labpipe.errors import StoreError, error_text
-from labpipe.records.harness_bundle import Bundle
-from labpipe.records.result import Instrument, Result, Specimen, TestResult, seal_of
-from labpipe.store.replace import replacing
+from labpipe.records.result import InputFile, Result, Specimen, TestResult, seal_of
+from labpipe.store.replace import locked, replacing
 
 SUMMARY_FILE = "summary.json"
 SUMMARY_SCHEMA = 2
+FAILURE_FILE = "failure.json"
+FAILURE_SCHEMA = 1
 
 
 def summary(result: TestResult) -> dict[str, object]:
@@ -37,13 +40,10 @@ def summary(result: TestResult) -> dict[str, object]:
         "specimen": _specimen(result.specimen),
         "protocol": result.protocol,
         "labpipe": result.labpipe_version,
-        "inputs": [
-            {"role": export.role, "file": export.file, "sha256": export.sha256}
-            for export in result.inputs
-        ],
-        "date": None if result.date is None else str(result.date),
+        "inputs": _inputs(result.inputs),
+        "date": plain(result.date),
         "operator": result.operator,
-        "instruments": [_instrument(instrument) for instrument in result.instruments],
+        "instruments": plain(result.instruments),
         "run": result.run,
         "made_of": {
             "sheet": sha256(result.test_yaml.encode()).hexdigest(),
@@ -75,47 +75,28 @@ def write_summary(result: TestResult, path: Path) -> None:
         temporary.write_bytes(text.encode())
 
 
+def plain(value: Any) -> Any:
+    """Convert records to what JSON has: no NaN, no tuples, days as texts."""
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float):
+        return finite_or_none(value)
+    return str(value) if isinstance(value, str | date) else value
+
+
 def _specimen(specimen: Specimen) -> dict[str, object]:
-    content: dict[str, object] = {
-        "type": specimen.type,
-        "spool": specimen.spool,
-        "sample": specimen.sample,
-        **{name: finite_or_none(value) for name, value in specimen.dimensions.items()},
-    }
-    if specimen.bundle is not None:
-        content["bundle"] = _bundle(specimen.bundle)
-    if specimen.labels:
-        content["labels"] = dict(specimen.labels)
-    return content
-
-
-def _bundle(bundle: Bundle) -> dict[str, object]:
+    content = plain(specimen)
+    bundle = specimen.bundle
+    about = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
+    optional = {"bundle": about | (content["bundle"] or {}), "labels": content["labels"]}
     return {
-        "composition": bundle.composition,
-        "number": bundle.number,
-        "wires": [
-            {"type": wire.type, "number": wire.number, "diameter": finite_or_none(wire.diameter)}
-            for wire in bundle.wires
-        ],
-        "arrangement": bundle.arrangement,
-        "positions": [list(place) for place in bundle.positions],
-        "tape": bundle.tape,
-        "taping": bundle.taping,
-        "conduit": bundle.conduit,
-        "conduit_bore": finite_or_none(bundle.conduit_bore),
-    }
-
-
-def _instrument(instrument: Instrument) -> dict[str, object]:
-    due = instrument.due
-    return {
-        "channel": instrument.channel,
-        "measures": list(instrument.measures),
-        "certificate": instrument.certificate,
-        "calibrated": str(instrument.calibrated),
-        "due": None if due is None else str(due),
-        "uncertainty": finite_or_none(instrument.uncertainty),
-        "k": instrument.k,
+        **{name: content[name] for name in ("type", "spool", "sample")},
+        **content["dimensions"],
+        **{name: entry for name, entry in optional.items() if entry},
     }
 
 
@@ -126,31 +107,32 @@ def result_entry(result: Result) -> dict[str, object]:
     ----------
     result : of a test, or of a harness
     """
-    interval = result.interval
-    return {
+    ends = result.interval
+    shares = zip(result.budget, result.shares, strict=True)
+    entry: dict[str, object] = plain({
         "name": result.name,
-        "value": finite_or_none(result.value),
+        "value": result.value,
         "unit": result.unit,
-        "lower": finite_or_none(interval.lower) if interval else None,
-        "upper": finite_or_none(interval.upper) if interval else None,
-        "level": finite_or_none(interval.level) if interval else None,
-        "estimate": finite_or_none(result.likely),
-        "status": str(result.status),
+        "lower": ends and ends.lower,
+        "upper": ends and ends.upper,
+        "level": ends and ends.level,
+        "estimate": result.likely,
+        "status": result.status,
         "seal": result.seal,
         "code": ", ".join(result.codes),
         "reason": result.why,
-        "reasons": [asdict(reason) for reason in result.reasons],
+        "reasons": result.reasons,
         "method": result.how,
         "budget": [
-            {
-                "cause": contribution.cause,
-                "change": finite_or_none(contribution.change),
-                "share": finite_or_none(share),
-                "common": contribution.is_common,
-            }
-            for contribution, share in zip(result.budget, result.shares, strict=True)
+            {"cause": row.cause, "change": row.change, "share": share, "common": row.is_common}
+            for row, share in shares
         ],
-    }
+    })  # fmt: skip
+    return entry
+
+
+def _inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
+    return [{"role": one.role, "file": one.file, "sha256": one.sha256} for one in inputs]
 
 
 def check_summary(result: TestResult, path: Path) -> None:
@@ -236,3 +218,46 @@ def read_summary(path: Path) -> dict[str, Any]:
 def _no_summary(path: Path, found: str, remedy: str = "Process the test again.") -> StoreError:
     expected = "a summary of a processed test"
     return StoreError(error_text(path, "", expected=expected, found=found, remedy=remedy))
+
+
+@dataclass(frozen=True, slots=True)
+class FailedTest:
+    """A test that could not be processed, and the reason.
+
+    Parameters
+    ----------
+    test : its name; empty if unknown
+    code : see `labpipe.errors.CODES`
+    reason : the message for the user
+    run : key of the failed run; empty if unknown
+    inputs : the exports, if all can be read
+    made_of : SHA-256 of the test sheet and of the resolved protocol, as in ``summary.json``; empty
+        if they cannot be read
+    """
+
+    test: str
+    code: str
+    reason: str
+    run: str = ""
+    inputs: tuple[InputFile, ...] = ()
+    made_of: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_failure(failure: FailedTest, folder: Path) -> None:
+    """Write ``failure.json``; other files in the folder are unchanged.
+
+    Parameters
+    ----------
+    failure : of the test
+    folder : of its results; created if it does not exist
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written, or another labpipe process works in the folder.
+    """
+    head = {"schema": FAILURE_SCHEMA, "labpipe": __version__}
+    content = head | asdict(failure) | {"inputs": _inputs(failure.inputs)}
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    with locked(folder), replacing(folder / FAILURE_FILE) as temporary:
+        temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))

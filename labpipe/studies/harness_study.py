@@ -32,9 +32,8 @@ from labpipe.rod.bands import StateBands
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.rotations import matrices
-from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
-from labpipe.store.summaries import SUMMARY_FILE, finite_or_none, result_entry
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, finite_or_none, result_entry
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import curvature_of, radius_of
 from labpipe.studies.harness_responses import RADIUS, RADIUS_ON_PATH, heights_of, residual_curvature

@@ -22,7 +22,7 @@ from labpipe.campaign.outcome_rows import StoredOutcome, read_outcome_files
 from labpipe.campaign.refreshing import account_for_files, open_campaign
 from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_test
 from labpipe.errors import LabpipeError, StoreError, UsageError
-from labpipe.store.failure_file import FailedTest, write_failure
+from labpipe.store.summaries import FailedTest, write_failure
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 
 

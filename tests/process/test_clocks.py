@@ -465,7 +465,7 @@ def test_clocks_that_are_stated(approved: Approve) -> None:
         error = 0.03 if more else 0.02
         assert (fit.offset, fit.drift) == (-3.2, 40e-6 if more else 0.0)
         assert fit.offset_interval.standard_error == pytest.approx(error)
-        assert fit.to_force_seconds(100.0) == pytest.approx(96.804 if more else 96.8)
+        assert fit.to_force_time(100.0) == pytest.approx(96.804 if more else 96.8)
         assert fit.event_errors.tolist() == pytest.approx([error])
         assert fit.method == "stated: LED in frame 512"
         assert not doubted(findings.entries)

@@ -25,8 +25,7 @@ from labpipe.records.arrays import (
     times_of,
 )
 from labpipe.records.curve import ClockFit, Curve, Interval, Series, Shape
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
-from labpipe.records.group import SampleCurve
+from labpipe.records.group import DrawnLaw, DrawnShapes, SampleCurve
 from labpipe.records.recording import Clock, MarkerTracks, RigidBody
 from labpipe.records.wire import WireLayout
 from labpipe.records.wire_calibration import Prediction, Profile
@@ -101,7 +100,7 @@ def test_clocks_there_and_back(offset: float, drift: float, time: float) -> None
     events, about = np.array([1.0, 2.0]), Interval(0.0, 1.0)
     fit = ClockFit(offset, drift, about, about, 0.0, events, events, events, "made up")
     there = fit.to_force_time(np.array([time]))
-    assert there[0] == fit.to_force_seconds(time) == offset + (1 + drift) * time
+    assert there[0] == fit.to_force_time(time) == offset + (1 + drift) * time
     assert fit.to_marker_time(there)[0] == pytest.approx(time, abs=1e-9)
 
 

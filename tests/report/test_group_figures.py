@@ -10,8 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from labpipe.records.curve import FittedLine
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
-from labpipe.records.group import Group, Outlier
+from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
 from labpipe.report.figure_page import style
 from labpipe.report.group_figures import group_drawings
 from labpipe.report.group_panels import MAX_SLIP_PANELS, file_panels

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.figure_data import DrawnLaw, DrawnShapes
-from labpipe.records.group import Campaign, Group, Sample
+from labpipe.records.group import Campaign, DrawnLaw, DrawnShapes, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_panels import group_panels
 from labpipe.report.issues import find_causes

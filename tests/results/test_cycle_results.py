@@ -12,7 +12,6 @@ from labpipe.results.curve_replicates import replicate_curves
 from labpipe.results.cycles import _time_of_part, stretch_of_cycle
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
-from labpipe.uncertainty.intervals import Measured
 
 
 def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
@@ -63,9 +62,8 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     down = Branch(waits, ends, 1, Direction.UNLOADING, 13.0, 23.0)
     seen = path + np.random.default_rng(1).normal(0.0, 15e-6, len(time))
     test = evidence(time, seen, force, up, down)
-    (number,) = UnloadingStiffness(over=0.003).compute(test).numbers
-    found = number.outcome
-    assert isinstance(found, Measured)
+    (found,) = UnloadingStiffness(over=0.003).compute(test).results
+    assert found.value is not None
     inside = slice(turns, ends)
     window = (off[inside] >= 0.0003) & (off[inside] <= 0.003)
     slope = np.polyfit(path[inside][window], force[inside][window], 1)[0]
@@ -83,5 +81,5 @@ def test_a_force_that_drifts_at_rest_is_told() -> None:
         seen = path + random.normal(0.0, 1e-5, len(time))
         up = Branch(0, len(time), 1, Direction.LOADING, 0.0, 25.0)
         test = evidence(time, seen, force, up)
-        (number,) = LoadingStiffness(over=0.005).compute(test).numbers
-        assert ("rest_in_window" in {doubt.code for doubt in number.doubts}) is doubted
+        (result,) = LoadingStiffness(over=0.005).compute(test).results
+        assert ("rest_in_window" in result.codes) is doubted

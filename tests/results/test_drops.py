@@ -10,8 +10,9 @@ from scipy.stats import binomtest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
+from labpipe.results.curve_replicates import add_back
 from labpipe.results.failures import LossOfForce, final_loss, lost_earlier, slow_loss
-from labpipe.results.slips import (
+from labpipe.results.slack_and_slips import (
     LoadDrop,
     PullCurve,
     _block_size,
@@ -19,7 +20,6 @@ from labpipe.results.slips import (
     _is_outlier,
     _step_kernel,
     _Window,
-    add_back,
     find_slips,
     fit_load_drop,
     samples_before,

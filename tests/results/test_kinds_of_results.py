@@ -12,22 +12,29 @@ from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtfu
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, traced
-from labpipe.results.kinds import ClockResult, Number, Outcome, to_result
-from labpipe.results.reduced_test import FailurePoint, ReducedTest, blocked_or
+from labpipe.results.kinds import ClockResult, Computed, Kind, Outcome
+from labpipe.results.reduced_test import FailurePoint, ReducedTest
 
-STIFFNESS = Output("stiffness", "N/m", rests_on=("force", "displacement"))
+
+class ByLine(Kind):
+    result = "stiffness"
+    outputs = (Output("stiffness", "N/m", rests_on=("force", "displacement")),)
+    method = "by a line"
+
+    def measure(self, test: ReducedTest) -> Computed:
+        raise test.unavailable(Failure("none", ""))
 
 
 def evidence(*found: Finding) -> ReducedTest:
     return ReducedTest(Signals(), findings=Findings(found))
 
 
-def asked(outcome: Outcome, *doubts: Reason, part: str = "") -> Number:
-    return Number(STIFFNESS, outcome, "by a line", doubts=doubts, part=part)
+def number(test: ReducedTest, outcome: Outcome, *doubts: Reason, part: str = "") -> Result:
+    return ByLine().number(test, outcome, doubts=doubts, part=part)
 
 
 def test_a_number() -> None:
-    found = to_result(evidence(), asked(Estimate(10.0, 1.0, 50)))
+    found = number(evidence(), Estimate(10.0, 1.0, 50))
     assert (found.name, found.value, found.unit, found.n) == ("stiffness", 10.0, "N/m", 50)
     assert (found.status, found.why, found.method) == (Status.OK, "", "by a line")
     assert found.interval is not None
@@ -37,13 +44,13 @@ def test_a_number() -> None:
 def test_errors_from_outside_the_fit_come_on_top() -> None:
     """The part of the fit in an interval of its own is half its width, as a normal one has it."""
     errors = {"scale of the force": 3.0, "length": 4.0}
-    result = to_result(evidence(), Number(STIFFNESS, Estimate(10.0, 0.0, 50), "", errors))
+    result = ByLine().number(evidence(), Estimate(10.0, 0.0, 50), errors)
     assert result.interval is not None
     assert result.interval.standard_error == pytest.approx(5.0)
     scale = Contribution("scale of the force", 3.0, is_common=True)
     assert result.budget == (scale, Contribution("length", 4.0))
     asymmetric = Interval(9.0, 14.0)
-    result = to_result(evidence(), asked(Estimate(10.0, 1.0, 50, asymmetric), part=".2"))
+    result = number(evidence(), Estimate(10.0, 1.0, 50, asymmetric), part=".2")
     assert (result.name, result.interval) == ("stiffness.2", asymmetric)
     assert [row.cause for row in result.budget] == ["fit"]
     assert result.budget[0].change == pytest.approx(2.5 / 1.959964)
@@ -51,11 +58,11 @@ def test_errors_from_outside_the_fit_come_on_top() -> None:
 
 def test_no_number() -> None:
     failure = Failure("gap", "4 samples are missing")
-    result = to_result(evidence(), asked(failure, Reason("x", "y")))
+    result = number(evidence(), failure, Reason("x", "y"))
     assert (result.value, result.interval, result.status) == (None, None, Status.FAILED)
     assert (result.why, result.method) == ("gap: 4 samples are missing", "by a line")
     for value, error in ((float("nan"), 1.0), (1.0, float("inf"))):
-        result = to_result(evidence(), asked(Estimate(value, error, 3)))
+        result = number(evidence(), Estimate(value, error, 3))
         assert result.status is Status.FAILED
         assert result.why == f"not_finite: value {value}, standard error {error}"
 
@@ -65,18 +72,20 @@ def test_doubts_of_its_quantities() -> None:
         doubtful("drift", "force", "the zero drifts", "force"),
         doubtful("drift", "clock", "the clock drifts", "clock"),
     )
-    found = to_result(test, asked(Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm")))
+    found = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
     assert found.status is Status.DOUBTFUL
     assert found.why == "drift: the zero drifts; slip_in_window: at 6 mm"
     twice = evidence(doubtful("turn", "travel", "not seen", "force", "displacement"))
-    assert to_result(twice, asked(Estimate(1.0, 0.1, 5))).why == "turn: not seen"
+    assert number(twice, Estimate(1.0, 0.1, 5)).why == "turn: not seen"
 
 
 def test_what_stopped_the_test_comes_first() -> None:
     otherwise = Failure("no_cycle", "no branch")
-    assert blocked_or(evidence(), otherwise) is otherwise
+    assert evidence().unavailable(otherwise).failure is otherwise
     stopped = evidence(blocking("no_motion", "travel", "it spans 0.1 mm: too little"))
-    assert blocked_or(stopped, otherwise) == Failure("no_motion", "it spans 0.1 mm: too little")
+    assert stopped.unavailable(otherwise).failure == Failure(
+        "no_motion", "it spans 0.1 mm: too little"
+    )
 
 
 AT = np.array([20.0])
@@ -90,7 +99,7 @@ def of_clocks(*drift: float) -> list[Result]:
         10.0, 2e-5, OFFSET, Interval(*drift), 0.0, AT, AT + 10.0, 0.1 * AT, "by turns"
     )
     test = ReducedTest(Signals(), Clocks("markers", joined))
-    return [to_result(test, number) for number in ClockResult().compute(test).numbers]
+    return list(ClockResult().compute(test).results)
 
 
 def test_offset_and_drift_of_clocks() -> None:
@@ -103,8 +112,7 @@ def test_offset_and_drift_of_clocks() -> None:
     assert offset.status is Status.OK
     assert drift.why.startswith("one_event: ")
     test = ReducedTest(Signals())
-    for number, unit in zip(ClockResult().compute(test).numbers, ("s", "1"), strict=True):
-        result = to_result(test, number)
+    for result, unit in zip(ClockResult().compute(test).results, ("s", "1"), strict=True):
         assert (result.why, result.unit) == ("one_clock: there is only one clock", unit)
 
 

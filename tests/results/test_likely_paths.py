@@ -27,10 +27,9 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.curve_replicates import cuts_of, loading_of, replicate_curves, traced
+from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
 from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
 from labpipe.results.sample_noise import SampleNoise
-from labpipe.results.slips import add_back
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import measure

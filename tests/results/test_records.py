@@ -281,9 +281,7 @@ CASES: dict[str, Case] = {
     },
     **{
         f"an end of {share:g} of the slope": of_pulls(
-            STIFF,
-            *(TRAVEL, bent((1.0 - share) * 5e3)),
-            results=[SHORT_LINE, TANGENTS],
+            STIFF, *(TRAVEL, bent((1.0 - share) * 5e3)), results=[SHORT_LINE, TANGENTS]
         )
         for share in (0.099, 0.09)
     },

@@ -13,12 +13,12 @@ from labpipe.records.causes import SLACK, ZERO_OF_DISPLACEMENT, ZERO_OF_FORCE
 from labpipe.records.curve import Branch, Direction, PointFlag, Shape
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
+from labpipe.records.result import Result
 from labpipe.records.signals import Signals
 from labpipe.results.cycles import PeakDisplacement
-from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import TipTravel, _at_turn, _Frames
-from labpipe.results.slack import counted_from_taut, slack_of
+from labpipe.results.slack_and_slips import counted_from_taut, slack_of
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
 from tests.builders.noise_rows import flicker
@@ -49,20 +49,20 @@ def swung() -> Shape:
     return shape(positions + np.random.default_rng(4).normal(0.0, 1e-5, positions.shape))
 
 
-def travel(seen: Shape | None) -> Outcome:
-    (number,) = TipTravel().compute(ReducedTest(Signals(), shape=seen)).numbers
-    return number.outcome
+def travel(seen: Shape | None) -> Result:
+    (result,) = TipTravel().compute(ReducedTest(Signals(), shape=seen)).results
+    return result
 
 
 def test_travel_of_the_tip() -> None:
     seen = swung()
     found = travel(seen)
-    assert isinstance(found, Estimate)
+    assert found.interval is not None
     tip = seen.positions[:, -1]
     away = np.linalg.norm(tip - np.nanmean(tip[:5], axis=0), axis=1)
     assert found.value == pytest.approx(np.nanmax(away), abs=1e-12)
     assert found.value == pytest.approx(0.03, abs=5e-5)
-    assert 1e-6 < found.error < 5e-5
+    assert 1e-6 < found.interval.standard_error < 5e-5
 
 
 def test_a_tip_that_was_hardly_seen() -> None:
@@ -70,8 +70,8 @@ def test_a_tip_that_was_hardly_seen() -> None:
     few = np.full_like(seen.positions, np.nan)
     few[:4] = seen.positions[:4]
     found = travel(replace(seen, positions=few))
-    assert found == Failure("too_few_samples", "the tip is seen in 4 frames")
-    assert travel(None) == Failure("no_shape", "the protocol fits no shape")
+    assert found.why == "too_few_samples: the tip is seen in 4 frames"
+    assert travel(None).why == "no_shape: the protocol fits no shape"
 
 
 @pytest.mark.slow
@@ -140,9 +140,8 @@ def shares(found: Measured | Failure | None) -> dict[str, float]:
 
 
 def peak(test: ReducedTest) -> dict[str, float]:
-    (number,) = PeakDisplacement().compute(test).numbers
-    assert isinstance(number.outcome, Measured)
-    return shares(number.outcome)
+    (result,) = PeakDisplacement().compute(test).results
+    return {row.cause: abs(row.change) for row in result.budget}
 
 
 def test_slack_is_the_zero_of_the_line() -> None:

@@ -6,31 +6,23 @@ from numpy.typing import ArrayLike
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Failure
-from labpipe.results.two_lines import (
-    Hinges,
-    Segments,
-    why_break_is_doubtful,
-    why_no_bend,
-    why_no_kink,
-)
+from labpipe.records.estimates import Failure, or_failure
+from labpipe.results.two_lines import Hinges, Segments, doubts_of_break, require_bend, require_kink
 
 D = np.linspace(0.002, 0.02, 181)
 F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
 
 
 def test_says_why_not() -> None:
-    assert Hinges.of(D[:15], F[:15]) == Failure(
+    assert or_failure(Hinges.of)(D[:15], F[:15]) == Failure(
         "too_few_samples", "15 samples in the stretch, 16 are needed"
     )
-    back = Hinges.of(D[::-1], F[::-1])
+    back = or_failure(Hinges.of)(D[::-1], F[::-1])
     assert back == Failure("not_increasing", "the displacement goes from 0.02 m to 0.002 m")
 
 
 def hinges_of(d: Floats, f: Floats) -> Hinges:
-    found = Hinges.of(d, f)
-    assert isinstance(found, Hinges)
-    return found
+    return Hinges.of(d, f)
 
 
 def noise(seed: int, *shape: int, deviation: float = 0.5) -> Floats:
@@ -146,14 +138,7 @@ def test_displacements_of_their_own_are_noise_of_the_force() -> None:
     assert found.break_point == pytest.approx(same.break_point, abs=1e-9)
     assert found.first == pytest.approx(same.first, rel=1e-6)
     spread = float(found.first.std())
-    truly = [
-        np.polyfit(
-            (D + e)[at & (D < 0.0093)],
-            F[at & (D < 0.0093)],
-            1,
-        )[0]
-        for e in off * at
-    ]
+    truly = [np.polyfit((D + e)[at & (D < 0.0093)], F[at & (D < 0.0093)], 1)[0] for e in off * at]
     assert spread == pytest.approx(np.std(truly), rel=0.3)
 
 
@@ -171,11 +156,11 @@ def segments(at: ArrayLike, first: ArrayLike, second: ArrayLike) -> Segments:
 
 def bend_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
     """Where the smooth curve has the lines of the curve itself."""
-    return why_no_bend(found, found, drawn, hinges)
+    return or_failure(require_bend)(found, found, drawn, hinges)
 
 
 def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    return why_no_kink(found, found, drawn, hinges)
+    return or_failure(require_kink)(found, found, drawn, hinges)
 
 
 def test_slopes_that_change_together_are_sure_to_differ() -> None:
@@ -236,15 +221,12 @@ def test_a_break_that_may_be_an_end() -> None:
 
 def test_an_interval_of_the_break_that_ends_at_an_end() -> None:
     """A break near 17 mm, of which replicates say that it may be off by -2.4 mm now and then."""
-    hinges, slopes = (
-        hinges_of(D, F),
-        (5000.0 + np.arange(40) % 2, np.full(40, 2700.0)),
-    )
+    hinges, slopes = (hinges_of(D, F), (5000.0 + np.arange(40) % 2, np.full(40, 2700.0)))
     at = np.full(40, 0.0093)
     at[3] -= 2.4e-3
     drawn, smooth = segments(at, *slopes), segments(0.0093, 5000.0, 2700.0)
     for place, is_none in ((0.0166, False), (0.0172, True)):
-        found = why_no_bend(segments(place, 5000.0, 2700.0), smooth, drawn, hinges)
+        found = or_failure(require_bend)(segments(place, 5000.0, 2700.0), smooth, drawn, hinges)
         assert (found is not None) == is_none
         assert found is None or "may be at an end" in found.message
 
@@ -274,8 +256,8 @@ def test_kinks() -> None:
 
 def test_a_break_within_a_quarter_of_the_stretch() -> None:
     hinges = hinges_of(D, F)
-    assert why_break_is_doubtful(Interval(0.008, 0.0124), hinges) is None
-    found = why_break_is_doubtful(Interval(0.008, 0.0126), hinges)
+    assert doubts_of_break(Interval(0.008, 0.0124), hinges) == ()
+    (found,) = doubts_of_break(Interval(0.008, 0.0126), hinges)
     assert found == Failure(
         "wide_break",
         "the break lies within 4.6 mm, more than a quarter of the stretch from 2 to 20 mm",

@@ -21,7 +21,7 @@ def test_exact_events_give_the_clocks_back() -> None:
     assert fit.drift == pytest.approx(40e-6, abs=1e-12)
     assert fit.residual == pytest.approx(0.0, abs=1e-10)
     assert fit.to_marker_time(fit.to_force_time(PEAKS)) == pytest.approx(PEAKS)
-    assert fit.to_force_seconds(58.0) == pytest.approx(float(force[0]))
+    assert fit.to_force_time(58.0) == pytest.approx(float(force[0]))
 
 
 def test_intervals_cover() -> None:

@@ -14,11 +14,7 @@ from labpipe.records.group import Group, GroupNumber, Sample, SampleCurve, Verdi
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, Severity, worded
 from labpipe.records.result import Contribution, Result, Status
-from labpipe.statistics.group_budgets import SCATTER, group_budget
-from labpipe.statistics.group_division import Part, divide
-from labpipe.statistics.group_fields import (
-    differing_fields,
-)
+from labpipe.statistics.group_fields import Part, differing_fields, divide
 from labpipe.statistics.group_fields import in_order as field_order
 from labpipe.statistics.group_notes import (
     grouping_notes,
@@ -27,8 +23,7 @@ from labpipe.statistics.group_notes import (
     sample_notes,
 )
 from labpipe.statistics.groups import build_group, compare_groups
-from labpipe.statistics.means import nested_mean
-from labpipe.statistics.shared_causes import add_common_causes
+from labpipe.statistics.means import SCATTER, add_common_causes, group_budget, nested_mean
 from labpipe.statistics.two_groups import judged
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample

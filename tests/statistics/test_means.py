@@ -14,16 +14,17 @@ from scipy.stats import binomtest
 from labpipe.records.group import MeanInterval, NestedMean
 from labpipe.records.result import Contribution, Result
 from labpipe.statistics.groups import group_number
-from labpipe.statistics.log_scale import can_be_on_a_log_scale, on_log_scale
 from labpipe.statistics.means import (
     PoolingLimits,
+    add_common_causes,
+    can_be_on_a_log_scale,
     equal_spools_p,
     mean_interval,
     nested_mean,
+    on_log_scale,
     smallest_p,
     spool_scatter,
 )
-from labpipe.statistics.shared_causes import add_common_causes
 from labpipe.statistics.two_groups import (
     contrast_of,
     difference_of_means,

@@ -13,11 +13,9 @@ from scipy.stats import binomtest
 
 from labpipe.records.group import Contrast, Difference, Group, NestedMean, Outlier, Sample, Verdict
 from labpipe.records.result import Result
-from labpipe.statistics.families import holm
 from labpipe.statistics.group_notes import too_few_for_outliers
 from labpipe.statistics.groups import build_group
-from labpipe.statistics.log_scale import on_log_scale
-from labpipe.statistics.means import mean_interval, nested_mean
+from labpipe.statistics.means import mean_interval, nested_mean, on_log_scale
 from labpipe.statistics.outliers import find_suspects, with_outliers
 from labpipe.statistics.two_groups import (
     compare,
@@ -26,6 +24,7 @@ from labpipe.statistics.two_groups import (
     difference_p,
     equivalence_p,
     half_of,
+    holm,
     judged,
     samples_needed,
 )

@@ -12,11 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from labpipe.store.datasets import (
-    Target,
-    fletcher32,
-    same_content,
-)
+from labpipe.store.datasets import Target, fletcher32, same_content
 from labpipe.store.hdf5_objects import (
     COMPRESSION_LEVEL,
     get_number,

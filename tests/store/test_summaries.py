@@ -12,9 +12,16 @@ from labpipe.errors import StoreError
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import InputFile, Result, Specimen
-from labpipe.store.failure_file import FAILURE_FILE, FailedTest, write_failure
 from labpipe.store.replace import locked
-from labpipe.store.summaries import check_summary, sealed, summary, write_summary
+from labpipe.store.summaries import (
+    FAILURE_FILE,
+    FailedTest,
+    check_summary,
+    sealed,
+    summary,
+    write_failure,
+    write_summary,
+)
 from tests.approved import Approve
 from tests.store.builders_result import build_result
 

@@ -26,12 +26,7 @@ from labpipe.store.read import read_outcome, read_raw, read_result
 from labpipe.store.write import write_result
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
-from tests.store.builders_result import (
-    build_result,
-    counted_in_rows,
-    differences,
-    with_slips,
-)
+from tests.store.builders_result import build_result, counted_in_rows, differences, with_slips
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +65,7 @@ def test_layout_is_the_documented_one(
         for name in LABELLED:
             lines += [f"{name}.{key} = {value}" for key, value in sorted(root[name].attrs.items())]
         assert root["raw/markers/time"] == root["raw/markers/markers/time"]
-        assert list(root["results/table"]) == sorted(layout.RESULT_COLUMNS.columns)
+        assert list(root["results/table"]) == sorted(layout.columns_of(layout.ResultRow))
         for name in ("results/table", "budgets"):
             lines += [f"{name}/{key} = {column[()].tolist()}" for key, column in root[name].items()]
     approved(lines)

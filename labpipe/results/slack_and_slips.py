@@ -1,29 +1,29 @@
-"""Grip slips: sudden losses of force at constant speed, to be found and repaired or cut."""
+"""Slips in the grips, slack, and curves that count from where the specimen is taut."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import ClassVar
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from labpipe.records.arrays import Flags, Floats, Ints, median
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, means_from, median, samples_of
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure
-from labpipe.results.kinds import (
-    Computed,
-    Kind,
-    force_scale,
-)
-from labpipe.results.reduced_test import ReducedTest, doubts_of_slack
+from labpipe.records.estimates import Estimate, Failure, fail, or_failure
+from labpipe.results.curve_replicates import displaced, loading_of
+from labpipe.results.kinds import Computed, Kind, force_scale
+from labpipe.results.least_squares import finite_samples, require_samples, zero_of_line
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, doubts_of_slack, measured
 from labpipe.uncertainty.autocorrelation import cubic_basis, smooth_stretches
-from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
+from labpipe.uncertainty.intervals import Measured, SmoothNumbers
 from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.replicates import Input, Replicates
 
 MAD_FACTOR = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
@@ -155,7 +155,8 @@ def _fit_within(
     explained = without - float(costs.min())
     if explained <= 0.0:
         return None  # a step of a converter
-    if not _is_clear(pull, window, explained / variance if variance > 0.0 else np.inf):
+    t = float(np.sqrt(explained / variance)) if variance > 0.0 else np.inf
+    if not stdtr(window.freedom, -t) <= _false_alarm_rate(pull):
         return None
     drop = _measure_drop(pull, window, (best, allowed, whole))
     return drop if drop is not None and _is_rare(pull, window, drop) else None
@@ -189,12 +190,6 @@ class _Window:
 def _false_alarm_rate(pull: PullCurve) -> float:
     """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
     return 1e-3 / (len(pull.f) * (pull.longest + 1))
-
-
-def _is_clear(pull: PullCurve, window: _Window, squared: float) -> bool:
-    """Test a drop against the noise of the window: F-test of the whitened sums of squares."""
-    t = float(np.sqrt(max(squared, 0.0)))
-    return bool(stdtr(window.freedom, -t) <= _false_alarm_rate(pull))
 
 
 def _is_rare(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
@@ -296,7 +291,12 @@ def _measure_drop(
     # A sample that may be inside has its own level, else the loss would be too small.
     inside = np.eye(len(rows))[:, first - window.low : last - window.low]
     design = np.column_stack([after, *powers, inside])
-    drop = fit_linear(design, f, weighted=True, beside=_other_stretches(pull, window)).estimate(0)
+    outside = [
+        stretch
+        for part in (pull.f[: window.low], pull.f[window.high :])
+        for stretch in smooth_stretches(part, width=_STRETCH_SAMPLES)
+    ]
+    drop = fit_linear(design, f, weighted=True, beside=outside).estimate(0)
     if drop.interval is None or drop.interval.upper >= 0.0:
         return None
     around_it = slice(max(first - 1, window.low), last + 1)
@@ -316,16 +316,6 @@ def _measure_drop(
         slope_behind=before + change,
         slope_error=float(np.sqrt(both.covariance[3, 3])),
     )
-
-
-def _other_stretches(pull: PullCurve, window: _Window) -> list[Floats]:
-    """Return stretches of the curve outside a window, for its noise."""
-    before, behind = pull.f[: window.low], pull.f[window.high :]
-    return [
-        smooth_stretch
-        for part in (before, behind)
-        for smooth_stretch in smooth_stretches(part, width=_STRETCH_SAMPLES)
-    ]
 
 
 _MIN_BRANCH_SAMPLES = 64
@@ -410,33 +400,7 @@ def _block_size(d: Floats, longest: float | None) -> tuple[int, int]:
 
 def _blocks(values: Floats, size: int) -> Floats:
     """Average samples in blocks; the last one includes the remainder."""
-    starts = np.arange(0, len(values) - size + 1, size)
-    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-    return means
-
-
-def add_back(force: Floats, slips: Sequence[Slip]) -> Floats:
-    """Add the losses of slips back to a force.
-
-    Parameters
-    ----------
-    force : shape (n,), N
-    slips : with the sample numbers of `force`
-
-    Returns
-    -------
-    shape (n,), N. The drop of each slip is added from its `stop` on. Samples between `start` and
-    `stop` are interpolated. NaN stay NaN.
-    """
-    repaired = np.array(force, dtype=np.float64)
-    for slip in slips:
-        repaired[slip.stop :] += slip.drop
-    for slip in slips:
-        inside = np.arange(slip.start + 1, slip.stop)
-        ends = repaired[[slip.start, slip.stop]]
-        line = np.interp(inside, [slip.start, slip.stop], ends)
-        repaired[inside] = np.where(np.isnan(repaired[inside]), np.nan, line)
-    return repaired
+    return means_from(values, np.arange(0, len(values) - size + 1, size))
 
 
 def samples_before(slips: Sequence[Slip], count: int) -> int:
@@ -453,7 +417,7 @@ def _is_outlier(f: Floats) -> Flags:
     from scipy.ndimage import median_filter
 
     off = np.abs(f - median_filter(f, 5, mode="nearest"))
-    spread = 1.4826 * median(np.abs(steps - usual))
+    spread = MAD_FACTOR * median(np.abs(steps - usual))
     is_off: Flags = off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
     if not is_off.any():
         return is_off
@@ -566,7 +530,7 @@ class SlipResults(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="slips")
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Computed:
         """Return position and drop of each slip of the ledger."""
         numbers = []
         for count, slip in enumerate(test.slips, start=1):
@@ -580,10 +544,173 @@ class SlipResults(Kind):
             slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
             doubts = doubts_of_slack(test.slack) if isinstance(test.slack, Measured) else ()
             numbers += [
-                self.number(place, method, slack, during=during, doubts=doubts, part=part),
-                self.number(lost, method, scale, output=1, during=during, part=part),
+                self.number(
+                    test, place, slack, method=method, during=during, doubts=doubts, part=part
+                ),
+                self.number(test, lost, scale, output=1, method=method, during=during, part=part),
             ]
         return Computed(tuple(numbers))
 
 
-KINDS = (SlipResults,)
+def toe_line(
+    displacement: Floats, force: Floats, *, start_share: float, stop_share: float
+) -> Samples:
+    """Find the samples of the linear region for toe compensation.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; the loading branch in order of time, force zeroed;
+        NaN are ignored
+    start_share, stop_share : shares of the largest force between which the region lies
+
+    Returns
+    -------
+    The samples. The slack is the zero of the line through them:
+    `labpipe.results.least_squares.zero_of_line`.
+
+    Raises
+    ------
+    UnavailableError
+        ``too_few_samples`` (fewer than 8 in the region), ``not_rising`` if the force does not
+        rise there, ``not_reached`` if the branch begins above the lower share.
+
+    Notes
+    -----
+    Toe compensation of ASTM D638, annex A1 (also D882): the tangent to the linear region is
+    extrapolated to zero force, the corrected zero of displacement. The force crosses a share
+    halfway between the first sample above and the last one below before the peak, so that single
+    noisy samples do not determine the region.
+
+    Examples
+    --------
+    >>> d = np.linspace(0.0, 0.02, 401)
+    >>> force = 5000.0 * np.maximum(d - 0.002, 0.0)
+    >>> region = toe_line(d, force, start_share=0.1, stop_share=0.3)
+    >>> round(1e3 * float(zero_of_line(d[region], force[region])), 9)
+    2.0
+    """
+    min_region_samples = 8
+    finite = finite_samples(displacement, force)
+    d, f = displacement[finite], force[finite]
+    require_samples(len(d), min_region_samples, "")
+    top = int(np.argmax(f))
+    first, last = (
+        _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
+    )
+    if first == 0:
+        message = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
+        fail("not_reached", message)
+    if last - first < min_region_samples:
+        message = (
+            f"{max(last - first, 0)} samples in the linear region, {min_region_samples} are needed"
+        )
+        fail("too_few_samples", message)
+    region = slice(first, last)
+    if np.isnan(zero_of_line(d[region], f[region])):
+        fail("not_rising", "the force does not rise in the linear region")
+    return samples_of(finite[region])
+
+
+def _rise(force: Floats, height: float) -> int:
+    """Return the sample at which a rising force crosses a height."""
+    above = np.flatnonzero(force >= height)
+    below = np.flatnonzero(force < height)
+    if len(above) == 0 or len(below) == 0:
+        return 0
+    return (int(above[0]) + int(below[-1]) + 1) // 2
+
+
+def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
+    """Decide on the displacement at which the line through the linear region meets zero force.
+
+    Parameters
+    ----------
+    trace : one curve
+    start_share, stop_share : of the largest force, between which the region lies
+
+    Returns
+    -------
+    One number, m.
+
+    Raises
+    ------
+    UnavailableError
+        As `toe_line`.
+    """
+    stretch = loading_of(trace)
+    region = toe_line(
+        trace.displacement[stretch],
+        trace.force[stretch],
+        start_share=start_share,
+        stop_share=stop_share,
+    )
+    slack = on_part(zero_of_line, (stretch, region))
+    return Reading(slack, len(trace.force[stretch][region]), is_cut=True)
+
+
+def counted_from_taut(
+    replicates: Replicates, slack: Decide, measured_slack: Measured
+) -> Replicates:
+    """Count the displacement of all curves from where each is taut.
+
+    Parameters
+    ----------
+    replicates : of a curve whose slack can be measured
+    slack : how it is decided on
+    measured_slack : the slack of the measured curve, m
+
+    Returns
+    -------
+    Every curve without its own slack: what noise does to the slack comes in as one more input,
+    drawn with the curve that it belongs to, and what another input does to the slack goes with what
+    it does to the curve. So a zero of the displacement that is in both is in no number behind.
+    What makes the slack doubtful goes with it.
+    """
+    without_inputs = measured(replace(replicates, inputs=()), slack)
+    draws = np.where(
+        np.isnan(without_inputs[0].off), np.nanmean(without_inputs[0].off), without_inputs[0].off
+    )
+    error = float(np.std(draws))
+    inputs = tuple(
+        _with_slack(replicate, replicates.smooth, slack) for replicate in replicates.inputs
+    )
+    corrected = replace(replicates, inputs=inputs)
+    if not error:
+        return corrected.displaced(-measured_slack.value)
+    moved = partial(displaced, by=-error)
+    of_slack = Input(SLACK, moved, draws=draws / error, doubts=doubts_of_slack(measured_slack))
+    return corrected.displaced(-measured_slack.value, of_slack)
+
+
+def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
+    """Return an input with its effect on the slack."""
+    base = or_failure(slack)(smooth)
+    if isinstance(base, Failure):
+        return quantity
+    decided = SmoothNumbers.of(or_failure(slack), smooth, base)
+    less, more = (float(decided.changed(quantity, x)[0]) for x in (-1.0, 1.0))
+
+    def moved(trace: Trace, x: float) -> Trace:
+        return displaced(quantity.moved(trace, x), x, by=less if x <= 0.0 else -more)
+
+    return replace(quantity, moved=moved)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlackResult(Kind):
+    """``slack`` (m): displacement before the specimen is taut."""
+
+    result: ClassVar = "slack"
+    outputs: ClassVar = (Output("slack", "m", "Slack", ("displacement",), can_be_negative=True),)
+    needs: ClassVar = Needs(branches=True, correction="slack")
+
+    method: ClassVar = "toe compensation, ASTM D638 annex A1"
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Return the displacement at which the line of the linear region meets zero force."""
+        during = test.while_loading()
+        slack = test.slack or test.unavailable(NO_LOADING).failure
+        return Computed((self.number(test, slack, during=during),))
+
+
+KINDS = (SlipResults, SlackResult)

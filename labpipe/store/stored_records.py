@@ -1,0 +1,205 @@
+"""Records in a result file: written and read as `layout` derives them from their annotations."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import replace
+from datetime import date
+from math import isnan, nan
+from typing import Any, TypeVar
+
+import numpy as np
+
+from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
+from labpipe.store.datasets import Target, array, text, texts
+from labpipe.store.hdf5_objects import get_number, has_attribute, set_number, set_text, set_texts
+from labpipe.store.layout import TEXT, Attribute, attributes_of, columns_of, fields_of, stem_of
+
+_R = TypeVar("_R")
+_ENDS = ("lower", "upper", "level")
+_REASONS = Reason, tuple[Reason, ...]
+_CODES, _MESSAGES = "reason_codes", "reason_messages"
+
+
+def write_record(target: Target, record: object) -> None:
+    """Write the arrays and attributes of a record.
+
+    Parameters
+    ----------
+    target : its group
+    record : of a type whose annotations define the layout
+    """
+    write_arrays(target, record)
+    write_attributes(target, record)
+
+
+def read_record(group: Any, kind: type[_R], **others: object) -> _R:
+    """Read a record that `write_record` wrote.
+
+    Parameters
+    ----------
+    group : of the record
+    kind : its type
+    others : fields that are elsewhere
+    """
+    return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=others), **others)
+
+
+def write_arrays(target: Target, record: Any) -> None:
+    """Write the arrays of a record as datasets with dimension scales.
+
+    Parameters
+    ----------
+    target : its group
+    record : of a type whose annotations define the layout
+    """
+    for name, field in fields_of(type(record)).items():
+        values = getattr(record, name)
+        if field.dtype == "uint8":
+            values = values.astype(np.uint8)
+        target.array(name, values, field, getattr(record, field.stated_in, ""))
+    target.scaled()
+
+
+def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, Any]:
+    """Read the arrays of a record, by name, with the texts that state their units.
+
+    Parameters
+    ----------
+    group : of the record
+    kind : its type
+    names : of the arrays; none for all
+    """
+    read: dict[str, Any] = {}
+    for name, field in fields_of(kind).items():
+        if not names or name in names:
+            read[name] = array(group, name, field)
+            if field.stated_in:
+                read[field.stated_in] = text(group[name], "unit")
+    return read
+
+
+def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) -> None:
+    """Write the numbers, texts, intervals and reasons of a record; None is not written.
+
+    Parameters
+    ----------
+    target : its group
+    record : of a type whose annotations define the layout
+    skip : names of fields that are elsewhere
+    """
+    for name, attribute in attributes_of(type(record)).items():
+        if name not in skip:
+            _write_attribute(target.group, name, attribute, getattr(record, name))
+
+
+def _write_attribute(group: Any, name: str, attribute: Attribute, value: Any) -> None:
+    kind, unit, _ = attribute
+    if kind in _REASONS:
+        reasons = value if isinstance(value, tuple) else (value,) if value else ()
+        set_texts(group, _CODES, [reason.code for reason in reasons])
+        set_texts(group, _MESSAGES, [reason.message for reason in reasons])
+    elif isinstance(value, Interval):
+        for end in _ENDS:
+            set_number(group, stem_of(name) + end, float(getattr(value, end)))
+    elif isinstance(value, tuple):
+        set_texts(group, name, value)
+    elif kind not in (int, float, Interval):
+        set_text(group, name, _text_of(value))
+    elif value is not None:
+        set_number(group, name, kind(value))
+        if unit is not None:
+            set_text(group, f"{name}_unit", unit.symbol)
+
+
+def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict[str, Any]:
+    """Read what `write_attributes` wrote, by name of the field.
+
+    Parameters
+    ----------
+    group : of the record
+    kind : its type
+    skip : names of fields that are elsewhere
+    """
+    attributes = attributes_of(kind).items()
+    return {name: _read_attribute(group, name, of) for name, of in attributes if name not in skip}
+
+
+def _read_attribute(group: Any, name: str, attribute: Attribute) -> Any:
+    kind, _, is_optional = attribute
+    if kind in _REASONS:
+        pairs = zip(texts(group, _CODES), texts(group, _MESSAGES), strict=True)
+        reasons = tuple(Reason(*pair) for pair in pairs)
+        return next(iter(reasons), None) if kind is Reason else reasons
+    if kind == tuple[str, ...]:
+        return texts(group, name)
+    if kind not in (int, float, Interval):
+        return _cell({name: text(group, name)}, name, attribute)
+    names = [stem_of(name) + end for end in _ENDS] if kind is Interval else [name]
+    if is_optional and not has_attribute(group, names[0]):
+        return None
+    return kind(*(get_number(group, number) for number in names))
+
+
+def write_table(
+    target: Target, name: str, kind: type[_R], rows: Sequence[_R], unit: str = ""
+) -> None:
+    """Write records as a group of columns.
+
+    Parameters
+    ----------
+    target : group in which the table is made
+    name : of the table
+    kind : type of the records, a key of `layout.ROW_AXES`
+    rows : any number
+    unit : of the columns whose unit the layout does not define
+    """
+    table = target.inside(name)
+    for column, (source, end, field) in columns_of(kind).items():
+        cells = [getattr(row, source) for row in rows]
+        if end:
+            cells = [getattr(interval, end) for interval in cells]
+        values: Any = tuple(map(_text_of, cells))
+        if field.dtype != TEXT:
+            values = np.array([nan if cell is None else cell for cell in cells], field.dtype)
+        table.array(column, values, field, unit)
+    table.scaled()
+
+
+def _text_of(value: Any) -> str:
+    return ", ".join(value) if isinstance(value, tuple) else "" if value is None else str(value)
+
+
+def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) -> tuple[_R, ...]:
+    """Read a table that `write_table` wrote.
+
+    Parameters
+    ----------
+    parent, name, kind : as `write_table` takes them
+    unit : of the columns whose unit the layout does not define; None for any
+
+    Returns
+    -------
+    The records.
+    """
+    columns = [
+        array(parent[name], column, replace(field, unit=field.unit or unit))
+        for column, (_, _, field) in columns_of(kind).items()
+    ]
+    columns = [column if isinstance(column, tuple) else column.tolist() for column in columns]
+    rows = (dict(zip(columns_of(kind), row, strict=True)) for row in zip(*columns, strict=True))
+    fields = attributes_of(kind).items()
+    return tuple(kind(**{field: _cell(row, field, of) for field, of in fields}) for row in rows)
+
+
+def _cell(row: Mapping[str, Any], name: str, of: Attribute) -> Any:
+    """Return one field of a record from a row."""
+    if of.kind is Interval:
+        return Interval(*(row[stem_of(name) + end] for end in ("lower", "upper")))
+    cell = row[name]
+    if of.is_optional and (cell == "" or (of.kind is float and isnan(cell))):
+        return None
+    if of.kind is date:
+        return date.fromisoformat(cell)
+    return tuple(cell.split(", ")) if of.kind == tuple[str, ...] else of.kind(cell)
