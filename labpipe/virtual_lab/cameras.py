@@ -21,7 +21,6 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     MarkerLayout,
     Mishaps,
     Pose,
-    Stretch,
 )
 from labpipe.virtual_lab.conduit_scenarios import ConduitScenario, CylinderMarkers
 from labpipe.virtual_lab.recorders import Schedule
@@ -328,25 +327,10 @@ def _events(
     for length in lengths:
         start = int(random.integers(first, max(first + 1, last - length)))
         log.append(MishapEvent("gap", (int(random.integers(n_wire)),), start, start + int(length)))
-    log += _stretch_events("frozen", mishaps.frozen, len(time), n_markers=1, n_wire=n_wire)
-    log += _stretch_events("unlabelled", mishaps.unlabelled, len(time), n_markers=1, n_wire=n_wire)
-    log += _stretch_events("switch", mishaps.switch, len(time), n_markers=2, n_wire=n_wire)
+    stretches = (("frozen", mishaps.frozen, 1), ("unlabelled", mishaps.unlabelled, 1))
+    for kind, stretch, n_markers in (*stretches, ("switch", mishaps.switch, 2)):
+        if stretch is not None:
+            markers = tuple(range(stretch.marker, stretch.marker + n_markers))
+            start, stop = (int(share * len(time)) for share in (stretch.start, stretch.stop))
+            log.append(MishapEvent(kind, markers, start, stop))
     return tuple(log)
-
-
-def _stretch_events(
-    event_type: str, stretch: Stretch | None, frames: int, *, n_markers: int, n_wire: int
-) -> list[MishapEvent]:
-    if stretch is None:
-        return []
-    markers = tuple(range(stretch.marker, stretch.marker + n_markers))
-    if not (
-        markers[0] >= 0 and markers[-1] < n_wire and 0.0 <= stretch.start < stretch.stop <= 1.0
-    ):
-        message = (
-            f"{event_type}: expected markers 0 to {n_wire - n_markers} and 0 <= start < stop <= 1, "
-            f"found {stretch}"
-        )
-        raise ValueError(message)
-    start, stop = int(stretch.start * frames), int(stretch.stop * frames)
-    return [MishapEvent(event_type, markers, start, stop)]

@@ -260,6 +260,12 @@ class CantileverScenario:
     mishaps: Mishaps = field(default_factory=Mishaps)
     length_unit: str = "m"
 
+    @property
+    def protocol(self) -> str:
+        """Return the name of the shipped protocol."""
+        is_bundle = isinstance(self.mechanics.wire, BundleModel)
+        return "taped-bundle" if is_bundle else "wire-cantilever"
+
 
 WIRE_TEST = MechanicalTest(slack=None, steps_per_branch=80, crowding=2.5, n_stations=32)
 """The rig of the dissertation for a stranded wire, straight and held by the string. Positions are

@@ -9,7 +9,7 @@ have their own clocks.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 from labpipe.records.harness_bundle import NONE
 from labpipe.virtual_lab.bundles import BundleModel
@@ -235,6 +235,7 @@ class ConduitScenario:
     pose: Pose = field(default_factory=Pose)
     has_frame_export: bool = True
     length_unit: str = "m"
+    protocol: ClassVar[str] = "conduit-bundle"
 
     @property
     def bundle(self) -> BundleModel:

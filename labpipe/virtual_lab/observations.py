@@ -21,7 +21,7 @@ from labpipe.store.replace import storing
 from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.cameras import Take, film_cantilever, film_conduit
 from labpipe.virtual_lab.cantilever_path import solve_path
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest, VirtualWire
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.conduit_scenarios import ConduitScenario
 from labpipe.virtual_lab.curve_truth import evaluate_taped
 from labpipe.virtual_lab.recorders import (
@@ -37,7 +37,7 @@ from labpipe.virtual_lab.recorders import (
 from labpipe.virtual_lab.sheet_texts import RECORDER_FILES, Scenario, write_sheet
 from labpipe.virtual_lab.specimens import StrandedWire
 from labpipe.virtual_lab.tensile_path import TensilePath
-from labpipe.virtual_lab.tensile_scenarios import ExportLayout, Program, TensileScenario
+from labpipe.virtual_lab.tensile_scenarios import ExportLayout, TensileScenario
 from labpipe.virtual_lab.three_point_path import solve_three_point
 from labpipe.virtual_lab.truth import (
     CantileverTruth,
@@ -50,9 +50,8 @@ from labpipe.virtual_lab.truth import (
 from labpipe.virtual_lab.vendor_exports import (
     Run,
     write_control_desk,
+    write_frame,
     write_motive,
-    write_r_controller,
-    write_test_suite,
 )
 
 SHEET_FILE, TRUTH_FILE = "test.yaml", "truth.json"
@@ -148,39 +147,31 @@ def observe(scenario: Scenario, seed: int) -> AnyObservation:
     """
     match scenario:
         case CantileverScenario():
-            return _observe_cantilever(scenario, seed)
+            wire, plan = solve_path(scenario.mechanics), plan_cantilever(scenario)
+            force, marker = _generators(seed, 2)
+            return BendingObservation(
+                scenario,
+                seed,
+                record_cantilever_force(wire, scenario, plan, force),
+                film_cantilever(wire, scenario, plan, marker),
+                evaluate_cantilever(wire, plan),
+            )
         case ConduitScenario():
-            return _observe_conduit(scenario, seed)
+            bundle, plan = solve_three_point(scenario.test), plan_conduit(scenario)
+            force, travel, marker = _generators(seed, 3)
+            is_kept = scenario.has_frame_export
+            return BendingObservation(
+                scenario,
+                seed,
+                record_conduit_force(bundle, scenario, plan, force),
+                film_conduit(bundle, scenario, plan, marker),
+                evaluate_conduit(bundle, scenario, plan),
+                record_crosshead(bundle, scenario, plan, travel) if is_kept else None,
+            )
         case TensileScenario():
             path = TensilePath(scenario)
             record = record_frame(path, np.random.default_rng(seed))
             return TensileObservation(scenario, seed, record, evaluate_tensile(path, record.time))
-
-
-def _observe_cantilever(scenario: CantileverScenario, seed: int) -> Observation:
-    path, schedule = solve_path(scenario.mechanics), plan_cantilever(scenario)
-    force, marker = _generators(seed, 2)
-    return BendingObservation(
-        scenario=scenario,
-        seed=seed,
-        force_record=record_cantilever_force(path, scenario, schedule, force),
-        take=film_cantilever(path, scenario, schedule, marker),
-        truth=evaluate_cantilever(path, schedule),
-    )
-
-
-def _observe_conduit(scenario: ConduitScenario, seed: int) -> ConduitObservation:
-    path, schedule = solve_three_point(scenario.test), plan_conduit(scenario)
-    force, travel, marker = _generators(seed, 3)
-    is_kept = scenario.has_frame_export
-    return BendingObservation(
-        scenario=scenario,
-        seed=seed,
-        force_record=record_conduit_force(path, scenario, schedule, force),
-        take=film_conduit(path, scenario, schedule, marker),
-        truth=evaluate_conduit(path, scenario, schedule),
-        frame_record=record_crosshead(path, scenario, schedule, travel) if is_kept else None,
-    )
 
 
 def _generators(seed: int, number: int) -> list[np.random.Generator]:
@@ -228,25 +219,15 @@ def _write_recordings(observation: AnyObservation, folder: Path) -> Mapping[str,
     started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
     run = Run(scenario.name, started, observation.seed)
     if isinstance(observation, TensileObservation):
-        return {"frame": _write_frame(observation, folder, run)}
+        return {"frame": write_frame(folder, observation.record, observation.scenario.export, run)}
     (force,), (markers,) = RECORDER_FILES.values()
     write_control_desk(folder / force, observation.force_record, run)
     write_motive(folder / markers, observation.take, run, unit=observation.scenario.length_unit)
-    record = observation.frame_record
-    if record is None:
+    if observation.frame_record is None:
         return RECORDER_FILES
     layout, test_type = ExportLayout(force_unit="N"), "three-point bending test"
-    frame = write_test_suite(folder, record, layout, run, test_type=test_type)
+    frame = write_frame(folder, observation.frame_record, layout, run, test_type=test_type)
     return {**RECORDER_FILES, "frame": frame}
-
-
-def _write_frame(observation: TensileObservation, folder: Path, run: Run) -> tuple[str, ...]:
-    layout = observation.scenario.export
-    if layout.program is Program.TEST_SUITE:
-        return write_test_suite(folder, observation.record, layout, run)
-    file = f"{run.name}.xlsx"
-    write_r_controller(folder / file, observation.record, run)
-    return (file,)
 
 
 def truth_as_json(observation: AnyObservation) -> dict[str, object]:
@@ -279,32 +260,22 @@ def _bending_facts(observation: Observation | ConduitObservation) -> dict[str, o
         stiffnesses = dict(scenario.bundle.stiffnesses)
         return {"stiffnesses": stiffnesses, "true_gain": gain, "markers": markers}
     wire = scenario.mechanics.wire
+    facts: dict[str, object] = {"wire": None, "bundle": None}
+    if isinstance(wire, StrandedWire):
+        facts["wire"] = {**wire.parameters, "sample_factor": wire.factor}
+    if isinstance(wire, BundleModel):
+        truth = asdict(evaluate_taped(solve_path(scenario.mechanics)))
+        facts["bundle"] = {"stiffnesses": dict(wire.stiffnesses), "factor": wire.factor, **truth}
     return {
         "clock": {"offset": scenario.clocks.offset, "drift": scenario.clocks.drift},
         "true_gain": gain,
         "rotation_specimen_to_lab": _to_json(scenario.pose.rotation()),
         "law": asdict(wire),
-        "wire": _wire_facts(wire),
-        "bundle": _bundle_facts(scenario.mechanics),
+        **facts,
         "first_loading": _first_loading(wire.law()),
         "markers": markers,
         "mishaps": [asdict(event) for event in take.log],
     }
-
-
-def _wire_facts(wire: VirtualWire) -> dict[str, float] | None:
-    """Return the parameters that a calibration determines, for a stranded wire."""
-    if not isinstance(wire, StrandedWire):
-        return None
-    return {**wire.parameters, "sample_factor": wire.factor}
-
-
-def _bundle_facts(test: MechanicalTest) -> dict[str, object] | None:
-    """Return the true numbers of a bundle and its curve, for a bundle."""
-    if not isinstance(test.wire, BundleModel):
-        return None
-    truth = asdict(evaluate_taped(solve_path(test)))
-    return {"stiffnesses": dict(test.wire.stiffnesses), "factor": test.wire.factor, **truth}
 
 
 def _first_loading(law: MomentLaw) -> dict[str, object]:

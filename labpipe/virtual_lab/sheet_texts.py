@@ -7,12 +7,14 @@ protocol only where the scenario's rig differs from it.
 from __future__ import annotations
 
 import csv
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from datetime import date
 from io import StringIO
 from math import degrees
 from pathlib import Path
 from typing import TypeAlias
+
+import yaml
 
 from labpipe.records.harness_bundle import NONE
 from labpipe.virtual_lab.bundles import BundleModel, lay_wires
@@ -27,24 +29,25 @@ Scenario: TypeAlias = CantileverScenario | ConduitScenario | TensileScenario
 RECORDER_FILES: Mapping[str, tuple[str, ...]] = {"force": ("force.mat",), "markers": ("take.csv",)}
 """Exports of force recorder and cameras, by role."""
 WIRE_SHEET = "wires.csv"
+_HEAD = "# A synthetic test, made by labpipe's virtual lab. Its truth stands in truth.json.\n"
 
-_WIRE_VALUES = {
+_WIRE_VALUES: Mapping[str, object] = {
     "sources.force.calibration.gain": "0.5 N/V",
     "sources.force.calibration.gain_uncertainty": "0.2 %",
     "rig.crosshead_speed": "1 mm/s",
     "rig.stroke": "53 mm",
-    "rig.cycles": "3",
+    "rig.cycles": 3,
     "rig.string.length": "760 mm",
     "rig.string.counterweight": "2.7 g",
     "markers.grip_offset": "6 mm",
     "markers.pull_offset": "4 mm",
     "markers.centre_offset": "0.8 mm",
 }
-PROTOCOL_VALUES = {
+PROTOCOL_VALUES: Mapping[str, Mapping[str, object]] = {
     "wire-cantilever": _WIRE_VALUES,
     # A cell of 2 lb, markers 0.5 in apart on a bundle of nineteen wires of 1.1 mm.
-    "taped-bundle": _WIRE_VALUES
-    | {
+    "taped-bundle": {
+        **_WIRE_VALUES,
         "sources.force.calibration.gain": "0.89 N/V",
         "markers.pull_offset": "6.35 mm",
         "markers.centre_offset": "2.75 mm",
@@ -59,9 +62,6 @@ PROTOCOL_VALUES = {
     },
 }
 """Values of the shipped protocols of bending tests, by key."""
-PROTOCOL_UNCERTAINTY = {"corrugated-tube": 0.0025, "twist-tube": 0.0025, "pet-tape": 0.0025}
-"""Uncertainty of the scale of force in the shipped protocols, by name; none in the others."""
-
 _WIRE_COLUMNS = (
     "wire",
     "wire_diameter_mm",
@@ -85,163 +85,122 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]] = RECORDE
     -------
     The text of ``test.yaml``.
     """
-    protocol = protocol_of(scenario)
-    lines = [
-        "# A synthetic test, made by labpipe's virtual lab. Its truth stands in truth.json.",
-        f"test: {_text(scenario, scenario.name)}",
-        f"protocol: {protocol}",
-        *_specimen(scenario),
-        f"date: {scenario.date}",
-        "operator: virtual lab",
-        *_files(scenario, files),
-        *_overrides(scenario, protocol),
-    ]
-    return "\n".join(lines) + "\n"
+    sheet: dict[str, object] = {
+        "test": scenario.name,
+        "protocol": scenario.protocol,
+        "specimen": _specimen(scenario),
+        "date": date.fromisoformat(scenario.date),
+        "operator": "virtual lab",
+        "files": {
+            role: names[0] if len(names) == 1 else list(names) for role, names in files.items()
+        },
+    }
+    if overrides := _overrides(scenario):
+        sheet["overrides"] = overrides
+    return _HEAD + yaml.safe_dump(
+        sheet, sort_keys=False, allow_unicode=True, default_flow_style=None, width=200
+    )
 
 
-def protocol_of(scenario: Scenario) -> str:
-    """Return the name of the shipped protocol of a test."""
+def _specimen(scenario: Scenario) -> dict[str, object]:
+    entries: dict[str, object] = {
+        "type": scenario.specimen_type,
+        "spool": scenario.spool,
+        "sample": scenario.sample,
+    }
     match scenario:
         case TensileScenario():
-            return scenario.protocol
+            return entries | {"length": _millimetres(scenario.length)}
         case ConduitScenario():
-            return "conduit-bundle"
+            span = _millimetres(scenario.test.span)
+            return entries | {"span": span, "bundle": _bundle_entries(scenario.bundle)}
         case CantileverScenario():
-            is_bundle = isinstance(scenario.mechanics.wire, BundleModel)
-            return "taped-bundle" if is_bundle else "wire-cantilever"
+            test = scenario.mechanics
+            entries["length"] = _millimetres(test.length)
+            if test.mass_per_length:
+                entries["mass_per_length"] = f"{1e3 * test.mass_per_length:.6g} g/m"
+            if isinstance(test.wire, BundleModel):
+                entries["bundle"] = _bundle_entries(test.wire)
+            return entries
 
 
-def _text(scenario: Scenario, text: str) -> str:
-    """Write a text, for tensile tests as JSON, as their exports have commas in their names."""
-    return json.dumps(text, ensure_ascii=False) if isinstance(scenario, TensileScenario) else text
-
-
-def _specimen(scenario: Scenario) -> Iterator[str]:
-    entries = {
-        "type": _text(scenario, scenario.specimen_type),
-        "spool": _text(scenario, scenario.spool),
-        "sample": _text(scenario, str(scenario.sample)),
+def _bundle_entries(bundle: BundleModel) -> dict[str, object]:
+    """Return the block ``bundle`` of a specimen; with two kinds of wires, also their places."""
+    entries: dict[str, object] = {
+        "wires": {
+            name: {"number": number, "diameter": _millimetres(WIRES[name].diameter)}
+            for name, number in bundle.wires
+        },
+        "number": bundle.number,
+        "arrangement": bundle.arrangement,
     }
-    bundle: object = None
-    match scenario:
-        case TensileScenario():
-            entries["length"] = _millimetres(scenario.length)
-        case ConduitScenario():
-            bundle = scenario.bundle
-            entries["span"] = _millimetres(scenario.test.span)
-        case CantileverScenario():
-            bundle = scenario.mechanics.wire
-            entries["length"] = _millimetres(scenario.mechanics.length)
-            if scenario.mechanics.mass_per_length:
-                mass = 1e3 * scenario.mechanics.mass_per_length
-                entries["mass_per_length"] = f"{mass:.6g} g/m"
-    if isinstance(bundle, BundleModel):
-        yield "specimen:"
-        yield from (f"  {key}: {value}" for key, value in entries.items())
-        yield from bundle_lines(bundle)
-    else:
-        yield f"specimen: {_in_braces(entries)}"
-
-
-def bundle_lines(bundle: BundleModel) -> Iterator[str]:
-    """Write the indented block ``bundle`` of a specimen.
-
-    Parameters
-    ----------
-    bundle : with two kinds of wires, their places are written, too
-    """
-    yield "  bundle:"
-    wires = {
-        name: _in_braces({"number": number, "diameter": _millimetres(WIRES[name].diameter)})
-        for name, number in bundle.wires
-    }
-    yield f"    wires: {_in_braces(wires)}"
-    yield f"    number: {bundle.number}"
-    yield f"    arrangement: {bundle.arrangement}"
     if len(bundle.wires) > 1:
-        yield "    positions:"
         layout = lay_wires(bundle)
-        for x, y in zip(layout.x.tolist(), layout.y.tolist(), strict=True):
-            yield f"      - [{1e3 * x:.4f} mm, {1e3 * y:.4f} mm]"
-    for key in ("tape", "taping", "conduit"):
-        if getattr(bundle, key) != NONE:
-            yield f"    {key}: {getattr(bundle, key)}"
+        places = zip(layout.x, layout.y, strict=True)
+        entries["positions"] = [[f"{1e3 * x:.4f} mm", f"{1e3 * y:.4f} mm"] for x, y in places]
+    covers = {"tape": bundle.tape, "taping": bundle.taping, "conduit": bundle.conduit}
+    entries |= {key: value for key, value in covers.items() if value != NONE}
     if bundle.conduit_bore is not None:
-        yield f"    conduit_bore: {_millimetres(bundle.conduit_bore)}"
+        entries["conduit_bore"] = _millimetres(bundle.conduit_bore)
+    return entries
 
 
-def _files(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    if isinstance(scenario, ConduitScenario):
-        yield "files:"
-        for role, (name,) in files.items():
-            yield f"  {role}: {json.dumps(name, ensure_ascii=False)}"
-        return
-    entries = {}
-    for role, names in files.items():
-        texts = [_text(scenario, name) for name in names]
-        entries[role] = texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
-    yield f"files: {_in_braces(entries)}"
-
-
-def _overrides(scenario: Scenario, protocol: str) -> Iterator[str]:
-    """Yield the differences from the protocol with their reasons."""
+def _overrides(scenario: Scenario) -> dict[str, dict[str, object]]:
+    """Return the differences from the protocol with their reasons, by key."""
     match scenario:
         case TensileScenario():
-            changes = _tensile_changes(scenario)
+            return _tensile_changes(scenario)
         case ConduitScenario():
-            changes = _rig_changes(_conduit_values(scenario), protocol)
+            length, rig = scenario.test.stroke, _conduit_values(scenario)
         case CantileverScenario():
-            changes = _rig_changes(_cantilever_values(scenario), protocol)
-    if changes:
-        yield "overrides:"
-    for key, (value, reason) in changes.items():
-        yield f"  {key}: {{value: {value}, because: {reason}}}"
-
-
-def _rig_changes(values: Mapping[str, str], protocol: str) -> dict[str, tuple[str, str]]:
-    usual = PROTOCOL_VALUES[protocol]
-    changed = {key: value for key, value in values.items() if value != usual[key]}
-    return {key: (value, "the virtual rig is set so") for key, value in changed.items()}
-
-
-def _tensile_changes(scenario: TensileScenario) -> dict[str, tuple[str, str]]:
-    """Return differences from the protocol: certificate of the load cell, another size of tube."""
-    changes = {}
-    uncertainty = scenario.instruments.gain_uncertainty
-    if uncertainty != PROTOCOL_UNCERTAINTY.get(scenario.protocol, 0.0):
-        certificate = (f"{100.0 * uncertainty:.10g} %", "certificate of the load cell")
-        changes["sources.frame.channels.force.scale_uncertainty"] = certificate
-    for name, size in scenario.section:
-        changes[f"specimen.section.{name}"] = (_millimetres(size), "a tube of another size")
-    return changes
-
-
-def _cantilever_values(scenario: CantileverScenario) -> dict[str, str]:
-    mechanics, markers, cell = scenario.mechanics, scenario.markers, scenario.load_cell
-    return {
+            length, rig = scenario.mechanics.stroke, _cantilever_values(scenario)
+    cell = scenario.load_cell
+    values = {
         "sources.force.calibration.gain": f"{cell.gain:.10g} N/V",
         "sources.force.calibration.gain_uncertainty": f"{100 * cell.gain_uncertainty:.10g} %",
         "rig.crosshead_speed": f"{1e3 * scenario.speed:.10g} mm/s",
-        "rig.stroke": _millimetres(mechanics.stroke),
-        "rig.cycles": f"{mechanics.cycles}",
+        "rig.stroke": _millimetres(length),
+        "markers.centre_offset": _millimetres(scenario.markers.centre_offset),
+        **rig,
+    }
+    usual = PROTOCOL_VALUES[scenario.protocol]
+    return {
+        key: {"value": values[key], "because": "the virtual rig is set so"}
+        for key, protocol_value in usual.items()
+        if values[key] != protocol_value
+    }
+
+
+def _tensile_changes(scenario: TensileScenario) -> dict[str, dict[str, object]]:
+    """Return differences from the protocol: certificate of the load cell, another size of tube."""
+    sizes: dict[str, dict[str, object]] = {
+        f"specimen.section.{name}": {
+            "value": _millimetres(size),
+            "because": "a tube of another size",
+        }
+        for name, size in scenario.section
+    }
+    # the shipped protocols of the other tensile tests state the uncertainty of both load cells
+    if scenario.protocol != "stiff-bar" and scenario.instruments.gain_uncertainty == 0.0025:
+        return sizes
+    certificate = f"{100.0 * scenario.instruments.gain_uncertainty:.10g} %"
+    key = "sources.frame.channels.force.scale_uncertainty"
+    return {key: {"value": certificate, "because": "certificate of the load cell"}, **sizes}
+
+
+def _cantilever_values(scenario: CantileverScenario) -> dict[str, object]:
+    mechanics, markers = scenario.mechanics, scenario.markers
+    return {
+        "rig.cycles": mechanics.cycles,
         "rig.string.length": _millimetres(mechanics.string_length),
         "rig.string.counterweight": f"{1e3 * mechanics.counterweight:.10g} g",
         "markers.grip_offset": _millimetres(-markers.pivot[0]),
         "markers.pull_offset": _millimetres(markers.pull_offset),
-        "markers.centre_offset": _millimetres(markers.centre_offset),
     }
 
 
-def _conduit_values(scenario: ConduitScenario) -> dict[str, str]:
-    cell = scenario.load_cell
-    return {
-        "sources.force.calibration.gain": f"{cell.gain:.10g} N/V",
-        "sources.force.calibration.gain_uncertainty": f"{100 * cell.gain_uncertainty:.10g} %",
-        "rig.crosshead_speed": f"{1e3 * scenario.speed:.10g} mm/s",
-        "rig.stroke": _millimetres(scenario.test.stroke),
-        "specimen.section.outer_diameter": _millimetres(2.0 * scenario.test.outer_radius),
-        "markers.centre_offset": _millimetres(scenario.markers.centre_offset),
-    }
+def _conduit_values(scenario: ConduitScenario) -> dict[str, object]:
+    return {"specimen.section.outer_diameter": _millimetres(2.0 * scenario.test.outer_radius)}
 
 
 def write_wire_sheet(folder: Path) -> Path:
@@ -278,11 +237,6 @@ def _wire_row(wire: StrandedWire) -> tuple[str, ...]:
         f"{1e3 * wire.wall:.6g}",
         "compressed" if wire.is_compressed else "hexagonal",
     )
-
-
-def _in_braces(entries: Mapping[str, object]) -> str:
-    """Write a mapping in one line of YAML."""
-    return "{" + ", ".join(f"{key}: {value}" for key, value in entries.items()) + "}"
 
 
 def _millimetres(length: float) -> str:

@@ -20,6 +20,7 @@ from labpipe.virtual_lab.conduit_scenarios import ConduitScenario
 from labpipe.virtual_lab.curve_truth import LoadingTruth, evaluate_loading, line_slope
 from labpipe.virtual_lab.recorders import Schedule
 from labpipe.virtual_lab.tensile_path import TensilePath
+from labpipe.virtual_lab.tensile_scenarios import GripSlip
 from labpipe.virtual_lab.three_point_path import ThreePointPath
 
 _TRUTH_POINTS = 20_001
@@ -302,14 +303,6 @@ def _clocks(scenario: ConduitScenario) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class SlipTruth:
-    """One grip slip: `position` m of displacement at which the fall begins, `drop` N."""
-
-    position: float
-    drop: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TensileTruth:
     """True values of a tensile test, free of tare, gain error and noise.
@@ -352,7 +345,7 @@ class TensileTruth:
     failure_displacement: float | None
     failure_force: float | None
     energy_to_break: float | None
-    slips: tuple[SlipTruth, ...]
+    slips: tuple[GripSlip, ...]
 
 
 def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
@@ -393,7 +386,7 @@ def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
         failure_displacement=scenario.last_displacement if failed else None,
         failure_force=float(pulled[-1]) if failed else None,
         energy_to_break=float(np.trapezoid(pulled, travelled)) if failed else None,
-        slips=tuple(SlipTruth(slip.position, slip.drop) for slip in scenario.slips),
+        slips=scenario.slips,
     )
 
 

@@ -195,15 +195,7 @@ def write_motive(path: Path, take: Take, run: Run, *, unit: str) -> None:
     take : of the cameras
     run : for the head; its seed is also that of the ids
     unit : m, cm or mm
-
-    Raises
-    ------
-    ValueError
-        If the unit is unknown.
     """
-    if unit not in UNITS:
-        message = f"unit: expected {', '.join(UNITS)}, found {unit!r}"
-        raise ValueError(message)
     word, factor = UNITS[unit]
     head = [_first_line(take, word, run), "", *_label_rows(_groups(take, run.seed))]
     with path.open("w", encoding="ascii", newline="") as file:
@@ -278,7 +270,7 @@ def _data_lines(take: Take, factor: float) -> Iterator[str]:
         yield "".join(lines).replace("nan", "")
 
 
-def write_test_suite(
+def write_frame(
     folder: Path,
     record: FrameRecord,
     layout: ExportLayout,
@@ -286,49 +278,41 @@ def write_test_suite(
     *,
     test_type: str = "tensile test",
 ) -> tuple[str, ...]:
-    """Write a record as MTS TestSuite does.
+    """Write a record as MTS TestSuite does, or, with forces in lbf, as TestResources does.
 
     Parameters
     ----------
     folder : of the files
     record : of the controller
     layout : unit of force and parts
-    run : for the preamble
+    run : for the head of the files
     test_type : of the test, for the note that it is synthetic
 
     Returns
     -------
     Names of the files, in the order of their numbers.
-
-    Raises
-    ------
-    ValueError
-        If the unit is neither N nor kN, or a part has no samples.
     """
-    if layout.force_unit not in NEWTONS:
-        message = f"force_unit: expected {', '.join(NEWTONS)}, found {layout.force_unit!r}"
-        raise ValueError(message)
-    files = {}
+    if layout.force_unit == "lbf":
+        file = f"{run.name}.xlsx"
+        write_r_controller(folder / file, record, run)
+        return (file,)
+    names = []
     for number, part in enumerate(_parts(record, layout)):
         file = f"{ACTIVITY}{number or ''}.txt"
         head = _preamble(file, layout.force_unit, run, test_type)
-        files[file] = "" if part is None else head + _rows(part, layout.force_unit)
-    for file, text in files.items():
+        text = "" if part is None else head + _rows(part, layout.force_unit)
         (folder / file).write_bytes(text.encode("utf-8-sig"))
-    return tuple(files)
+        names.append(file)
+    return tuple(names)
 
 
 def _parts(record: FrameRecord, layout: ExportLayout) -> list[FrameRecord | None]:
     """Return the parts by number of file: later step, earlier step, and one without samples."""
     lost_rows = 2
-    if not layout.in_parts:
+    if layout.part_at is None:
         return [record]
     first = int(np.searchsorted(record.time, layout.part_at))
-    later = first + lost_rows
-    if first < 1 or later >= len(record.time):
-        message = f"part_at: expected a time within the record, found {layout.part_at} s"
-        raise ValueError(message)
-    return [_piece(record, slice(later, None)), _piece(record, slice(first)), None]
+    return [_piece(record, slice(first + lost_rows, None)), _piece(record, slice(first)), None]
 
 
 def _piece(record: FrameRecord, piece: slice) -> FrameRecord:

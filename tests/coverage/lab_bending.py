@@ -27,7 +27,7 @@ from labpipe.virtual_lab.cantilever_scenarios import LoadCell
 from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario, ThreePointTest
 from labpipe.virtual_lab.curve_truth import KINK_WINDOW, LoadingTruth, evaluate_taped, line_slope
 from labpipe.virtual_lab.recorders import FORCE_PATH
-from labpipe.virtual_lab.sheet_texts import protocol_of, write_sheet
+from labpipe.virtual_lab.sheet_texts import write_sheet
 from labpipe.virtual_lab.specimens import ElasticModel
 from labpipe.virtual_lab.three_point_path import solve_three_point
 from tests.builders.bent_tests import law_moment
@@ -98,7 +98,7 @@ def on_a_string(
     -------
     All results, and what is true, by their names.
     """
-    test, name = observe(scenario, seed), protocol_of(scenario)
+    test, name = observe(scenario, seed), scenario.protocol
     plan = _plan(write_sheet(_as_written(scenario, seed)), folder, protocols)
     force = _wandering(test.force, scenario.load_cell, name, seed)
     results = _reduced({"force": force, "markers": _filmed(test.markers, name, seed)}, plan)
@@ -110,7 +110,7 @@ def on_two_supports(
 ) -> CheckReport:
     """The same of a conduit bundle."""
     test = observe(scenario, seed)
-    name, random = protocol_of(scenario), np.random.default_rng([seed, 71])
+    name, random = scenario.protocol, np.random.default_rng([seed, 71])
     markers = _filmed(test.markers, name, seed)
     roles: dict[str, Recording] = {
         "force": _wandering(test.force, scenario.load_cell, name, seed),
@@ -178,7 +178,7 @@ def _in_file(frame: Recording, by: float) -> Recording:
 def _as_written(scenario: CantileverScenario, seed: int) -> CantileverScenario:
     """What a person writes down: length and offsets as they were measured."""
     length, grip, pull, centre = np.random.default_rng([seed, 73]).standard_normal(4).tolist()
-    name, mechanics, markers = protocol_of(scenario), scenario.mechanics, scenario.markers
+    name, mechanics, markers = scenario.protocol, scenario.mechanics, scenario.markers
     length *= stated(name, "specimen", "uncertainty", "length")
     offset = stated(name, "markers", "offset_uncertainty")
     x, *across = markers.pivot

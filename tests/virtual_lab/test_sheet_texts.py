@@ -30,7 +30,7 @@ def test_values_are_those_of_the_shipped_protocol(repository: Path, name: str) -
         entry: Any = yaml.safe_load(text)
         for part in key.split("."):
             entry = entry[part]
-        assert str(entry) == value, key
+        assert entry == value, key
 
 
 def overridden(sheet: dict[str, Any]) -> dict[str, Any]:
