@@ -13,8 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from labpipe.virtual_lab.bundles import TAPED_TYPES
-from labpipe.virtual_lab.cantilever_scenarios import (
+from labpipe.virtual_lab.cantilever import (
     MISHAPS,
     NO_MISHAPS,
     TAPED_CELL,
@@ -25,17 +24,9 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     taped_scenario,
     wire_scenario,
 )
-from labpipe.virtual_lab.conduit_scenarios import (
-    CONDUIT_CELL,
-    CONDUIT_TYPES,
-    ConduitClocks,
-    ConduitScenario,
-    conduit_scenario,
-)
-from labpipe.virtual_lab.observations import simulate_test
-from labpipe.virtual_lab.sheet_texts import Scenario
-from labpipe.virtual_lab.specimens import WIRES, StrandedWire
-from labpipe.virtual_lab.tensile_scenarios import (
+from labpipe.virtual_lab.observations import Scenario, simulate_test
+from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, StrandedWire
+from labpipe.virtual_lab.tensile import (
     GAIN_UNCERTAINTY,
     TABLE_2_3,
     GripSlip,
@@ -44,6 +35,13 @@ from labpipe.virtual_lab.tensile_scenarios import (
     pet_tape,
     stiff_bar,
     twist_tube,
+)
+from labpipe.virtual_lab.three_point import (
+    CONDUIT_CELL,
+    CONDUIT_TYPES,
+    ConduitClocks,
+    ConduitScenario,
+    conduit_scenario,
 )
 
 

@@ -179,9 +179,7 @@ def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
 
 def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
-        return Counter(
-            test.protocol for campaign in campaigns for test, _ in campaign.scenarios()
-        )
+        return Counter(test.protocol for campaign in campaigns for test, _ in campaign.scenarios())
 
     first = kinds(FIRST_LOOK)
     assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))

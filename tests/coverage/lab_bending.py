@@ -20,16 +20,18 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
 from labpipe.virtual_lab import CantileverScenario, ConduitObservation, Observation, observe
-from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign, WireCampaign
-from labpipe.virtual_lab.cantilever_path import MechanicalPath, solve_path
-from labpipe.virtual_lab.cantilever_scenarios import LoadCell
-from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario, ThreePointTest
-from labpipe.virtual_lab.curve_truth import KINK_WINDOW, LoadingTruth, evaluate_taped, line_slope
-from labpipe.virtual_lab.recorders import FORCE_PATH
-from labpipe.virtual_lab.sheet_texts import write_sheet
-from labpipe.virtual_lab.specimens import ElasticModel
-from labpipe.virtual_lab.three_point_path import solve_three_point
+from labpipe.virtual_lab.cantilever import LoadCell, MechanicalPath, solve_path
+from labpipe.virtual_lab.instruments import FORCE_PATH
+from labpipe.virtual_lab.observations import write_sheet
+from labpipe.virtual_lab.specimens import TAPED_TYPES, ElasticModel
+from labpipe.virtual_lab.three_point import (
+    CONDUIT_TYPES,
+    ConduitScenario,
+    ThreePointTest,
+    solve_three_point,
+)
+from labpipe.virtual_lab.truth import KINK_WINDOW, LoadingTruth, evaluate_taped, line_slope
 from tests.builders.bent_tests import law_moment
 from tests.coverage.lab_tensile import wandering
 from tests.judges.foreign.rig import scale, stated

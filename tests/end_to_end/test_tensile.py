@@ -14,7 +14,7 @@ from labpipe.cli import main
 from labpipe.records.curve import SlipDecision
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import TensileScenario
-from labpipe.virtual_lab.tensile_scenarios import (
+from labpipe.virtual_lab.tensile import (
     GripSlip,
     corrugated_tube,
     pet_tape,

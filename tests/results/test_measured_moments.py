@@ -32,7 +32,7 @@ from labpipe.results.moment_curvature import (
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import MomentCurvature, _no_weight
 from labpipe.virtual_lab import observe
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
+from labpipe.virtual_lab.cantilever import CantileverScenario
 from labpipe.virtual_lab.specimens import WireModel
 from tests.approved import Approve
 from tests.builders.bent_tests import law_moment

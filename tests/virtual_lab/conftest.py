@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
+from labpipe.virtual_lab.cantilever import CantileverScenario
 from labpipe.virtual_lab.observations import Observation, observe
 
 

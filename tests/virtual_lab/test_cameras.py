@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.cantilever_scenarios import (
+from labpipe.virtual_lab.cantilever import (
     NO_MISHAPS,
     CantileverScenario,
     MarkerLayout,

@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.virtual_lab import ChosenTests
 from labpipe.virtual_lab.campaigns import TapedCampaign, TensileCampaign, WireCampaign
-from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario
+from labpipe.virtual_lab.cantilever import NO_MISHAPS, CantileverScenario
 from labpipe.virtual_lab.specimens import WIRES
 
 CAMPAIGNS = (WireCampaign(), TensileCampaign())

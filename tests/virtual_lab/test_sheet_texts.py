@@ -10,16 +10,16 @@ import pytest
 import yaml
 
 from labpipe.studies.wire_specs import read_wire_sheet
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
-from labpipe.virtual_lab.conduit_scenarios import (
-    conduit_scenario,
-)
-from labpipe.virtual_lab.sheet_texts import (
+from labpipe.virtual_lab.cantilever import CantileverScenario, LoadCell, MarkerLayout
+from labpipe.virtual_lab.observations import (
     PROTOCOL_VALUES,
     write_sheet,
     write_wire_sheet,
 )
 from labpipe.virtual_lab.specimens import WIRES
+from labpipe.virtual_lab.three_point import (
+    conduit_scenario,
+)
 from labpipe.wire.wire_table import build
 
 

@@ -9,13 +9,12 @@ import numpy as np
 import openpyxl
 import pytest
 
+from labpipe.virtual_lab.instruments import sample_times, slow_noise
 from labpipe.virtual_lab.observations import observe, simulate_test
-from labpipe.virtual_lab.recorders import sample_times, slow_noise
-from labpipe.virtual_lab.tensile_path import TensilePath
-from labpipe.virtual_lab.tensile_scenarios import (
-    BilinearLaw,
+from labpipe.virtual_lab.tensile import (
     FrameInstruments,
     GripSlip,
+    TensilePath,
     TensileScenario,
     corrugated_tube,
     pet_tape,

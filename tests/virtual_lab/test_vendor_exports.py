@@ -12,15 +12,15 @@ import pytest
 from scipy.io import loadmat, whosmat
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.cantilever_path import solve_path
-from labpipe.virtual_lab.observations import Observation
-from labpipe.virtual_lab.recorders import (
+from labpipe.virtual_lab.cantilever import solve_path
+from labpipe.virtual_lab.instruments import (
     DIRECTION_PATH,
     FREQUENCY_PATH,
     FrameRecord,
     plan_cantilever,
 )
-from labpipe.virtual_lab.tensile_scenarios import ExportLayout
+from labpipe.virtual_lab.observations import Observation
+from labpipe.virtual_lab.tensile import ExportLayout
 from labpipe.virtual_lab.vendor_exports import (
     Run,
     write_control_desk,
