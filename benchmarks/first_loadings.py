@@ -16,10 +16,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.bundles import BundleModel
-from labpipe.virtual_lab.cantilever_path import solve_path
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
-from labpipe.virtual_lab.specimens import StrandedWire
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest, solve_path
+from labpipe.virtual_lab.specimens import BundleModel, StrandedWire
 
 MAX_SCATTER = 1.25
 """Farthest that a sample's factor, or its inverse, may be from 1."""

@@ -21,10 +21,15 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.rod.banded import Band, Places, entries, places_of
 from labpipe.rod.boundaries import Plane
 from labpipe.rod.cells import BentCells, bend_cells
-from labpipe.rod.directions import Directions, clamp_directions, directions_of
+from labpipe.rod.contacts import (
+    ContactForces,
+    RingContact,
+    added_at,
+    pull_strings,
+    thread,
+    touch_plane,
+)
 from labpipe.rod.line import Line
-from labpipe.rod.plane_contact import ContactForces, added_at, pull_strings, touch_plane
-from labpipe.rod.ring_contact import RingContact, thread
 from labpipe.rod.rotations import (
     conjugate,
     cross,
@@ -35,7 +40,7 @@ from labpipe.rod.rotations import (
     skew,
     unit,
 )
-from labpipe.rod.supports import Supports
+from labpipe.rod.supports import Directions, Supports, clamp_directions, directions_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,8 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Demands, Shape
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
+from labpipe.rod.contacts import nearest_place, point_at
 from labpipe.rod.line import Line
-from labpipe.rod.ring_contact import nearest_place, point_at
 from labpipe.rod.rotations import conjugate, from_rotation_vectors, multiply, rotation_vectors
 
 T = TypeVar("T")

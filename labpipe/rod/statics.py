@@ -18,16 +18,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.rod.assembly import ArtificialDrag, Assembly, Balance, Demands, LineMemory, Shape
+from labpipe.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.rod.boundaries import Boundary, Moment, Plane
-from labpipe.rod.energies import lost_energy, stored_energy, work_done
 from labpipe.rod.equilibrium import Equilibrium, find_equilibrium
 from labpipe.rod.line import Line
 from labpipe.rod.path import Reason, RodPath, RodState, Status
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
 from labpipe.rod.schedule import Schedule
 from labpipe.rod.stability import StabilityCheck
-from labpipe.rod.states import merge_rests, split_rests, state_of
+from labpipe.rod.states import (
+    WalkState,
+    lost_energy,
+    merge_rests,
+    split_sides,
+    state_of,
+    stored_energy,
+    work_done,
+)
 from labpipe.rod.supports import supports_of
 from labpipe.rod.walk_errors import held_in_plane, out_of_reach, ring_left, torn_or_folded
 
@@ -96,18 +103,6 @@ class _NoEquilibriumError(Exception):
     def __init__(self, reason: Reason) -> None:
         super().__init__(reason.sentence)
         self.reason = reason
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _WalkState:
-    """A shape in balance under its demands, with the history before and behind."""
-
-    time: float
-    shape: Shape
-    balance: Balance
-    demands: Demands
-    memory: LineMemory
-    earlier: LineMemory | None
 
 
 class _Walk:
@@ -179,7 +174,7 @@ class _Walk:
         memory = LineMemory(merge_rests(self.assembly.supports, rests), contacts, places)
         demands = schedule.demands(time, grips)
         balance = self.assembly.balance(shape, demands, memory)
-        self.now = _WalkState(time, shape, balance, demands, memory, None)
+        self.now = WalkState(time, shape, balance, demands, memory, None)
 
     def _release_grips(self, step: int) -> None:
         """Release the grips that end in a step; the line starts from where they held it.
@@ -195,7 +190,7 @@ class _Walk:
             grips,
             time=now.time,
             shape=now.shape,
-            rests=split_rests(self.assembly.supports, now.memory.rests),
+            rests=split_sides(self.assembly.supports, now.memory.rests),
             contacts=now.memory.contacts,
             places=now.memory.places,
         )
@@ -297,7 +292,7 @@ class _Walk:
         )
         self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
         self.rubbed += sum(touch.rubbed for touch in new.touches)
-        self.now = _WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
+        self.now = WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
         largest_stretch = self.settings.most_stretch
         self._raise_first(
             torn_or_folded(

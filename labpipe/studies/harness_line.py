@@ -35,8 +35,8 @@ from labpipe.protocol.harness_file import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
+from labpipe.rod.contacts import nearest_place, point_at
 from labpipe.rod.line import Line, Section, line_along
-from labpipe.rod.ring_contact import nearest_place, point_at
 from labpipe.rod.rotations import (
     from_rotation_vectors,
     matrices,

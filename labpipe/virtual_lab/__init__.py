@@ -4,7 +4,6 @@ The exports are in the vendors' formats. The lab is written from physics and the
 layouts alone and shares no code with the processing that it checks.
 """
 
-from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.virtual_lab.campaigns import (
     SMALL_HARNESS,
     Campaign,
@@ -22,16 +21,17 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     taped_scenario,
     wire_scenario,
 )
-from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario, conduit_scenario
 from labpipe.virtual_lab.observations import (
     ConduitObservation,
     Observation,
     TensileObservation,
     observe,
     simulate_test,
+    write_wire_sheet,
 )
-from labpipe.virtual_lab.sheet_texts import write_wire_sheet
-from labpipe.virtual_lab.tensile_scenarios import TensileScenario
+from labpipe.virtual_lab.specimens import TAPED_TYPES
+from labpipe.virtual_lab.tensile import TensileScenario
+from labpipe.virtual_lab.three_point import CONDUIT_TYPES, ConduitScenario, conduit_scenario
 
 __all__ = [
     "CONDUIT_TYPES",

@@ -13,7 +13,6 @@ from typing import Protocol
 
 import numpy as np
 
-from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.virtual_lab.cantilever_scenarios import (
     MISHAPS,
     NO_MISHAPS,
@@ -25,17 +24,9 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     taped_scenario,
     wire_scenario,
 )
-from labpipe.virtual_lab.conduit_scenarios import (
-    CONDUIT_CELL,
-    CONDUIT_TYPES,
-    ConduitClocks,
-    ConduitScenario,
-    conduit_scenario,
-)
-from labpipe.virtual_lab.observations import simulate_test
-from labpipe.virtual_lab.sheet_texts import Scenario
-from labpipe.virtual_lab.specimens import WIRES, StrandedWire
-from labpipe.virtual_lab.tensile_scenarios import (
+from labpipe.virtual_lab.observations import Scenario, simulate_test
+from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, StrandedWire
+from labpipe.virtual_lab.tensile import (
     GAIN_UNCERTAINTY,
     TABLE_2_3,
     GripSlip,
@@ -44,6 +35,13 @@ from labpipe.virtual_lab.tensile_scenarios import (
     pet_tape,
     stiff_bar,
     twist_tube,
+)
+from labpipe.virtual_lab.three_point import (
+    CONDUIT_CELL,
+    CONDUIT_TYPES,
+    ConduitClocks,
+    ConduitScenario,
+    conduit_scenario,
 )
 
 
@@ -328,32 +326,25 @@ SMALL_HARNESS = (
 tests."""
 
 
+_SMALL_TUBE = (("outer_diameter", 10.2e-3), ("inner_diameter", 7.4e-3))
+_TUBES = {"CT-10-slit": (1.0, ()), "CT-10": (1.1, ()), "CT-7": (1.2, _SMALL_TUBE)}
+"""Factor on the forces, and dimensions, m, that differ from the protocol's, by kind of tube."""
+_SLIPS = {
+    "CT-10-slit-2": (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81)),
+    "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
+}
+_UNLOADED_TUBE, _TUBE_IN_PARTS = "CT-10-3", "2b"
+
+
 @dataclass(frozen=True, slots=True)
 class TensileCampaign:
     """Corrugated tubes, twist tubes, tapes and the bar for the compliance of the frame.
 
     Parameters
     ----------
-    tubes : kinds of corrugated tube, with the factor on their forces; three samples of each
-    small_tubes : kinds whose section is `small_section`, m, which differs from the protocol's
-    slips : of single tubes, by name of the test
-    unloaded : name of the tube that is unloaded
-    in_parts : sample of the twist tube that is exported in parts
     tapes : spool's factor on the forces, and displacement of failure, m, of each tape
     """
 
-    tubes: tuple[tuple[str, float], ...] = (("CT-10-slit", 1.0), ("CT-10", 1.1), ("CT-7", 1.2))
-    small_tubes: tuple[str, ...] = ("CT-7",)
-    small_section: tuple[tuple[str, float], ...] = (
-        ("outer_diameter", 10.2e-3),
-        ("inner_diameter", 7.4e-3),
-    )
-    slips: tuple[tuple[str, tuple[GripSlip, ...]], ...] = (
-        ("CT-10-slit-2", (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81))),
-        ("CT-7-3", (GripSlip(24.3e-3, 0.62, duration=0.1),)),
-    )
-    unloaded: str = "CT-10-3"
-    in_parts: str = "2b"
     tapes: tuple[tuple[float, float], ...] = (
         (1.01, 60e-3),
         (1.01, 40e-3),
@@ -372,43 +363,13 @@ class TensileCampaign:
         random = np.random.default_rng([seed, 23])
         small, large = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
         tests = [
-            *self._corrugated_tubes(small, random),
-            *self._twist_tubes(large, random),
+            *_corrugated_tubes(small, random),
+            *_twist_tubes(large, random),
             *self._tapes(large, random),
             stiff_bar(gain_error=large),
         ]
         for number, test in enumerate(tests, start=1):
             yield test, 1000 * seed + number
-
-    def _corrugated_tubes(
-        self, gain_error: float, random: np.random.Generator
-    ) -> Iterator[TensileScenario]:
-        for tube_type, factor in self.tubes:
-            for sample in range(1, 4):
-                name = f"{tube_type}-{sample}"
-                scattered = factor * _scatter(random, 0.01)
-                tube = corrugated_tube(name, factor=scattered, gain_error=gain_error)
-                yield replace(
-                    tube,
-                    law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
-                    frame=replace(tube.frame, unloads=name == self.unloaded),
-                    slips=dict(self.slips).get(name, ()),
-                    section=self.small_section if tube_type in self.small_tubes else (),
-                )
-
-    def _twist_tubes(
-        self, gain_error: float, random: np.random.Generator
-    ) -> Iterator[TensileScenario]:
-        for sample in TABLE_2_3:
-            tube = twist_tube(
-                sample,
-                peak_force=420.0 * _scatter(random, 0.04),
-                slack=float(random.uniform(0.8e-3, 1.1e-3)),
-                break_point=float(random.uniform(7.8e-3, 8.1e-3)),
-                gain_error=gain_error,
-            )
-            parted = replace(tube.export, in_parts=True, part_at=2.6)
-            yield replace(tube, export=parted) if sample == self.in_parts else tube
 
     def _tapes(self, gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
         for number, (factor, fails_at) in enumerate(self.tapes, start=1):
@@ -420,6 +381,36 @@ class TensileCampaign:
             )
             slack = float(random.uniform(0.4e-3, 0.8e-3))
             yield replace(tape, law=replace(tape.law, slack=slack))
+
+
+def _corrugated_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+    """Yield three samples of each kind of corrugated tube."""
+    for tube_type, (factor, section) in _TUBES.items():
+        for sample in range(1, 4):
+            name = f"{tube_type}-{sample}"
+            scattered = factor * _scatter(random, 0.01)
+            tube = corrugated_tube(name, factor=scattered, gain_error=gain_error)
+            yield replace(
+                tube,
+                law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
+                frame=replace(tube.frame, unloads=name == _UNLOADED_TUBE),
+                slips=_SLIPS.get(name, ()),
+                section=section,
+            )
+
+
+def _twist_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+    """Yield the samples of Table 2.3, one of them exported in parts."""
+    for sample in TABLE_2_3:
+        tube = twist_tube(
+            sample,
+            peak_force=420.0 * _scatter(random, 0.04),
+            slack=float(random.uniform(0.8e-3, 1.1e-3)),
+            break_point=float(random.uniform(7.8e-3, 8.1e-3)),
+            gain_error=gain_error,
+        )
+        parted = replace(tube.export, part_at=2.6)
+        yield replace(tube, export=parted) if sample == _TUBE_IN_PARTS else tube
 
 
 def _scatter(random: np.random.Generator, relative: float) -> float:

@@ -1,20 +1,44 @@
-"""Specimens of the virtual rigs: wires defined by their law or by their strands, and bars.
+"""Specimens of the virtual rigs: wires by law or strands, bars, and bundles of wires.
 
 The law of a stranded wire is that of first loading of `wire.bending_law`, as plays (`play_law`
 there): after a reversal strands slip and copper yields in the other direction at twice the size
-(Masing). Calibrations use the same physics, but another solution: `virtual_lab.cantilever_path`
+(Masing). Calibrations use the same physics, but another solution: `virtual_lab.cantilever_scenarios`
 bends the wire station by station with a history, calibrations use the first integral. Bundles of
-wires are in `virtual_lab.bundles`.
+wires are in `virtual_lab.specimens`.
+
+All wires share one curvature. The moment of a bundle is that of its wires, each bent about its own
+axis, and that of their axial forces, which neighbours and tape hold:
+
+    M(kappa) = sum M_i(kappa) + sum |y_i| min(h EA_i |y_i| kappa, T_i)
+                              + g min(kappa, e / R) sum over the outer wires EA_i y_i^2
+
+y_i is the distance of a wire from the neutral axis, EA_i the axial stiffness of its copper, h and g
+the shares of it that act: neighbours and glue hold the wires compliantly. Neighbours hold by
+friction, up to T_i = h EA_i c kappa_s, c the root mean square of y and kappa_s the curvature at
+which a wire at that distance slips (a wire twice as far slips at half of it). That is the kink. The
+tape's glue holds the outer wires until the strain kappa R at the bundle's radius R is e; then the
+tape slides on all of them at once. That is the plateau: the remaining tangent is that of the wires.
+The lever of a strongly bent bundle gets shorter, which alone increases the force by 1 % per
+millimetre; but a sliding tape holds the bundle less well: all slip moments are multiplied by 1 - q
+(kappa_max R / e - 1), with the largest curvature so far, kappa_max. If the glue outlasts the test,
+this does not occur.
+
+Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule, so
+the bundle is one `PlayLaw`. Wires that have slipped lock: from the second cycle on all slip moments
+and slip curvatures are `locking` times as large.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
-from labpipe.law.plays import LinearLaw, PlayLaw, stick_slip_law
+from labpipe.law.plays import LinearLaw, PlayLaw, corners_of, polygon_law, stick_slip_law
+from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cross_section import (
@@ -223,3 +247,260 @@ WIRES = {
 }
 """Wires of the dissertation's Table 2.1. The copper of B1 and B2 does not fit into its wall of
 0.3 mm; here it is 0.2 mm."""
+
+
+_PACKED, _, _ASYMMETRIC = ARRANGEMENTS
+_SHELL_TOLERANCE = 1e-6  # of the pitch: distances from the centre within one shell
+
+
+@dataclass(frozen=True, slots=True)
+class BundleModel:
+    """A bundle defined by its parts.
+
+    Parameters
+    ----------
+    wires : name in `WIRES` and number, of each kind
+    arrangement : one of `records.bundle.ARRANGEMENTS`; of two kinds, ``asymmetric`` has the second
+        on the side towards the pull, the others spread it over the section
+    friction_share : h, of the axial stiffness that friction holds
+    slip_curvature : kappa_s, 1/m
+    glue_share : g, of the axial stiffness of the outer wires that the tape's glue holds
+    glue_strain : e, at which the tape slides on the wires; None if it never does
+    slide_loss : q, share of the slip moments lost between the curvature at which the tape slides
+        and twice that curvature; at least half remains
+    locking : factor on slip from the second cycle on, at least 1
+    conduit_stiffness : N m^2, of a conduit around the bundle, elastic
+    tape, taping, conduit : values of `records.bundle.Bundle` for the test sheet
+    conduit_bore : m, for the test sheet; None without a conduit
+    factor : of this sample on all moments at given curvatures
+    """
+
+    wires: tuple[tuple[str, int], ...] = (("B1", 19),)
+    arrangement: str = _PACKED
+    friction_share: float = 0.14
+    slip_curvature: float = 0.42
+    glue_share: float = 0.018
+    glue_strain: float | None = 0.028
+    slide_loss: float = 0.08
+    locking: float = 1.05
+    conduit_stiffness: float = 0.0
+    tape: str = "PVC"
+    taping: str = "half-lap"
+    conduit: str = NONE
+    conduit_bore: float | None = None
+    factor: float = 1.0
+
+    @property
+    def number(self) -> int:
+        """Return the number of wires."""
+        return sum(number for _, number in self.wires)
+
+    @property
+    def radius(self) -> float:
+        """Return the radius of the smallest circle around the centre that contains all wires, m."""
+        layout = lay_wires(self)
+        return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
+
+    def law(self, cycle: int = 1, bent: float = 0.0) -> PlayLaw:
+        """Return the law of moment against curvature, with hysteresis.
+
+        Parameters
+        ----------
+        cycle : counted from 1; the plays of one law are the history of the next
+        bent : 1/m, largest curvature so far
+
+        Raises
+        ------
+        ValueError
+            If the wires do not make a bundle.
+        """
+        plain = _plain_law(replace(self, factor=1.0))
+        grown = self.held(bent) * (1.0 if cycle == 1 else self.locking)
+        return scaled_law(plain, self.factor, grown)
+
+    def held(self, bent: float) -> float:
+        """Return the remaining share of all slip moments at a largest curvature, 1/m."""
+        min_sticking_share = 0.5
+        if self.glue_strain is None:
+            return 1.0
+        slid = max(0.0, bent * self.radius / self.glue_strain - 1.0)
+        return max(min_sticking_share, 1.0 - self.slide_loss * slid)
+
+    @property
+    def mass_per_length(self) -> float:
+        """Return the mass per length of the wires, kg/m; tape and conduit are left out."""
+        return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
+
+    def scaled(self, factor: float) -> BundleModel:
+        """Return the bundle with all moments at a given curvature multiplied by `factor`."""
+        return replace(self, factor=self.factor * factor)
+
+    @property
+    def stiffnesses(self) -> Mapping[str, float]:
+        """Return the contributions to the bending stiffness at first loading, N m^2.
+
+        ``wires`` each about its own axis; ``friction`` and ``glue`` between them; ``conduit``;
+        ``initial`` their sum; ``rigid`` for a plane section.
+        """
+        wires = sum(number * _wire(name).law().stiffness for name, number in self.wires)
+        rigid, outer = (float(np.sum(stiffness)) for stiffness in _axial_terms(lay_wires(self)))
+        parts = {
+            "wires": float(wires),
+            "friction": self.friction_share * rigid,
+            "glue": self.glue_share * outer,
+            "conduit": self.conduit_stiffness,
+        }
+        parts_sum = {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
+        return {name: self.factor * value for name, value in (parts | parts_sum).items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WirePlaces:
+    """Positions of the wires of a bundle; arrays of shape (wires,), in the order of its kinds.
+
+    Parameters
+    ----------
+    x, y : m, from the neutral axis of the bundle, y in the direction of bending
+    diameter : m
+    axial : N, axial stiffness of the copper
+    is_outer : whether the tape touches the wire
+    """
+
+    x: Floats
+    y: Floats
+    diameter: Floats
+    axial: Floats
+    is_outer: Flags
+
+
+def lay_wires(bundle: BundleModel) -> WirePlaces:
+    """Lay the wires in shells of the densest lattice, around a wire or between three.
+
+    Parameters
+    ----------
+    bundle : its wires; the pitch of the lattice is the diameter of the thickest
+
+    Raises
+    ------
+    ValueError
+        If the wires do not fill shells.
+    """
+    pitch = max(WIRES[name].diameter for name, _ in bundle.wires)
+    places, is_outer = _shells(bundle.number)
+    order = _order_by_kind(places, bundle)
+    x, y = pitch * places[order].T
+    kinds = [name for name, number in bundle.wires for _ in range(number)]
+    diameter = np.array([WIRES[name].diameter for name in kinds])
+    copper = [WIRES[name].n_strands * 0.25 * np.pi * WIRES[name].strand ** 2 for name in kinds]
+    axial = ANNEALED_COPPER.modulus * np.array(copper)
+    neutral = [float(axial @ coordinate / np.sum(axial)) for coordinate in (x, y)]
+    return WirePlaces(x - neutral[0], y - neutral[1], diameter, axial, is_outer[order])
+
+
+def _shells(number: int) -> tuple[Floats, Flags]:
+    """Return the places of full shells, in pitches, shape (number, 2), and which are outside."""
+    for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):
+        i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
+        lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
+        places = lattice - centre
+        distance = np.hypot(*places.T)
+        order = np.lexsort((np.arctan2(places[:, 1], places[:, 0]), np.round(distance, 6)))
+        first, last = distance[order[number - 1 : number + 1]]
+        if last - first > _SHELL_TOLERANCE:
+            inside = places[order[:number]]
+            return inside, _neighbours(inside) < 6
+    message = f"wires: expected a number that fills shells (3, 7, 12, 19, 27), found {number}"
+    raise ValueError(message)
+
+
+def _neighbours(places: Floats) -> Ints:
+    gaps = np.hypot(*(places[:, None, :] - places[None]).transpose(2, 0, 1))
+    touching: Ints = np.sum(np.abs(gaps - 1.0) < _SHELL_TOLERANCE, axis=1)
+    return touching
+
+
+def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
+    """Return the place of each wire, with the wires of the first kind first."""
+    first = bundle.wires[0][1]
+    order = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
+    if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
+        return order
+    # the second kind is spread evenly over the shells
+    share = (len(places) - first) / len(places)
+    is_second = np.diff(np.floor(share * np.arange(len(places) + 1) + 0.5)) > 0.0
+    return np.concatenate([np.flatnonzero(~is_second), np.flatnonzero(is_second)])
+
+
+def _wire(name: str) -> StrandedWire:
+    return replace(WIRES[name], n_plays=24)
+
+
+def _axial_terms(layout: WirePlaces) -> tuple[Floats, Floats]:
+    """Return EA y^2 of each wire, and of the wires that touch the tape, N m^2."""
+    rigid = layout.axial * layout.y**2
+    return rigid, rigid * layout.is_outer
+
+
+@lru_cache(maxsize=64)
+def _plain_law(bundle: BundleModel) -> PlayLaw:
+    """Return the law of the first cycle: a polygon with the corners of all wires and sliders."""
+    limits, stiffnesses = _sliders(bundle)
+    wires = [(number, _wire(name).law()) for name, number in bundle.wires]
+    last = min(_wire(name).largest_curvature for name, _ in bundle.wires)
+    knots = _merge_corners([*(corners_of(law)[1] for _, law in wires), limits], last)
+    moment = bundle.conduit_stiffness * knots
+    for number, law in wires:
+        moment += number * _moment(law, knots)
+    moment += np.minimum(knots[:, None], limits) @ stiffnesses
+    return polygon_law(knots, moment)
+
+
+def _sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
+    """Return the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
+    layout = lay_wires(bundle)
+    rigid, outer = _axial_terms(layout)
+    off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
+    distance = np.abs(layout.y[off_axis])
+    mean = float(np.sqrt(np.mean(distance**2)))
+    limits = bundle.slip_curvature * mean / distance
+    stiffnesses = bundle.friction_share * rigid[off_axis]
+    glue = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
+    held = bundle.glue_share * float(np.sum(outer))
+    return np.append(limits, glue), np.append(stiffnesses, held)
+
+
+def _moment(law: PlayLaw, curvature: Floats) -> Floats:
+    """Return the moment of first loading, N m, extrapolated linearly beyond the last corner."""
+    moment, bent, slopes = corners_of(law)
+    beyond = np.maximum(curvature - bent[-1], 0.0) / slopes[-1]
+    moments: Floats = np.interp(curvature, bent, moment) + beyond
+    return moments
+
+
+def _merge_corners(corners: list[Floats], last: float) -> Floats:
+    """Return all distinct corners up to the last curvature, 1/m, sorted."""
+    min_relative_distance = 1e-6
+    curvatures = np.unique(np.append(np.concatenate(corners), last))
+    inside: Floats = curvatures[(curvatures > 0.0) & (curvatures <= last)]
+    distinct: Floats = inside[np.diff(inside, prepend=0.0) > min_relative_distance * inside]
+    return distinct
+
+
+_PVC = BundleModel()
+_PET = replace(_PVC, glue_strain=None, tape="PET")
+
+
+TAPED_TYPES = {
+    "TWB-B1-7-PVC": replace(_PVC, wires=(("B1", 7),)),
+    "TWB-B1-12-PVC": replace(_PVC, wires=(("B1", 12),)),
+    "TWB-B1-19-PVC": replace(_PVC, wires=(("B1", 19),)),
+    "TWB-B2-7-PVC": replace(_PVC, wires=(("B2", 7),)),
+    "TWB-B2-12-PVC": replace(_PVC, wires=(("B2", 12),)),
+    "TWB-B2-19-PVC": replace(_PVC, wires=(("B2", 19),)),
+    "TWB-MX-sym-PVC": replace(_PVC, wires=(("B1", 9), ("B2", 10)), arrangement="symmetric"),
+    "TWB-MX-asym-PVC": replace(_PVC, wires=(("B1", 10), ("B2", 9)), arrangement="asymmetric"),
+    "TWB-B1-19-PET": replace(_PET, wires=(("B1", 19),)),
+    "TWB-B2-7-PET": replace(_PET, wires=(("B2", 7),)),
+    "TWB-B2-19-PET": replace(_PET, wires=(("B2", 19),)),
+}
+"""The taped bundles of the dissertation's Table 4.1; the glue of PET tape never slides."""

@@ -1,26 +1,228 @@
 """True values of a virtual test, to check the processing.
 
+Curves are free of noise. Numbers are found by search, not by the formulas of the processing: the
+kink over all breaks of a fine grid, the plateau by the tangent from the end.
+
 Everything is SI; frames and signs are those of `virtual_lab.cantilever_scenarios`,
-`virtual_lab.conduit_scenarios` and `virtual_lab.tensile_scenarios`.
+`virtual_lab.three_point` and `virtual_lab.tensile`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.cameras import twist_at
-from labpipe.virtual_lab.cantilever_path import MechanicalPath
-from labpipe.virtual_lab.conduit_scenarios import ConduitScenario
-from labpipe.virtual_lab.curve_truth import LoadingTruth, evaluate_loading, line_slope
-from labpipe.virtual_lab.recorders import Schedule
-from labpipe.virtual_lab.tensile_path import TensilePath
-from labpipe.virtual_lab.three_point_path import ThreePointPath
+from labpipe.virtual_lab.cantilever_scenarios import MechanicalPath
+from labpipe.virtual_lab.instruments import Schedule, twist_at
+from labpipe.virtual_lab.tensile import GripSlip, TensilePath
+from labpipe.virtual_lab.three_point import ConduitScenario, ThreePointPath
+
+KINK_WINDOW = (0.2e-3, 5e-3)
+STIFFNESS_RANGE = 5e-3
+_KINK_GRID_POINTS = 800
+
+
+@dataclass(frozen=True, slots=True)
+class KinkTruth:
+    """The two joined straight lines closest to a curve.
+
+    Parameters
+    ----------
+    displacement, force : m, N, of their intersection
+    stiffness_before, stiffness_after : N/m
+    """
+
+    displacement: float
+    force: float
+    stiffness_before: float
+    stiffness_after: float
+
+
+@dataclass(frozen=True, slots=True)
+class LoadingTruth:
+    """Numbers of a first loading; lengths in m.
+
+    Parameters
+    ----------
+    tangent_at_zero : N/m
+    stiffness : N/m, slope of the least-squares line over the first 5 mm
+    secant_stiffness : N/m, force at 5 mm over 5 mm
+    windowed_stiffness : N/m, slope of the least-squares line over `KINK_WINDOW`
+    kink : within `KINK_WINDOW`
+    end_tangent : N/m, slope of the least-squares line over the last 5 mm
+    end_slope : the same as a share of `windowed_stiffness`
+    plateau_displacement, plateau_force : m, N, from which the tangent over a millimetre stays below
+        a tenth of `windowed_stiffness`; None if `end_slope` is not below it
+    """
+
+    tangent_at_zero: float
+    stiffness: float
+    secant_stiffness: float
+    windowed_stiffness: float
+    kink: KinkTruth
+    end_tangent: float
+    end_slope: float
+    plateau_displacement: float | None
+    plateau_force: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class TapedTruth:
+    """True numbers of a bundle in the cantilever rig.
+
+    Parameters
+    ----------
+    loading : of the first cycle
+    bending_stiffness : N m^2, K L^3 / 3 with the slope K over `KINK_WINDOW`, uncorrected
+    loading_stiffness : N/m, of each cycle, slope over 5 mm from where the force exceeds the rest
+    hardening : loading stiffnesses relative to the first cycle
+    """
+
+    loading: LoadingTruth
+    bending_stiffness: float
+    loading_stiffness: tuple[float, ...]
+    hardening: tuple[float, ...]
+
+
+def evaluate_taped(path: MechanicalPath) -> TapedTruth:
+    """Return the true numbers of a bundle in the cantilever rig.
+
+    Parameters
+    ----------
+    path : the solved test
+
+    Returns
+    -------
+    The numbers. Displacement is the deflection of the pull point, force the tension of the string
+    less that at rest.
+    """
+    loading = evaluate_loading(*_loading(path, 1))
+    slopes = tuple(_slope_after_slack(*_loading(path, n)) for n in range(1, path.test.cycles + 1))
+    return TapedTruth(
+        loading=loading,
+        bending_stiffness=loading.windowed_stiffness * path.test.length**3 / 3.0,
+        loading_stiffness=slopes,
+        hardening=tuple(slope / slopes[0] for slope in slopes),
+    )
+
+
+def _loading(path: MechanicalPath, cycle: int) -> tuple[Floats, Floats]:
+    """Return deflection and force of one loading, m and N."""
+    n_steps = 20_001
+    progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, n_steps))
+    return path.deflection(progress), path.tension(progress) - path.rest.tension
+
+
+def _slope_after_slack(displacement: Floats, force: Floats) -> float:
+    """Return the slope over the first 5 mm from where the force exceeds zero, N/m."""
+    slack = np.flatnonzero(force <= 0.0)
+    begin = 0 if len(slack) == 0 else int(slack[-1])
+    pair = slice(begin, begin + 2)
+    start = float(np.interp(0.0, force[pair], displacement[pair]))
+    moving = slice(begin, None)
+    return line_slope(displacement[moving], force[moving], start, start + STIFFNESS_RANGE)
+
+
+def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
+    """Return the true numbers of a first loading.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N, free of noise; the displacement increases from zero and
+        is dense enough for linear interpolation
+
+    Returns
+    -------
+    The numbers.
+    """
+    plateau_share = 0.1  # slope of the plateau over that of the window
+    zero_distance = 0.02e-3
+    windowed = line_slope(displacement, force, *KINK_WINDOW)
+    last = float(displacement[-1])
+    end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
+    is_level = end < plateau_share * windowed
+    tangents = _tangents(displacement, force)
+    onset = _last_above(*tangents, plateau_share * windowed) if is_level else None
+    return LoadingTruth(
+        tangent_at_zero=float(np.interp(zero_distance, displacement, force)) / zero_distance,
+        stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),
+        secant_stiffness=float(np.interp(STIFFNESS_RANGE, displacement, force)) / STIFFNESS_RANGE,
+        windowed_stiffness=windowed,
+        kink=find_kink(displacement, force, *KINK_WINDOW),
+        end_tangent=end,
+        end_slope=end / windowed,
+        plateau_displacement=onset,
+        plateau_force=None if onset is None else float(np.interp(onset, displacement, force)),
+    )
+
+
+def line_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
+    """Return the slope of the least-squares line between two displacements, N/m."""
+    grid = np.linspace(start, stop, _KINK_GRID_POINTS)
+    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_roots())[0])
+
+
+def _roots() -> Floats:
+    """Return the roots of the trapezoidal weights of a grid."""
+    roots = np.ones(_KINK_GRID_POINTS)
+    roots[[0, -1]] = np.sqrt(0.5)
+    return roots
+
+
+def find_kink(displacement: Floats, force: Floats, start: float, stop: float) -> KinkTruth:
+    """Find the kink as the best break of two joined lines between two displacements, m.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N, free of noise
+    start, stop : m
+
+    Returns
+    -------
+    The best by least squares, with the break refined by a parabola through the best of the grid and
+    its neighbours.
+    """
+    grid = np.linspace(start, stop, _KINK_GRID_POINTS)
+    wanted = np.interp(grid, displacement, force)
+    breaks = grid[10:-10]
+    misfits = np.array([_two_lines(grid, wanted, place)[1] for place in breaks.tolist()])
+    best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
+    below, middle, above = misfits[best - 1 : best + 2]
+    shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
+    place = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
+    (level, first, change), _ = _two_lines(grid, wanted, place)
+    return KinkTruth(place, float(level + first * place), float(first), float(first + change))
+
+
+def _two_lines(grid: Floats, wanted: Floats, place: float) -> tuple[Floats, float]:
+    """Return level, slope and change of slope of the best pair of lines, and the sum of squares."""
+    basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - place, 0.0)])
+    roots = _roots()
+    coefficients = np.linalg.lstsq(roots[:, None] * basis, roots * wanted, rcond=None)[0]
+    return coefficients, float(np.sum((roots * (basis @ coefficients - wanted)) ** 2))
+
+
+def _tangents(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
+    """Return the middles of intervals of a millimetre, m, and the tangents over them, N/m."""
+    tangent_step = 1e-3
+    half = 0.5 * tangent_step
+    grid = np.linspace(half, displacement[-1] - half, 2001)
+    ahead, behind = (np.interp(grid + step, displacement, force) for step in (half, -half))
+    return grid, (ahead - behind) / tangent_step
+
+
+def _last_above(grid: Floats, tangent: Floats, limit: float) -> float | None:
+    """Return where the tangent finally falls below a limit, m; None if it is above at the end."""
+    above = np.flatnonzero(tangent >= limit)
+    if len(above) == 0 or above[-1] == len(grid) - 1:
+        return None
+    pair = slice(above[-1], above[-1] + 2)
+    return float(np.interp(-limit, -tangent[pair], grid[pair]))
+
 
 _TRUTH_POINTS = 20_001
 
@@ -186,7 +388,7 @@ class ConduitTruth:
     loading : displacement is that of the crosshead
     initial_bending_stiffness : N m^2, of the law before anything slips
     bending_stiffness : N m^2, K L^3 / 48 with the slope K over
-        `curve_truth.KINK_WINDOW`, uncorrected
+        `KINK_WINDOW`, uncorrected
     peak_force, peak_displacement : N, m
     residual_displacement : m, at which the roller leaves the bundle on unloading
     energy : J, of the cycle
@@ -234,15 +436,16 @@ def evaluate_conduit(
     -------
     The truth.
     """
-    stroke, factor = scenario.test.stroke, scenario.factor
-    loading = _type_loading(path).scaled(factor)
+    stroke, factor, clocks = scenario.test.stroke, scenario.factor, scenario.clocks
+    down = stroke * np.linspace(0.0, 1.0, _TRUTH_POINTS)
+    loading = evaluate_loading(down, factor * path.force(down))
     both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _TRUTH_POINTS - 1)
     force, displacement = factor * path.force(both), path.displacement(both)
     top = int(np.argmax(force))
-    time: Floats = np.arange(0.0, schedule.end + scenario.clocks.camera_lead, 1.0 / rate)
-    progress = schedule.progress_at(time - scenario.clocks.camera_lead)
+    time: Floats = np.arange(0.0, schedule.end + clocks.camera_lead, 1.0 / rate)
+    progress = schedule.progress_at(time - clocks.camera_lead)
     _, moment, curvature = path.middle(progress)
-    turns = [float(turning_time) for turning_time in schedule.turning_times]
+    start_time, top_time, stop_time = schedule.turning_times.tolist()
     return ConduitTruth(
         loading=loading,
         initial_bending_stiffness=scenario.bundle.law().stiffness,
@@ -252,10 +455,14 @@ def evaluate_conduit(
         residual_displacement=path.residual,
         energy=float(np.trapezoid(force, displacement)),
         middle=_middle(path, scenario),
-        start_time=turns[0],
-        top_time=turns[1],
-        stop_time=turns[2],
-        clocks=_clocks(scenario),
+        start_time=start_time,
+        top_time=top_time,
+        stop_time=stop_time,
+        clocks={
+            "force_offset": -clocks.trigger_lag * (1.0 + clocks.recorder_drift),
+            "drift": clocks.recorder_drift,
+            "marker_offset": clocks.camera_lead,
+        },
         time=time,
         displacement=path.displacement(progress),
         force=factor * path.force(progress),
@@ -263,13 +470,6 @@ def evaluate_conduit(
         curvature=curvature,
         moment=factor * moment,
     )
-
-
-@lru_cache(maxsize=64)
-def _type_loading(path: ThreePointPath) -> LoadingTruth:
-    """Return the true loading of the type; samples differ by a factor."""
-    down = path.test.stroke * np.linspace(0.0, 1.0, _TRUTH_POINTS)
-    return evaluate_loading(down, path.force(down))
 
 
 def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
@@ -291,23 +491,6 @@ def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
         bending_stiffness_of_force=slopes[1],
         twist=scenario.markers.twist,
     )
-
-
-def _clocks(scenario: ConduitScenario) -> dict[str, float]:
-    clocks = scenario.clocks
-    return {
-        "force_offset": -clocks.trigger_lag * (1.0 + clocks.recorder_drift),
-        "drift": clocks.recorder_drift,
-        "marker_offset": clocks.camera_lead,
-    }
-
-
-@dataclass(frozen=True, slots=True)
-class SlipTruth:
-    """One grip slip: `position` m of displacement at which the fall begins, `drop` N."""
-
-    position: float
-    drop: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -352,7 +535,7 @@ class TensileTruth:
     failure_displacement: float | None
     failure_force: float | None
     energy_to_break: float | None
-    slips: tuple[SlipTruth, ...]
+    slips: tuple[GripSlip, ...]
 
 
 def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
@@ -393,7 +576,7 @@ def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
         failure_displacement=scenario.last_displacement if failed else None,
         failure_force=float(pulled[-1]) if failed else None,
         energy_to_break=float(np.trapezoid(pulled, travelled)) if failed else None,
-        slips=tuple(SlipTruth(slip.position, slip.drop) for slip in scenario.slips),
+        slips=scenario.slips,
     )
 
 

@@ -26,7 +26,6 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -37,9 +36,15 @@ from openpyxl import Workbook
 from scipy.io import savemat
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.cameras import BODY_MARKERS, Take
-from labpipe.virtual_lab.recorders import PORT, ForceRecord, FrameRecord, single
-from labpipe.virtual_lab.tensile_scenarios import ExportLayout
+from labpipe.virtual_lab.instruments import (
+    BODY_MARKERS,
+    PORT,
+    ForceRecord,
+    FrameRecord,
+    Take,
+    single,
+)
+from labpipe.virtual_lab.tensile import ExportLayout
 
 CONTROL_DESK_VERSION = "7.4"
 _RASTER = "HostService"
@@ -96,10 +101,12 @@ def write_control_desk(path: Path, record: ForceRecord, run: Run) -> None:
         "RevisionMinor": np.int32(1),
         "MeasurementID": np.int32(1),
     }
+    channels = [_channel(*signal) for signal in sorted(record.signals.items())]
+    fields = [(name, object) for name in channels[0]]
     content = {
         "Info": info,
         "X": axis,
-        "Y": _struct_array([_channel(*signal) for signal in sorted(record.signals.items())]),
+        "Y": np.array([[tuple(channel.values()) for channel in channels]], dtype=fields),
         "Description": _description(record.clock, saved, run.seed),
     }
     savemat(path, {path.stem: content}, oned_as="row", long_field_names=True)
@@ -136,14 +143,6 @@ def _compact(values: Floats) -> NDArray[np.generic]:
     return values.astype(np.uint8 if small else np.uint16)
 
 
-def _struct_array(rows: list[dict[str, object]]) -> NDArray[np.void]:
-    array = np.empty((1, len(rows)), dtype=[(name, object) for name in rows[0]])
-    for number, row in enumerate(rows):
-        for name, value in row.items():
-            array[name][0, number] = value
-    return array
-
-
 def _description(clock: Floats, saved: datetime, seed: int) -> dict[str, object]:
     origin = (
         f"Software revision: virtual_lab.sdf\r\n"
@@ -176,16 +175,6 @@ def _stamp(path: Path, saved: datetime) -> None:
         file.write(text.encode("ascii").ljust(116))
 
 
-@dataclass(frozen=True, slots=True)
-class _Group:
-    """Columns of one object: type, name and id as written, and (quantity, axis) of each."""
-
-    kind: str
-    name: str
-    identity: str
-    columns: tuple[tuple[str, str], ...]
-
-
 def write_motive(path: Path, take: Take, run: Run, *, unit: str) -> None:
     """Write a take as Motive does.
 
@@ -195,90 +184,66 @@ def write_motive(path: Path, take: Take, run: Run, *, unit: str) -> None:
     take : of the cameras
     run : for the head; its seed is also that of the ids
     unit : m, cm or mm
-
-    Raises
-    ------
-    ValueError
-        If the unit is unknown.
     """
-    if unit not in UNITS:
-        message = f"unit: expected {', '.join(UNITS)}, found {unit!r}"
-        raise ValueError(message)
+    rows_at_a_time = 2000
     word, factor = UNITS[unit]
-    head = [_first_line(take, word, run), "", *_label_rows(_groups(take, run.seed))]
+    labels, table = _motive_columns(take, factor, np.random.default_rng([run.seed, 77]))
+    head = [_first_line(take, word, run), "", *(",".join(row) for row in zip(*labels, strict=True))]
+    row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
     with path.open("w", encoding="ascii", newline="") as file:
         file.write("".join(line + "\r\n" for line in head))
-        file.writelines(_data_lines(take, factor))
+        for first in range(0, len(table), rows_at_a_time):
+            block = table[first : first + rows_at_a_time].tolist()
+            lines = (row % (first + number, *values) for number, values in enumerate(block))
+            file.write("".join(lines).replace("nan", ""))
 
 
 def _first_line(take: Take, word: str, run: Run) -> str:
     frames = str(len(take.time))
-    pairs = [
-        ("Format Version", "1.23"),
-        ("Take Name", run.name),
-        ("Take Notes", f"synthetic: made by labpipe's virtual lab with seed {run.seed}"),
-        ("Capture Frame Rate", f"{take.rate:.6f}"),
-        ("Export Frame Rate", f"{take.rate:.6f}"),
-        ("Capture Start Time", f"{run.started:%Y-%m-%d %I.%M.%S}.000 {run.started:%p}"),
-        ("Total Frames in Take", frames),
-        ("Total Exported Frames", frames),
-        ("Rotation Type", "Quaternion"),
-        ("Length Units", word),
-        ("Coordinate Space", "Global"),
+    pairs = {
+        "Format Version": "1.23",
+        "Take Name": run.name,
+        "Take Notes": f"synthetic: made by labpipe's virtual lab with seed {run.seed}",
+        "Capture Frame Rate": f"{take.rate:.6f}",
+        "Export Frame Rate": f"{take.rate:.6f}",
+        "Capture Start Time": f"{run.started:%Y-%m-%d %I.%M.%S}.000 {run.started:%p}",
+        "Total Frames in Take": frames,
+        "Total Exported Frames": frames,
+        "Rotation Type": "Quaternion",
+        "Length Units": word,
+        "Coordinate Space": "Global",
+    }
+    return ",".join(f"{key},{value}" for key, value in pairs.items())
+
+
+def _motive_columns(
+    take: Take, factor: float, random: np.random.Generator
+) -> tuple[list[tuple[str, ...]], Floats]:
+    """Return type, name, id, quantity and axis of every column, and the data after the frame."""
+    labels: list[tuple[str, ...]] = [
+        ("", "", "", "", "Frame"),
+        ("Type", "Name", "ID", "", "Time (Seconds)"),
     ]
-    return ",".join(f"{key},{value}" for key, value in pairs)
+    data = [take.time[:, None]]
 
+    def add(kind: str, name: str, identity: str, *columns: tuple[str, str]) -> None:
+        labels.extend((kind, name, identity, *column) for column in columns)
 
-def _groups(take: Take, seed: int) -> list[_Group]:
-    random = np.random.default_rng([seed, 77])
-    groups = [group for body in take.bodies for group in _body_groups(body.name, random)]
+    for body in take.bodies:
+        identity = f'"{random.bytes(16).hex().upper()}"'
+        add("Rigid Body", body.name, identity, *_TURN, *_PLACE, ("Mean Marker Error", ""))
+        data += [body.rotation, body.position * factor, body.error[:, None] * factor]
+        for number in range(1, len(BODY_MARKERS) + 1):
+            marker = f'"{body.name}:Marker{number}"'
+            add("Rigid Body Marker", marker, identity, *_PLACE, ("Marker Quality", ""))
     for name in take.names:
-        groups.append(_Group("Marker", name, f'"{random.bytes(3).hex().upper()}"', _PLACE))
-    return groups
-
-
-def _body_groups(body: str, random: np.random.Generator) -> list[_Group]:
-    body_id = f'"{random.bytes(16).hex().upper()}"'
-    groups = [_Group("Rigid Body", body, body_id, (*_TURN, *_PLACE, ("Mean Marker Error", "")))]
-    for number in range(len(BODY_MARKERS)):
-        columns = (*_PLACE, ("Marker Quality", ""))
-        name = f'"{body}:Marker{number + 1}"'
-        groups.append(_Group("Rigid Body Marker", name, body_id, columns))
-    return groups
-
-
-def _label_rows(groups: Sequence[_Group]) -> list[str]:
-    """Return type, name, id, quantity and axis of every column."""
-    columns = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
-    for group in groups:
-        columns += [(group.kind, group.name, group.identity, *column) for column in group.columns]
-    return [",".join(row) for row in zip(*columns, strict=True)]
-
-
-def _table(take: Take, factor: float) -> Floats:
-    """Return all data columns after the frame number, in the unit of the file."""
-    frames = len(take.time)
+        add("Marker", name, f'"{random.bytes(3).hex().upper()}"', *_PLACE)
     fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
-    poses = [
-        column
-        for body in take.bodies
-        for column in (body.rotation, body.position * factor, body.error[:, None] * factor)
-    ]
-    seen = (take.positions * factor).reshape(frames, -1)
-    return np.hstack([take.time[:, None], *poses, fitted.reshape(frames, -1), seen])
+    data += [blocks.reshape(len(take.time), -1) for blocks in (fitted, take.positions * factor)]
+    return labels, np.hstack(data)
 
 
-def _data_lines(take: Take, factor: float) -> Iterator[str]:
-    rows_at_a_time = 2000
-    table = _table(take, factor)
-    row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
-    for first in range(0, len(table), rows_at_a_time):
-        block = table[first : first + rows_at_a_time].tolist()
-        lines = (row % (first + number, *values) for number, values in enumerate(block))
-        yield "".join(lines).replace("nan", "")
-
-
-def write_test_suite(
+def write_frame(
     folder: Path,
     record: FrameRecord,
     layout: ExportLayout,
@@ -286,49 +251,41 @@ def write_test_suite(
     *,
     test_type: str = "tensile test",
 ) -> tuple[str, ...]:
-    """Write a record as MTS TestSuite does.
+    """Write a record as MTS TestSuite does, or, with forces in lbf, as TestResources does.
 
     Parameters
     ----------
     folder : of the files
     record : of the controller
     layout : unit of force and parts
-    run : for the preamble
+    run : for the head of the files
     test_type : of the test, for the note that it is synthetic
 
     Returns
     -------
     Names of the files, in the order of their numbers.
-
-    Raises
-    ------
-    ValueError
-        If the unit is neither N nor kN, or a part has no samples.
     """
-    if layout.force_unit not in NEWTONS:
-        message = f"force_unit: expected {', '.join(NEWTONS)}, found {layout.force_unit!r}"
-        raise ValueError(message)
-    files = {}
+    if layout.force_unit == "lbf":
+        file = f"{run.name}.xlsx"
+        write_r_controller(folder / file, record, run)
+        return (file,)
+    names = []
     for number, part in enumerate(_parts(record, layout)):
         file = f"{ACTIVITY}{number or ''}.txt"
         head = _preamble(file, layout.force_unit, run, test_type)
-        files[file] = "" if part is None else head + _rows(part, layout.force_unit)
-    for file, text in files.items():
+        text = "" if part is None else head + _rows(part, layout.force_unit)
         (folder / file).write_bytes(text.encode("utf-8-sig"))
-    return tuple(files)
+        names.append(file)
+    return tuple(names)
 
 
 def _parts(record: FrameRecord, layout: ExportLayout) -> list[FrameRecord | None]:
     """Return the parts by number of file: later step, earlier step, and one without samples."""
     lost_rows = 2
-    if not layout.in_parts:
+    if layout.part_at is None:
         return [record]
     first = int(np.searchsorted(record.time, layout.part_at))
-    later = first + lost_rows
-    if first < 1 or later >= len(record.time):
-        message = f"part_at: expected a time within the record, found {layout.part_at} s"
-        raise ValueError(message)
-    return [_piece(record, slice(later, None)), _piece(record, slice(first)), None]
+    return [_piece(record, slice(first + lost_rows, None)), _piece(record, slice(first)), None]
 
 
 def _piece(record: FrameRecord, piece: slice) -> FrameRecord:
@@ -380,21 +337,12 @@ def write_r_controller(path: Path, record: FrameRecord, run: Run) -> None:
     date = f"{run.started:%m/%d/%Y %H:%M:%S}"
     for row in ((note,), ("Test", run.name), ("Date", date), (), HEADER):
         sheet.append(row)
-    for values in zip(*_columns(record), strict=True):
-        sheet.append(values)
+    force, travel = record.force / NEWTONS_PER_POUND, record.displacement / METRES_PER_INCH
+    for values in np.column_stack([record.time, force, travel]).round(6) + 0.0:
+        sheet.append(values.tolist())
     buffer = io.BytesIO()
     book.save(buffer)
     path.write_bytes(_without_dates(buffer.getvalue(), run.started))
-
-
-def _columns(record: FrameRecord) -> tuple[list[float], ...]:
-    """Return the three columns in the units of the file, rounded to its digits."""
-    scaled = (
-        record.time,
-        record.force / NEWTONS_PER_POUND,
-        record.displacement / METRES_PER_INCH,
-    )
-    return tuple((column.round(6) + 0.0).tolist() for column in scaled)
 
 
 def _without_dates(book: bytes, started: datetime) -> bytes:

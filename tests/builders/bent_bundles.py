@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.protocol.load import dump_protocol, load_protocol
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Specimen, TestResult
-from labpipe.virtual_lab.bundles import TAPED_TYPES
+from labpipe.virtual_lab.specimens import TAPED_TYPES
 from labpipe.wire.end_load_path import end_load_path
 from tests.builders.bundles import bundle
 

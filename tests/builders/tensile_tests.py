@@ -16,7 +16,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.result import Result
 from labpipe.virtual_lab import TensileObservation, TensileScenario, observe
 from labpipe.virtual_lab.observations import simulate_test
-from labpipe.virtual_lab.tensile_path import TensilePath
+from labpipe.virtual_lab.tensile import TensilePath
 from tests.builders.small_tests import LabFolder
 
 SEGMENTS = {"twist-tube": (2e-3, 20e-3), "pet-tape": (1e-3, 35e-3)}

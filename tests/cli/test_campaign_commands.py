@@ -21,7 +21,6 @@ from labpipe.cli.demo import CALIBRATED_WORDS, CAMPAIGNS, FIRST_LOOK, SHEET_WORD
 from labpipe.cli.report import status_of
 from labpipe.records.group import Campaign
 from labpipe.virtual_lab import Campaign as VirtualCampaign
-from labpipe.virtual_lab.sheet_texts import protocol_of
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, six_samples, troubled_samples
 from tests.builders.harness_files import EXAMPLES, STIFFNESS, arch, pushed, written
@@ -180,9 +179,7 @@ def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
 
 def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
-        return Counter(
-            protocol_of(test) for campaign in campaigns for test, _ in campaign.scenarios()
-        )
+        return Counter(test.protocol for campaign in campaigns for test, _ in campaign.scenarios())
 
     first = kinds(FIRST_LOOK)
     assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))

@@ -20,16 +20,18 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
 from labpipe.virtual_lab import CantileverScenario, ConduitObservation, Observation, observe
-from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign, WireCampaign
-from labpipe.virtual_lab.cantilever_path import MechanicalPath, solve_path
-from labpipe.virtual_lab.cantilever_scenarios import LoadCell
-from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario, ThreePointTest
-from labpipe.virtual_lab.curve_truth import KINK_WINDOW, LoadingTruth, evaluate_taped, line_slope
-from labpipe.virtual_lab.recorders import FORCE_PATH
-from labpipe.virtual_lab.sheet_texts import protocol_of, write_sheet
-from labpipe.virtual_lab.specimens import ElasticModel
-from labpipe.virtual_lab.three_point_path import solve_three_point
+from labpipe.virtual_lab.cantilever_scenarios import LoadCell, MechanicalPath, solve_path
+from labpipe.virtual_lab.instruments import FORCE_PATH
+from labpipe.virtual_lab.observations import write_sheet
+from labpipe.virtual_lab.specimens import TAPED_TYPES, ElasticModel
+from labpipe.virtual_lab.three_point import (
+    CONDUIT_TYPES,
+    ConduitScenario,
+    ThreePointTest,
+    solve_three_point,
+)
+from labpipe.virtual_lab.truth import KINK_WINDOW, LoadingTruth, evaluate_taped, line_slope
 from tests.builders.bent_tests import law_moment
 from tests.coverage.lab_tensile import wandering
 from tests.judges.foreign.rig import scale, stated
@@ -98,7 +100,7 @@ def on_a_string(
     -------
     All results, and what is true, by their names.
     """
-    test, name = observe(scenario, seed), protocol_of(scenario)
+    test, name = observe(scenario, seed), scenario.protocol
     plan = _plan(write_sheet(_as_written(scenario, seed)), folder, protocols)
     force = _wandering(test.force, scenario.load_cell, name, seed)
     results = _reduced({"force": force, "markers": _filmed(test.markers, name, seed)}, plan)
@@ -110,7 +112,7 @@ def on_two_supports(
 ) -> CheckReport:
     """The same of a conduit bundle."""
     test = observe(scenario, seed)
-    name, random = protocol_of(scenario), np.random.default_rng([seed, 71])
+    name, random = scenario.protocol, np.random.default_rng([seed, 71])
     markers = _filmed(test.markers, name, seed)
     roles: dict[str, Recording] = {
         "force": _wandering(test.force, scenario.load_cell, name, seed),
@@ -178,7 +180,7 @@ def _in_file(frame: Recording, by: float) -> Recording:
 def _as_written(scenario: CantileverScenario, seed: int) -> CantileverScenario:
     """What a person writes down: length and offsets as they were measured."""
     length, grip, pull, centre = np.random.default_rng([seed, 73]).standard_normal(4).tolist()
-    name, mechanics, markers = protocol_of(scenario), scenario.mechanics, scenario.markers
+    name, mechanics, markers = scenario.protocol, scenario.mechanics, scenario.markers
     length *= stated(name, "specimen", "uncertainty", "length")
     offset = stated(name, "markers", "offset_uncertainty")
     x, *across = markers.pivot

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab import TensileObservation, TensileScenario
-from labpipe.virtual_lab.tensile_scenarios import (
+from labpipe.virtual_lab.tensile import (
     TABLE_2_3,
     GripSlip,
     corrugated_tube,

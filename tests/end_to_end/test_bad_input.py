@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.tensile_scenarios import twist_tube
+from labpipe.virtual_lab.tensile import twist_tube
 from tests.approved import Approve
 from tests.builders.bad_input import refused, told
 from tests.builders.controldesk import Axis, Signal, write_mat_v5

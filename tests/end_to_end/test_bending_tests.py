@@ -21,8 +21,8 @@ from labpipe.records.curve import Bending, PointFlag
 from labpipe.records.result import Status
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import CantileverScenario, observe
-from labpipe.virtual_lab.conduit_scenarios import conduit_scenario
 from labpipe.virtual_lab.observations import simulate_test
+from labpipe.virtual_lab.three_point import conduit_scenario
 from tests.builders.bent_tests import law_moment
 from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, LabFolder, Run, make_lab, small_scenario, state

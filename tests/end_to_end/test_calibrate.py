@@ -22,7 +22,7 @@ from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.virtual_lab import simulate_campaigns, simulate_test
 from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
 from labpipe.virtual_lab.specimens import WIRES as SPECIMENS
-from labpipe.virtual_lab.tensile_scenarios import corrugated_tube
+from labpipe.virtual_lab.tensile import corrugated_tube
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.wire_table import build, wire_table

@@ -14,7 +14,7 @@ import pytest
 
 from labpipe.cli import main
 from labpipe.virtual_lab.observations import simulate_test
-from labpipe.virtual_lab.tensile_scenarios import (
+from labpipe.virtual_lab.tensile import (
     TABLE_2_3,
     GripSlip,
     corrugated_tube,

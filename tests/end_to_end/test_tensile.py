@@ -14,7 +14,7 @@ from labpipe.cli import main
 from labpipe.records.curve import SlipDecision
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import TensileScenario
-from labpipe.virtual_lab.tensile_scenarios import (
+from labpipe.virtual_lab.tensile import (
     GripSlip,
     corrugated_tube,
     pet_tape,
@@ -147,7 +147,7 @@ def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make)
 def test_parts_out_of_order_and_one_without_samples(tmp_path: Path, run: Run) -> None:
     """Two parts are the whole but for the two samples that the program loses between them."""
     whole = twist_tube("2b")
-    parts = replace(whole, export=replace(whole.export, in_parts=True, part_at=4.5))
+    parts = replace(whole, export=replace(whole.export, part_at=4.5))
     labs = [make_tensile(tmp_path / name, each) for name, each in (("1", whole), ("2", parts))]
     for lab in labs:
         assert run("process", lab.raw, "--no-figures").status == 0

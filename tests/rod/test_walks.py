@@ -8,9 +8,8 @@ import pytest
 from labpipe.law.sliders import linear_moment_law
 from labpipe.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
+from labpipe.rod.contacts import nearest_place, point_at, thread, touch_plane
 from labpipe.rod.line import Line, Section
-from labpipe.rod.plane_contact import touch_plane
-from labpipe.rod.ring_contact import nearest_place, point_at, thread
 from labpipe.rod.rotations import (
     conjugate,
     from_rotation_vectors,

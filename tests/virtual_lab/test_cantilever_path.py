@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.cantilever_path import solve_path
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest, solve_path
+from labpipe.virtual_lab.instruments import plan_cantilever
 from labpipe.virtual_lab.observations import Observation, write_exports
-from labpipe.virtual_lab.recorders import plan_cantilever
 from labpipe.wire.cantilever import bend_to_travel
 
 

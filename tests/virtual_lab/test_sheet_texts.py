@@ -11,15 +11,15 @@ import yaml
 
 from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
-from labpipe.virtual_lab.conduit_scenarios import (
-    conduit_scenario,
-)
-from labpipe.virtual_lab.sheet_texts import (
+from labpipe.virtual_lab.observations import (
     PROTOCOL_VALUES,
     write_sheet,
     write_wire_sheet,
 )
 from labpipe.virtual_lab.specimens import WIRES
+from labpipe.virtual_lab.three_point import (
+    conduit_scenario,
+)
 from labpipe.wire.wire_table import build
 
 
@@ -30,7 +30,7 @@ def test_values_are_those_of_the_shipped_protocol(repository: Path, name: str) -
         entry: Any = yaml.safe_load(text)
         for part in key.split("."):
             entry = entry[part]
-        assert str(entry) == value, key
+        assert entry == value, key
 
 
 def overridden(sheet: dict[str, Any]) -> dict[str, Any]:

@@ -10,17 +10,18 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from labpipe.virtual_lab.conduit_scenarios import (
+from labpipe.virtual_lab.instruments import plan_conduit, record_conduit_force
+from labpipe.virtual_lab.specimens import ElasticModel
+from labpipe.virtual_lab.three_point import (
     CONDUIT_TYPES,
+    ThreePointPath,
     ThreePointTest,
     conduit_scenario,
+    solve_three_point,
 )
-from labpipe.virtual_lab.recorders import plan_conduit, record_conduit_force
-from labpipe.virtual_lab.specimens import ElasticModel
-from labpipe.virtual_lab.three_point_path import ThreePointPath, solve_three_point
 from labpipe.virtual_lab.truth import evaluate_conduit
 
-BUNDLE, _ = CONDUIT_TYPES["CWB-1"]
+BUNDLE = CONDUIT_TYPES["CWB-1"]
 BAR = ElasticModel(0.1)
 
 

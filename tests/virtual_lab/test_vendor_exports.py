@@ -12,21 +12,21 @@ import pytest
 from scipy.io import loadmat, whosmat
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.cantilever_path import solve_path
-from labpipe.virtual_lab.observations import Observation
-from labpipe.virtual_lab.recorders import (
+from labpipe.virtual_lab.cantilever_scenarios import solve_path
+from labpipe.virtual_lab.instruments import (
     DIRECTION_PATH,
     FREQUENCY_PATH,
     FrameRecord,
     plan_cantilever,
 )
-from labpipe.virtual_lab.tensile_scenarios import ExportLayout
+from labpipe.virtual_lab.observations import Observation
+from labpipe.virtual_lab.tensile import ExportLayout
 from labpipe.virtual_lab.vendor_exports import (
     Run,
     write_control_desk,
+    write_frame,
     write_motive,
     write_r_controller,
-    write_test_suite,
 )
 
 RUN = Run("A2-085-1", datetime(2026, 3, 4, 10, 5, 7), seed=11)
@@ -96,7 +96,7 @@ def numbers(path: Path) -> Floats:
 
 
 def test_test_suite_is_in_single_precision_of_si(tmp_path: Path) -> None:
-    (name,) = write_test_suite(tmp_path, RECORD, ExportLayout(), RUN)
+    (name,) = write_frame(tmp_path, RECORD, ExportLayout(), RUN)
     assert name == "DAQ- Crosshead, … - (Timed).txt"
     content = (tmp_path / name).read_bytes()
     assert content.startswith(b"\xef\xbb\xbfFile Path: C:\\")
@@ -117,7 +117,7 @@ def test_test_suite_is_in_single_precision_of_si(tmp_path: Path) -> None:
 
 
 def test_parts_are_not_numbered_in_order_of_time(tmp_path: Path) -> None:
-    files = write_test_suite(tmp_path, RECORD, ExportLayout(in_parts=True, part_at=0.2), RUN)
+    files = write_frame(tmp_path, RECORD, ExportLayout(part_at=0.2), RUN)
     stem = "DAQ- Crosshead, … - (Timed)"
     assert files == (f"{stem}.txt", f"{stem}1.txt", f"{stem}2.txt")
     later, earlier = numbers(tmp_path / files[0]), numbers(tmp_path / files[1])

@@ -1,4 +1,9 @@
-"""Quasi-static path of a bundle in three-point bending.
+"""Three-point bending of a conduit bundle: settings, cases, and quasi-static path.
+
+Everything is SI. The specimen frame: x along the bundle to the right as seen by the cameras, y up,
+z towards the cameras, origin at mid-span at rest. Displacement is that of the upper roller, down;
+force is the force of that roller. True time begins when the load frame starts; recorder and cameras
+have their own clocks.
 
 Half of it is solved; the other half is its mirror image. s is the arc length from mid-span, where
 the tangent is level; the history belongs to the material point, which may slide over the roller.
@@ -23,8 +28,9 @@ large at the same positions, so one solution serves all samples of a type.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -32,7 +38,227 @@ from scipy.optimize import brentq
 
 from labpipe.law.plays import MomentLaw, respond, unbent_plays
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.conduit_scenarios import ThreePointTest
+from labpipe.records.harness_bundle import NONE
+from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose
+from labpipe.virtual_lab.specimens import BundleModel, ElasticModel, WireModel
+
+GAIN, OFFSET = -0.21082, 0.002846
+"""Calibration of the load cell, N/V and N: force is gain x volts + offset."""
+
+CONDUIT_CELL = LoadCell(
+    gain=GAIN, gain_uncertainty=0.002, offset=-OFFSET / GAIN, noise=10e-3, full_scale=100.0
+)
+"""A cell of 500 lb; the recorder writes the volts of its amplifier, up to 100 V."""
+
+
+OUTER_DIAMETER = {"corrugated-tube": 10.2e-3, "twist-tube": 8.0e-3}
+"""Outer diameter of the conduits, m."""
+
+TAPING_EFFECT = {"coarse": 1.01, "half-lap": 1.02}
+"""Factor on all moments by the taping of the conduit, which has almost no effect."""
+
+_INSIDE = BundleModel(friction_share=0.05, glue_share=0.008, tape=NONE, taping=NONE)
+"""Wires in a tube are taped only at their ends: neighbours and glue hold less of them."""
+
+
+_TUBE = replace(_INSIDE, conduit="corrugated-tube", conduit_bore=7.4e-3, conduit_stiffness=2e-3)
+_TWIST = replace(_INSIDE, conduit="twist-tube", conduit_bore=7.0e-3, conduit_stiffness=1e-3)
+_B1, _B2 = (("B1", 19),), (("B2", 19),)
+
+
+def _taped(bundle: BundleModel, taping: str) -> BundleModel:
+    """Return a bundle whose conduit is taped."""
+    return replace(bundle, tape="PVC", taping=taping).scaled(TAPING_EFFECT[taping])
+
+
+CONDUIT_TYPES = {
+    "CWB-1": replace(_TUBE, wires=_B1),
+    "CWB-2a": replace(_TUBE, wires=_B2),
+    "CWB-2b": _taped(replace(_TUBE, wires=_B2), "coarse"),
+    "CWB-2c": _taped(replace(_TUBE, wires=_B2), "half-lap"),
+    "CWB-3": replace(_TUBE, wires=(("B2", 12),)),
+    "CWB-4": replace(_TUBE, wires=(("B1", 10), ("B2", 9)), arrangement="symmetric"),
+    "CWB-5": replace(_TWIST, wires=_B1),
+    "CWB-6": replace(_TWIST, wires=_B2),
+}
+"""Cases of Table 4.2: bundles in their conduits."""
+
+
+BentModel: TypeAlias = BundleModel | WireModel | ElasticModel
+
+
+@dataclass(frozen=True, slots=True)
+class ThreePointTest:
+    """Inputs of the path; equal tests share one solution.
+
+    Parameters
+    ----------
+    bundle : its law
+    span : m, between the centres of the lower rollers
+    overhang : m, beyond each of them
+    roller_radius : m
+    outer_radius : m, of the specimen on the rollers
+    friction : mu, between it and the lower rollers
+    build_up : u0, m, over which friction builds up or reverses
+    stroke : m, of the upper roller, once down and up
+    steps_per_branch, crowding : as those of `cantilever.MechanicalTest`
+    n_stations : of the half, evenly spread
+    """
+
+    bundle: BentModel
+    span: float = 0.1524
+    overhang: float = 0.0254
+    roller_radius: float = 5e-3
+    outer_radius: float = 5.1e-3
+    friction: float = 0.1
+    build_up: float = 0.3e-3
+    stroke: float = 0.0294
+    steps_per_branch: int = 60
+    crowding: float = 1.8
+    n_stations: int = 97
+
+    @property
+    def reach(self) -> float:
+        """Return the distance from the centre of a roller to the axis of the bundle, m."""
+        return self.roller_radius + self.outer_radius
+
+
+@dataclass(frozen=True, slots=True)
+class ConduitClocks:
+    """Three time bases; times are counted from the start of the load frame.
+
+    Parameters
+    ----------
+    rate : Hz, of the force recorder
+    fps : frames per second of the cameras
+    frame_rate : Hz, of the load frame's own record
+    trigger_lag : s, from the start of the frame to the first sample of the recorder
+    recorder_drift : recorder's time = (1 + drift) x (true time - lag)
+    camera_lead : s, from the start of the cameras to the start of the frame
+    """
+
+    rate: float = 500.0
+    fps: float = 25.0
+    frame_rate: float = 10.0
+    trigger_lag: float = 6e-3
+    recorder_drift: float = 20e-6
+    camera_lead: float = 1.9
+
+
+@dataclass(frozen=True, slots=True)
+class CylinderMarkers:
+    """Spherical markers in lines along a cylinder.
+
+    Parameters
+    ----------
+    n_sections : odd, one at mid-span
+    spacing : m, along the bundle
+    angles : rad, of the lines, from the side of the cameras upwards
+    centre_offset : m, axis of the bundle to marker centre
+    twist : rad, rotation of the sample about its axis at full stroke, right-handed about x,
+        proportional to the displacement, uniform, and constant after the roller leaves
+    noise : m, rms per axis
+    scrambled : label numbers are in random order
+    """
+
+    n_sections: int = 11
+    spacing: float = 12.7e-3
+    angles: tuple[float, ...] = (0.6108652381980153, -0.6108652381980153)
+    centre_offset: float = 6.6e-3
+    twist: float = 0.06
+    noise: float = 3e-5
+    scrambled: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCell:
+    """Noise and tare of the load frame's own record.
+
+    Parameters
+    ----------
+    displacement_noise : m, rms
+    force_noise : N, rms, of its 50 kN cell, which is too coarse for these forces
+    force_tare : N
+    """
+
+    displacement_noise: float = 1e-6
+    force_noise: float = 1.5
+    force_tare: float = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class ConduitScenario:
+    """A complete virtual test of a conduit bundle.
+
+    Parameters
+    ----------
+    name : of the test and of its folder
+    specimen_type, spool, sample, date : for the test sheet and the exports
+    test : bundle and rig; the bundle's own factor is that of its type
+    factor : of this sample on all moments and forces
+    speed : m/s, of the crosshead
+    rest : s, before and after the motion of the crosshead
+    clocks, load_cell, markers, frame, pose : the instruments
+    has_frame_export : the load frame's record is available
+    length_unit : of the motion-capture export
+    """
+
+    test: ThreePointTest
+    name: str = "CWB-1-1"
+    specimen_type: str = "CWB-1"
+    spool: str = "CWB-1-s1"
+    sample: int = 1
+    date: str = "2026-03-12"
+    factor: float = 1.0
+    speed: float = 0.5e-3
+    rest: float = 4.0
+    clocks: ConduitClocks = ConduitClocks()
+    load_cell: LoadCell = CONDUIT_CELL
+    markers: CylinderMarkers = CylinderMarkers()
+    frame: FrameCell = FrameCell()
+    pose: Pose = field(default_factory=Pose)
+    has_frame_export: bool = True
+    length_unit: str = "m"
+    protocol: ClassVar[str] = "conduit-bundle"
+
+    @property
+    def bundle(self) -> BundleModel:
+        """Return the sample, with its factor.
+
+        Raises
+        ------
+        TypeError
+            If the specimen is not a bundle.
+        """
+        if not isinstance(self.test.bundle, BundleModel):
+            message = f"bundle: expected a BundleModel, found {type(self.test.bundle).__name__}"
+            raise TypeError(message)
+        return self.test.bundle.scaled(self.factor)
+
+
+def conduit_scenario(name: str) -> ConduitScenario:
+    """Return a test of a case of Table 4.2.
+
+    Parameters
+    ----------
+    name : key of `CONDUIT_TYPES`
+
+    Raises
+    ------
+    KeyError
+        If the case is unknown.
+    """
+    marker_radius = 1.5e-3
+    bundle = CONDUIT_TYPES[name]
+    radius = 0.5 * OUTER_DIAMETER[bundle.conduit]
+    return ConduitScenario(
+        test=ThreePointTest(bundle, outer_radius=radius),
+        name=f"{name}-1",
+        specimen_type=name,
+        spool=f"{name}-s1",
+        markers=CylinderMarkers(centre_offset=radius + marker_radius),
+    )
+
 
 _MIN_DISPLACEMENT_STEP = 1e-9
 
