@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias, TypeVar
 
 from labpipe.campaign.campaign_folders import CampaignFolders
-from labpipe.campaign.catalog import PENDING, REJECTED, STALE
+from labpipe.campaign.catalog_rows import OK, PENDING, REJECTED, STALE
 from labpipe.campaign.executors import Executor, Outcome, Task, outcome_of, outcome_of_call
 from labpipe.campaign.pairing import (
     Candidate,
@@ -24,12 +24,13 @@ from labpipe.campaign.pairing import (
     plan_of,
 )
 from labpipe.campaign.quick_look import (
-    CampaignGroups,
     display_settings,
     failure_lines,
+    group_of,
     read_summary,
     verdict,
 )
+from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import read_overview, run_test
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, describe_death
 from labpipe.errors import LabpipeError, ProcessingError, error_text
@@ -181,10 +182,23 @@ class WatchedCampaign:
         self._rows = {**self._rows, label: row}
         return outcome
 
-    def results(self) -> dict[Path, str]:
-        """Return the key of the results of each test that is not rejected, by folder."""
-        rows = {folder: row for folder, row in self._rows.items() if row.state != REJECTED}
-        return {self._folders.processed / folder: row.run for folder, row in rows.items()}
+    def values_beside(self, sheet: Path) -> dict[str, list[float]]:
+        """Return the ok values of each result in the other tests of the group of a test.
+
+        Parameters
+        ----------
+        sheet : of the test; rejected tests are left out
+        """
+        label = self._label(sheet)
+        group, values = group_of(self._rows[label]), dict[str, list[float]]()
+        with open_campaign(self._folders) as sync:
+            for folder, row in self._rows.items():
+                is_valid = folder != label and row.run and row.state != REJECTED
+                if is_valid and group_of(row) == group:
+                    for result in sync.catalog.results_of(folder):
+                        if result.status == OK and result.value is not None:
+                            values.setdefault(result.name, []).append(result.value)
+        return values
 
     def _label(self, sheet: Path) -> str:
         return sheet.parent.relative_to(self._folders.raw).as_posix()
@@ -351,13 +365,8 @@ class Watcher:
         self._files = FileStability(clock, self.plan.still_for)
         self._output = _Announcer(say)
         self._tests: dict[Path, _Test] = {}
-        self._groups = CampaignGroups()
         self._turn = 0
         self._is_gone = self._has_begun = False
-
-    def prepare(self) -> None:
-        """Read the numbers of earlier tests before the first verdict."""
-        self._groups.read(self._campaign.results())
 
     def look(self) -> bool:
         """Look once, and handle the newest test that is ready.
@@ -533,13 +542,13 @@ class Watcher:
             self._output.say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
-        self._groups.read(self._campaign.results())
         summary = None if outcome.folder is None else read_summary(outcome.folder)
         if outcome.state == "failed" or outcome.folder is None or summary is None:
             lines = failure_lines(_label(candidate), outcome.code, outcome.reason)
         else:
-            group, settings = self._groups.group_of(summary), display_settings(candidate.sheet)
-            lines = verdict(_label(candidate), outcome.folder, summary, group, settings)
+            others = self._campaign.values_beside(candidate.sheet)
+            settings = display_settings(candidate.sheet)
+            lines = verdict(_label(candidate), summary, others, settings)
             self._draw(outcome.folder)
         self._output.say("\n".join(lines))
 
@@ -605,7 +614,6 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         draw = worker.draw if figures else (lambda _: None)
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; press Ctrl+C to stop")
-        watcher.prepare()
         all_protocols()  # loads units and grammar before the first verdict
         while True:
             began = time.monotonic()
