@@ -48,6 +48,7 @@ from labpipe.campaign.decisions import (
     applicable_decision,
     carry_over,
     read_decisions,
+    unapplied_decisions,
 )
 from labpipe.campaign.pairing import list_candidates, plan_of
 from labpipe.errors import LabpipeError, StoreError, error_text
@@ -90,6 +91,15 @@ class Overview:
         folder : of the test
         """
         return RUNNING if folder in self.claims else self.rows[folder].state
+
+    @property
+    def unapplied(self) -> list[tuple[Decision, str]]:
+        """Return the decisions that are not applied, and why."""
+        return list(
+            unapplied_decisions(
+                self.decisions, {folder: row.attempt for folder, row in self.rows.items()}
+            )
+        )
 
     @property
     def counts(self) -> Counter[str]:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -317,26 +317,6 @@ class _Test:
     again: bool = False
 
 
-@dataclass(slots=True)
-class _Announcer:
-    """Prints messages, on request only once.
-
-    Parameters
-    ----------
-    say : called with each message
-    printed : messages so far
-    """
-
-    say: Callable[[str], None]
-    printed: set[str] = field(default_factory=set)
-
-    def say_once(self, text: str) -> None:
-        """Print a message unless it was printed before."""
-        if text not in self.printed:
-            self.printed.add(text)
-            self.say(text)
-
-
 class Watcher:
     """Looks at the folder of a campaign repeatedly.
 
@@ -363,7 +343,7 @@ class Watcher:
         self.plan = plan_of(campaign.raw)
         self._plan_mark = _mark(campaign.raw / PLAN_NAME)
         self._files = FileStability(clock, self.plan.still_for)
-        self._output = _Announcer(say)
+        self._say, self._printed = say, set[str]()
         self._tests: dict[Path, _Test] = {}
         self._turn = 0
         self._is_gone = self._has_begun = False
@@ -388,8 +368,14 @@ class Watcher:
             return False
         if self._is_gone:
             self._is_gone = False
-            self._output.say(f"{self._campaign.raw}: available again")
+            self._say(f"{self._campaign.raw}: available again")
         return len(ready) > 1
+
+    def _say_once(self, text: str) -> None:
+        """Print a message unless it was printed before."""
+        if text not in self._printed:
+            self._printed.add(text)
+            self._say(text)
 
     def _is_skipped(self, folder: Path) -> bool:
         """Return whether a test was handled a while ago and is skipped in this look."""
@@ -404,13 +390,13 @@ class Watcher:
         if not self._is_gone:
             self._is_gone = True
             why = (error.strerror or str(error)).lower()
-            self._output.say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
+            self._say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
 
     def _ready(self, listed: RawListing) -> list[Candidate]:
         """Return the tests that are ready, the newest first."""
         for path, why in listed.unmatched.items():
             if self._files.look(path) == "still" and self._still_for(path) > self.plan.patience:
-                self._output.say_once(f"{_printable(self._below(path))}: not used: {why}")
+                self._say_once(f"{_printable(self._below(path))}: not used: {why}")
         ready = [candidate for candidate in listed.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
@@ -429,13 +415,13 @@ class Watcher:
         try:
             self.plan = plan_of(self._campaign.raw)
         except LabpipeError as error:
-            self._output.say(f"{error}\n  the last valid {PLAN_NAME} is used")
+            self._say(f"{error}\n  the last valid {PLAN_NAME} is used")
             return
         self._files.still_for = self.plan.still_for
         self._tests = {
             folder: _Test(test.done, settled=test.settled) for folder, test in self._tests.items()
         }
-        self._output.say(f"{PLAN_NAME} was read again")
+        self._say(f"{PLAN_NAME} was read again")
 
     def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
         """Leave out tests that were processed before the watch."""
@@ -470,12 +456,10 @@ class Watcher:
         moving = self._files.moving_for(path)
         name = f"{_label(candidate)}: {_printable(path.name)}"
         if state == "locked" and moving > self.plan.patience:
-            self._output.say_once(
-                f"{name} cannot be opened, another program uses it; waiting for it"
-            )
+            self._say_once(f"{name} cannot be opened, another program uses it; waiting for it")
         if moving > REMINDER_DELAY and state in ("growing", "locked"):
             what = "is still being written" if state == "growing" else "still cannot be opened"
-            self._output.say_once(f"{name} {what} after an hour; waiting for it")
+            self._say_once(f"{name} {what} after an hour; waiting for it")
 
     def _handle(self, candidate: Candidate) -> None:
         # s between attempts
@@ -487,7 +471,7 @@ class Watcher:
             written = self._pair(candidate, self.plan, self._waited(candidate))
         except LabpipeError as error:
             test.done = marks
-            self._output.say_once(f"{_label(candidate)}: {error}")
+            self._say_once(f"{_label(candidate)}: {error}")
             return
         if written.sheet is None:
             self._say_missing(candidate, test, written)
@@ -503,7 +487,7 @@ class Watcher:
         try:
             outcome = self._campaign.process(candidate.sheet, again=test.again)
         except LabpipeError as error:
-            self._output.say_once(f"{_label(candidate)}: {error}")
+            self._say_once(f"{_label(candidate)}: {error}")
             return False
         test.again = False
         if outcome is not None:
@@ -523,13 +507,13 @@ class Watcher:
             stood = self._still_for(candidate.files.get(name, candidate.folder / name))
             what = f"{_label(candidate)}: {_printable(name)} cannot be read"
             if stood > self.plan.patience:
-                self._output.say_once(f"{what} yet ({why}); waiting for it")
+                self._say_once(f"{what} yet ({why}); waiting for it")
             if stood > REMINDER_DELAY:
-                self._output.say_once(f"{what} after an hour; waiting for it")
+                self._say_once(f"{what} after an hour; waiting for it")
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
-            self._output.say(f"{_label(candidate)}: waits for {waits}")
+            self._say(f"{_label(candidate)}: waits for {waits}")
 
     def _say_sheet(self, candidate: Candidate, written: PairingOutcome) -> None:
         lines = [
@@ -539,7 +523,7 @@ class Watcher:
         if written.open:
             lines.append(f"  to fill in: {', '.join(written.open)}; it is processed then")
         if lines:
-            self._output.say("\n".join(lines))
+            self._say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         summary = None if outcome.folder is None else read_summary(outcome.folder)
@@ -550,7 +534,7 @@ class Watcher:
             settings = display_settings(candidate.sheet)
             lines = verdict(_label(candidate), summary, others, settings)
             self._draw(outcome.folder)
-        self._output.say("\n".join(lines))
+        self._say("\n".join(lines))
 
     def _marks(self, candidate: Candidate) -> Marks:
         return tuple((str(path), self._files.mark(path)) for path in _paths(candidate))

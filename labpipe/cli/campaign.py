@@ -16,7 +16,6 @@ from labpipe.campaign.decisions import (
     Decision,
     decision_sentence,
     import_decision_file,
-    unapplied_decisions,
 )
 from labpipe.campaign.executors import Task, executor_of
 from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
@@ -233,13 +232,11 @@ def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[st
 
 def _unapplied_decisions(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
-    current_keys = {folder: row.attempt for folder, row in overview.rows.items()}
-    decisions = unapplied_decisions(overview.decisions, current_keys)
     return _section_lines(
         "decisions not applied",
         [
             f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
-            for decision, why in decisions
+            for decision, why in overview.unapplied
         ],
     )
 
@@ -267,8 +264,6 @@ def _abbreviated_names(names: list[str]) -> str:
 def _as_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
-    current_keys = {folder: row.attempt for folder, row in overview.rows.items()}
-    unapplied = unapplied_decisions(overview.decisions, current_keys)
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     return {
         "campaign": campaign.name,
@@ -283,7 +278,7 @@ def _as_json(
         },
         "decisions_not_applied": [
             {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
-            for decision, why in unapplied
+            for decision, why in overview.unapplied
         ],
         "files": files,
         "notes": overview.notes,

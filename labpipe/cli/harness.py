@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from labpipe.cli.terminal import from_here, statuses_of
+from labpipe.cli.terminal import from_here, progress_bar, statuses_of
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import count_of, plain_numbers, unit_words
 from labpipe.studies.harness_solution import FollowedHarness
@@ -50,21 +50,21 @@ def run(options: argparse.Namespace) -> int:
 @contextmanager
 def following() -> Iterator[Watcher]:
     """Show progress over lines and steps: a bar on a terminal, a line for each in a pipe."""
-    if not sys.stderr.isatty():
-        names, total = itertools.count(1), [0]
+    numbers = itertools.count(1)
+    with progress_bar("step") as bar:
+        n_lines = 0
 
-        def say(name: str) -> None:
-            if total[0] > 1:
-                print(f"{next(names)}/{total[0]} {name}", file=sys.stderr)
+        def begin(lines: int, steps: int) -> None:
+            nonlocal n_lines
+            n_lines = lines
+            bar.reset(lines * steps)
 
-        yield Watcher(lambda lines, _: total.__setitem__(0, lines), say)
-        return
-    from tqdm import tqdm
+        def begin_line(name: str) -> None:
+            if bar.disable and n_lines > 1:
+                print(f"{next(numbers)}/{n_lines} {name}", file=sys.stderr)
+            bar.set_description(name)
 
-    with tqdm(unit="step", leave=False) as bar:
-        yield Watcher(
-            lambda lines, steps: bar.reset(lines * steps), bar.set_description, bar.update
-        )
+        yield Watcher(begin, begin_line, bar.update)
 
 
 def _faults(harness: FollowedHarness) -> Iterator[str]:
