@@ -8,7 +8,6 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from labpipe.cli.terminal import from_here, progress_bar, statuses_of
 from labpipe.records.result import Result, Status
@@ -29,12 +28,12 @@ def run(options: argparse.Namespace) -> int:
     """Compute the line of each harness and print its results."""
     statuses = []
     for file in options.files:
-        out = options.out if options.out is None or len(options.files) == 1 else None
+        has_own_folder = options.out is not None and len(options.files) > 1
         with following() as watcher:
             harness = follow_harness(
                 file,
                 wires=options.wire,
-                out=out or _own_folder(options.out, file),
+                out=options.out / file.stem if has_own_folder else options.out,
                 figures=not options.no_figures,
                 png=options.png,
                 watcher=watcher,
@@ -73,11 +72,6 @@ def _faults(harness: FollowedHarness) -> Iterator[str]:
         yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
     elif not harness.limit.is_assumed and harness.sharpest.radius < harness.limit.radius:
         yield "".join(_limit(harness)).strip()
-
-
-def _own_folder(out: Path | None, file: Path) -> Path | None:
-    """Return the folder of one of several files below the folder of the option."""
-    return None if out is None else out / file.stem
 
 
 def harness_table(solution: FollowedHarness) -> str:

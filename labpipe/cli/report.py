@@ -17,6 +17,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.lab_report import Letterhead, read_logo
 from labpipe.report.saving import FORMATS
+from labpipe.report.wording import count_words
 
 
 def run(options: argparse.Namespace) -> int:
@@ -93,9 +94,7 @@ def report_table(reported: Reported) -> str:
     """
     lines: list[str] = []
     for group in reported.campaign.groups:
-        spools = {sample.specimen.spool for sample in group.samples}
-        count = f"{_several(len(group.samples), 'sample')} from {_several(len(spools), 'spool')}"
-        lines.append(f"{group.name}  ({group.protocol}): {count}")
+        lines.append(f"{group.name}  ({group.protocol}): {count_words(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
         width = name_width(number.name for number in group.numbers)
         lines += [_mean_line(number, display, width) for number in group.numbers]
@@ -106,10 +105,6 @@ def report_table(reported: Reported) -> str:
         f"report: {from_here(reported.files[0])}" if reported.files else "report: nothing written"
     )
     return "\n".join(lines)
-
-
-def _several(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
