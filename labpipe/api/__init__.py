@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from labpipe.api.export_facts import Export, inspect
-from labpipe.api.given_paths import PathLike, path_of
-from labpipe.api.many_tests import groups, table
-from labpipe.api.one_test import Test
+from labpipe.api.many_tests import PathLike, groups, path_of, table
+from labpipe.api.one_test import Export, Test, inspect
 from labpipe.errors import UsageError, error_text
 from labpipe.process.output_paths import RESULT_FILE, find_results, find_tests
 from labpipe.protocol.sheet_grammar import SHEET_NAME

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
@@ -11,14 +12,78 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from labpipe.api.given_paths import Paths, fields_of, paths_of
-from labpipe.errors import LabpipeError, StoreError, UsageError, error_text, nearest
+from labpipe.errors import LabpipeError, StoreError, UsageError, error_text, nearest, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below, find_results
 from labpipe.store.replace import is_cut_off
 from labpipe.store.summaries import SUMMARY_FILE, read_summary
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
+
+PathLike: TypeAlias = str | os.PathLike[str]
+Paths: TypeAlias = PathLike | Iterable[PathLike]
+
+
+def path_of(location: PathLike) -> Path:
+    """Convert to a path, and check that the system accepts it; it need not exist.
+
+    Parameters
+    ----------
+    location : of a file or a folder
+
+    Raises
+    ------
+    UsageError
+        If the path is impossible: too long, with a zero byte, in a folder without access.
+    """
+    path = Path(location)
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return path  # the caller reports missing files
+    except OSError as error:
+        raise UsageError(refusal(error)) from error
+    except ValueError as error:
+        text = error_text(
+            repr(os.fspath(location)),
+            "",
+            expected="a path",
+            found=str(error),
+            remedy="Name a file or a folder.",
+        )
+        raise UsageError(text) from error
+    return path
+
+
+def paths_of(locations: Paths) -> list[Path]:
+    """Convert one path, or several.
+
+    Parameters
+    ----------
+    locations : as `path_of`, or a list of them
+
+    Raises
+    ------
+    UsageError
+        If the list is empty, or a path is impossible.
+    """
+    several = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
+    if not several:
+        text = error_text(
+            "folder",
+            "",
+            expected="a folder with processed tests",
+            found="an empty list",
+            remedy="Name one.",
+        )
+        raise UsageError(text)
+    return [path_of(location) for location in several]
+
+
+def fields_of(by: str | Sequence[str]) -> tuple[str, ...]:
+    """Convert the name of one field, or of several, to a tuple."""
+    return (by,) if isinstance(by, str) else tuple(by)
+
 
 _NUMBERS = ("value", "estimate", "lower", "upper")
 _TEXTS = ("unit", "status", "code", "reason")

@@ -1,34 +1,49 @@
-"""A processed test for Python and notebooks."""
+"""A processed test and an export, for Python and notebooks."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable
 from functools import cached_property
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from labpipe.api.data_frames import (
+    PARTS,
     Recordings,
     Units,
     budget_frame,
     curve_frame,
+    dataset_of,
     quality_frame,
     results_frame,
     shape_frame,
 )
-from labpipe.api.notebook_page import page_of
 from labpipe.errors import ProcessingError, UsageError, error_text, nearest
+from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
 from labpipe.records.quality import Severity
-from labpipe.records.result import Status, TestResult
+from labpipe.records.result import Result, Status, TestResult
+from labpipe.report.wording import (
+    as_label,
+    count_of,
+    is_main,
+    printable,
+    shown_in,
+    unit_words,
+    write_number,
+)
 from labpipe.store.summaries import summary
 
 if TYPE_CHECKING:
     import datetime
 
     import pandas as pd
+    from xarray import Dataset
 
-    from labpipe.api.data_sets import Dataset
     from labpipe.records.result import Instrument, Result, Specimen
     from labpipe.report.figures import Figure
 
@@ -231,8 +246,6 @@ class Test:
         ProcessingError
             If the test does not have it.
         """
-        from labpipe.api.data_sets import PARTS, dataset_of
-
         parts = [*PARTS, *self._full.recordings]
         if part not in parts:
             raise self._unknown(_PART, part, parts)
@@ -277,3 +290,139 @@ class Test:
         return ProcessingError(
             error_text(self.name, "", expected=f"a {what}", found="none", remedy=remedy)
         )
+
+
+_CELL = "text-align:left;padding:1px 12px 1px 0"
+
+
+def page_of(result: TestResult) -> str:
+    """Return the HTML of a test for a notebook.
+
+    Parameters
+    ----------
+    result : the processed test
+
+    Returns
+    -------
+    A heading, the first results in display units with intervals, and counts of problems.
+    """
+    # Results that are shown; the rest are counted.
+    max_rows = 10
+    main = [result for result in result.results if is_main(result.name)] or list(result.results)
+    rows = [_row(shown, result) for shown in main[:max_rows]]
+    more = len(result.results) - len(rows)
+    lines = [
+        f"<strong>{_safe(result.test)}</strong> {_safe(_what(result))}",
+        f'<table style="border-collapse:collapse">{"".join(rows)}</table>' if rows else "",
+        f"<small>{_safe(_rest(result, more))}</small>",
+    ]
+    return f"<div>{''.join(f'<div>{line}</div>' for line in lines if line)}</div>"
+
+
+def _safe(text: str) -> str:
+    return escape(printable(text))
+
+
+def _what(result: TestResult) -> str:
+    specimen = result.specimen
+    parts = [result.protocol, f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"]
+    parts += [str(result.date)] if result.date else []
+    return " · ".join([*parts, *filter(None, [result.operator])])
+
+
+def _row(result: Result, test: TestResult) -> str:
+    factor, unit = shown_in(result.name, result.unit, test.display)
+    value = float("nan") if result.value is None else result.value
+    written = write_number(value, result.interval, factor, estimate=result.distinct_estimate)
+    number = f"{written.value} {unit_words(unit)}" if result.value is not None else written.value
+    state = "" if result.status is Status.OK else f"{result.status}: {result.why}"
+    cells = [as_label(result.name), number, written.interval, state]
+    inner = "".join(f'<td style="{_CELL}">{_safe(cell)}</td>' for cell in cells)
+    return f"<tr>{inner}</tr>"
+
+
+def _rest(result: TestResult, more: int) -> str:
+    severities = Counter(note.severity for note in result.quality)
+    parts = [f"95 % intervals; {more} more in .results" if more > 0 else "95 % intervals"]
+    parts += [
+        count_of(severities[severity], severity.value)
+        for severity in (Severity.ERROR, Severity.WARNING)
+        if severities[severity]
+    ]
+    return ", ".join(parts) + (" in .quality" if len(parts) > 1 else "")
+
+
+def inspect(file: str | os.PathLike[str]) -> Export:
+    """Read facts about an export: program, channels, rates, gaps, oddities.
+
+    Parameters
+    ----------
+    file : the export; its format is recognised by its content
+
+    Returns
+    -------
+    The facts; ``print`` shows them as ``labpipe inspect`` does.
+
+    Raises
+    ------
+    ReadError
+        If the format is unknown, or the file is too damaged to read.
+
+    Examples
+    --------
+    >>> labpipe.inspect("take.csv").channels  # doctest: +SKIP
+    """
+    return Export(inspect_export(Path(file)))
+
+
+class Export:
+    """An export as its reader understands it.
+
+    Parameters
+    ----------
+    inspection : of the export
+    """
+
+    def __init__(self, inspection: Inspection) -> None:
+        self._inspection = inspection
+
+    @property
+    def file(self) -> Path:
+        """Return the export."""
+        return self._inspection.file
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """Return the output of ``labpipe inspect --json``."""
+        return dict(as_json(self._inspection))
+
+    @property
+    def channels(self) -> pd.DataFrame:
+        """Return the channels of all clocks.
+
+        ``clock``, ``name``, ``path``, ``unit`` (SI if the export states one, else none),
+        ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (samples).
+        """
+        rows = [
+            {"clock": stream["clock"], **channel}
+            for stream in self.facts["streams"]
+            for channel in stream["channels"]
+        ]
+        texts = ("clock", "name", "path", "unit", "unit_in_file")
+        numbers = ("first", "last", "min", "max")
+        frame = pd.DataFrame(rows, columns=[*texts, *numbers, "missing"])
+        kinds = dict.fromkeys(texts, "str") | dict.fromkeys(numbers, "float64")
+        return frame.astype(kinds | {"missing": "int64"})
+
+    @property
+    def notes(self) -> pd.DataFrame:
+        """Return the notes of the reader: ``code``, ``severity``, ``where``, ``message``."""
+        return quality_frame(self._inspection.recording.notes)
+
+    @property
+    def data(self) -> Recordings:
+        """Return the recording as tables by file name without its ending, like `Test.raw`."""
+        return Recordings({self.file.stem: self._inspection.recording})
+
+    def __repr__(self) -> str:
+        return as_text(self._inspection)

@@ -1,24 +1,33 @@
 """The catalog of a campaign: an SQLite file that can be rebuilt from the files of its tests.
 
-Tables ``tests``, ``results``, ``inputs`` and ``decisions`` copy the content of files. ``seen``
-(file stamps), ``running`` (claims of processes) and ``times`` (durations) exist only here and are
-not compared.
+Tables ``tests``, ``results`` and ``inputs`` copy the content of files. ``seen`` (file stamps) and
+``running`` (claims of processes) exist only here.
 """
 
 from __future__ import annotations
 
-import json
 import os
+import socket
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
-from dataclasses import astuple, dataclass, fields
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import astuple, dataclass
+from functools import cache
 from pathlib import Path, PurePath
 from typing import Any, Final
 
-from labpipe.campaign.decisions import Decision
-from labpipe.campaign.machine import Claim, is_alive, is_on_this_machine, new_claim
-from labpipe.campaign.outcome_rows import ResultRow
+import psutil
+
+from labpipe.campaign.catalog_rows import (
+    RESULT_COLUMNS,
+    TEST_COLUMNS,
+    Entry,
+    Inputs,
+    ResultRow,
+    Seen,
+    TestRow,
+)
 from labpipe.errors import StoreError, UsageError, error_text
 from labpipe.store.replace import storing
 
@@ -27,12 +36,7 @@ SCHEMA: Final = 2
 """Version of the tables, in ``user_version`` of the file; a newer one is refused."""
 PROGRAM: Final = 0x4C425043
 """``application_id`` of the file: *LBPC*."""
-PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
-    *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
-)
-COMPARED: Final = ("tests", "results", "inputs", "decisions")
-"""Tables that a rebuild reproduces row for row."""
-TABLES: Final = (*COMPARED, "seen", "running", "times")
+TABLES: Final = ("tests", "results", "inputs", "seen", "running")
 _TABLES = """
 create table tests (
     folder text primary key, test text not null, state text not null, why text not null,
@@ -50,104 +54,74 @@ create table inputs (
     folder text not null, place integer not null, role text not null, file text not null,
     sha256 text not null, primary key (folder, place)
 ) without rowid;
-create table decisions (
-    place integer primary key, test text not null, run text not null, decision text not null,
-    because text not null, "by" text not null, "when" text not null, note text not null,
-    applied integer not null
-);
 create table seen (folder text primary key, content text not null, marks text not null);
 create table running (
     folder text primary key, host text not null, pid integer not null, process text not null,
     since real not null
 );
-create table times (folder text primary key, finished text not null, seconds real not null);
 """
 
 
-@dataclass(frozen=True, slots=True)
-class TestRow:
-    """A row of the table ``tests``.
-
-    Parameters
-    ----------
-    folder : of the test below the campaign, with slashes; the key
-    test : its name
-    state : one of `STATES` except ``running``
-    why : what changed for a stale test, the reason for a rejected one
-    code, reason : of a failure, or of the first doubtful result
-    protocol, type, spool, sample, date, operator : from summary.json, else the test sheet
-    specimen : from summary.json, as JSON
-    labpipe : version of the last attempt
-    run : key of the results; empty without results
-    failed_run : key of the last attempt if it failed
-    sheet, resolved : SHA-256 of test sheet and resolved protocol of the last attempt
-    decided_by, decided : person and time of a rejection
-    """
-
-    __test__ = False  # pytest must not collect it
-
-    folder: str
-    test: str = ""
-    state: str = PENDING
-    why: str = ""
-    code: str = ""
-    reason: str = ""
-    protocol: str = ""
-    type: str = ""
-    spool: str = ""
-    sample: str = ""
-    date: str = ""
-    operator: str = ""
-    specimen: str = "{}"
-    labpipe: str = ""
-    run: str = ""
-    failed_run: str = ""
-    sheet: str = ""
-    resolved: str = ""
-    decided_by: str = ""
-    decided: str = ""
-
-    @property
-    def attempt(self) -> str:
-        """Return the key of the last attempt; empty without any."""
-        return self.failed_run or self.run
-
-
-TEST_COLUMNS: Final = tuple(field.name for field in fields(TestRow))
-RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
+MAX_CLAIM_AGE = 24 * 3600.0
+"""s after which a claim of another host is taken for dead; no test takes as long."""
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """State of the files of a test when its row was made.
+class Claim:
+    """A process that works on a test.
 
     Parameters
     ----------
-    content : inputs of the test, from `Content.as_text`; empty if not determined
-    marks : of the files of its outcome
+    host : name of its machine and container
+    pid : process id
+    process : start of the process, s since 1970, which distinguishes it from later ones with the
+        same id
+    since : time, s since 1970
     """
 
-    content: str = ""
-    marks: str = ""
+    host: str
+    pid: int
+    process: str
+    since: float
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """Catalog entry of a test.
+def new_claim() -> Claim:
+    """Make a claim of this process."""
+    return Claim(_host(), os.getpid(), str(psutil.Process().create_time()), time.time())
+
+
+def is_alive(claim: Claim) -> bool:
+    """Return whether a claim is valid.
 
     Parameters
     ----------
-    row : of the table ``tests``
-    seen : state of its files
-    inputs : role, file and SHA-256 of the exports
-    results : of the last successful attempt; both are None if row, inputs and results are
-        unchanged
-    """
+    claim : of any process
 
-    row: TestRow
-    seen: Seen
-    inputs: tuple[tuple[str, str, str], ...] | None = None
-    results: tuple[ResultRow, ...] | None = None
+    Returns
+    -------
+    For a process of this host, whether it is alive; for another host, whether the claim is recent.
+    """
+    if claim.host != _host():
+        return abs(time.time() - claim.since) < MAX_CLAIM_AGE
+    # s by which the start of a process moves when the clock of the machine is set
+    max_clock_step = 2.0
+    try:
+        process = psutil.Process(claim.pid)
+        is_dead = process.status() in {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
+        return not is_dead and abs(process.create_time() - float(claim.process)) < max_clock_step
+    except psutil.AccessDenied:
+        return True
+    except (psutil.NoSuchProcess, ValueError):  # or a claim of an earlier labpipe
+        return False
+
+
+@cache
+def _host() -> str:
+    """Return the name of the machine with its namespace of process ids."""
+    space = ""
+    with suppress(OSError):
+        space = str(Path("/proc/self/ns/pid").readlink())
+    return f"{socket.gethostname()} {space}".strip()
 
 
 class Catalog:
@@ -170,60 +144,37 @@ class Catalog:
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
         """Run several changes in one transaction."""
-        with sqlite_errors(self.path):
+        with sqlite_errors(self.path), self._connection:  # commits, or rolls back
             self._connection.execute("begin immediate")
-            try:
-                yield self._connection
-            except BaseException:
-                self._connection.rollback()
-                raise
-            self._connection.commit()
+            yield self._connection
 
     def _all(self, sql: str, *values: object) -> list[Any]:
         with sqlite_errors(self.path):
             return self._connection.execute(sql, values).fetchall()
 
-    def rows(self) -> dict[str, TestRow]:
-        """Return all rows of ``tests`` by folder."""
-        rows = self._all(f"select {', '.join(TEST_COLUMNS)} from tests")
+    def rows(self, folder: str | None = None) -> dict[str, TestRow]:
+        """Return rows of ``tests`` by folder.
+
+        Parameters
+        ----------
+        folder : of one test; None for all tests
+        """
+        rows = self._of_test("tests", TEST_COLUMNS, folder)
         return {row[0]: TestRow(*row) for row in rows}
 
-    def seen(self) -> dict[str, Seen]:
-        """Return the recorded state of files by folder."""
-        rows = self._all("select folder, content, marks from seen")
+    def seen(self, folder: str | None = None) -> dict[str, Seen]:
+        """Return the recorded state of files by folder.
+
+        Parameters
+        ----------
+        folder : of one test; None for all tests
+        """
+        rows = self._of_test("seen", ("folder", "content", "marks"), folder)
         return {folder: Seen(content, marks) for folder, content, marks in rows}
 
-    def row_of(self, folder: str) -> TestRow | None:
-        """Return the row of a test, or None.
-
-        Parameters
-        ----------
-        folder : of the test
-        """
-        rows = self._all(f"select {', '.join(TEST_COLUMNS)} from tests where folder = ?", folder)
-        return TestRow(*rows[0]) if rows else None
-
-    def seen_of(self, folder: str) -> Seen | None:
-        """Return the recorded state of the files of a test, or None.
-
-        Parameters
-        ----------
-        folder : of the test
-        """
-        rows = self._all("select content, marks from seen where folder = ?", folder)
-        return Seen(*rows[0]) if rows else None
-
-    def put_seen(self, folder: str, seen: Seen) -> None:
-        """Record the state of the files of a test.
-
-        Parameters
-        ----------
-        folder : of the test
-        seen : the state
-        """
-        with self._writing() as connection:
-            values = (folder, seen.content, seen.marks)
-            connection.execute("insert or replace into seen values (?, ?, ?)", values)
+    def _of_test(self, table: str, columns: Sequence[str], folder: str | None) -> list[Any]:
+        sql = f"select {', '.join(columns)} from {table}"
+        return self._all(sql) if folder is None else self._all(f"{sql} where folder = ?", folder)
 
     def results_of(self, folder: str) -> tuple[ResultRow, ...]:
         """Return the results of a test, in order.
@@ -244,7 +195,7 @@ class Catalog:
         )
         return bool(self._all(sql))
 
-    def inputs_of(self, folder: str) -> tuple[tuple[str, str, str], ...]:
+    def inputs_of(self, folder: str) -> Inputs:
         """Return role, file and SHA-256 of the exports of a test, in order.
 
         Parameters
@@ -279,29 +230,8 @@ class Catalog:
         """
         with self._writing() as connection:
             for folder in folders:
-                for table in ("tests", "results", "inputs", "seen", "times"):
+                for table in ("tests", "results", "inputs", "seen"):
                     connection.execute(f"delete from {table} where folder = ?", (folder,))
-
-    def decisions(self) -> list[tuple[Decision, bool]]:
-        """Return all decisions in order, and whether each is applied."""
-        sql = 'select test, run, decision, because, "by", "when", note, applied from decisions'
-        rows = self._all(f"{sql} order by place")
-        return [(Decision(*row[:-1]), bool(row[-1])) for row in rows]
-
-    def put_decisions(self, decisions: Sequence[tuple[Decision, bool]]) -> None:
-        """Replace all decisions.
-
-        Parameters
-        ----------
-        decisions : in order, and whether each is applied
-        """
-        if decisions == self.decisions():
-            return
-        sql = "insert into decisions values (?, ?, ?, ?, ?, ?, ?, ?, ?)"
-        rows = [(n, *astuple(decision), on) for n, (decision, on) in enumerate(decisions)]
-        with self._writing() as connection:
-            connection.execute("delete from decisions")
-            connection.executemany(sql, rows)
 
     def claims(self) -> dict[str, Claim]:
         """Return claims of live processes by folder of the test."""
@@ -347,35 +277,12 @@ class Catalog:
                 sql = "delete from running where folder = ?"
                 connection.executemany(sql, [(folder,) for folder in dead])
 
-    def put_time(self, folder: str, finished: str, seconds: float) -> None:
-        """Record when a test was processed, and its duration.
-
-        Parameters
-        ----------
-        folder : of the test
-        finished : time, ISO 8601
-        seconds : duration
-        """
-        with self._writing() as connection:
-            values = (folder, finished, seconds)
-            connection.execute("insert or replace into times values (?, ?, ?)", values)
-
-    def content(self) -> dict[str, list[Any]]:
-        """Return all rows of the compared tables, sorted."""
-        return {table: sorted(self._all(f"select * from {table}"), key=repr) for table in COMPARED}
-
     @contextmanager
-    def reading(self) -> Iterator[sqlite3.Connection]:
-        """Open a read-only connection for a query."""
-        if self.in_memory:
-            self._connection.execute("pragma query_only = on")
-            yield self._connection
-            self._connection.execute("pragma query_only = off")
-            return
-        with sqlite_errors(self.path):
-            connection = open_connection(self.path, "ro")
-        with closing(connection):
-            yield connection
+    def copy(self) -> Iterator[sqlite3.Connection]:
+        """Open a copy in memory for a query, which locks no other process out."""
+        with sqlite_errors(self.path), closing(_connect(None)) as memory:
+            self._connection.backup(memory)
+            yield memory
 
 
 @contextmanager
@@ -405,7 +312,7 @@ def _put(connection: sqlite3.Connection, entry: Entry) -> None:
     folder = entry.row.folder
     seen = (folder, entry.seen.content, entry.seen.marks)
     connection.execute("insert or replace into seen values (?, ?, ?)", seen)
-    if entry.inputs is None or entry.results is None:
+    if entry.only_seen:
         return
     for table in ("tests", "results", "inputs"):
         connection.execute(f"delete from {table} where folder = ?", (folder,))
@@ -416,39 +323,6 @@ def _put(connection: sqlite3.Connection, entry: Entry) -> None:
     connection.executemany(f"insert into results values ({holes})", results)
     inputs = [(folder, place, *export) for place, export in enumerate(entry.inputs)]
     connection.executemany("insert into inputs values (?, ?, ?, ?, ?)", inputs)
-
-
-def make_tables(connection: sqlite3.Connection) -> None:
-    """Create the tables of an empty catalog.
-
-    Parameters
-    ----------
-    connection : to an empty file, or to memory
-    """
-    connection.executescript(
-        f"begin immediate; {_TABLES} pragma application_id = {PROGRAM};"
-        f" pragma user_version = {SCHEMA}; commit;"
-    )
-
-
-def open_connection(path: Path, mode: str) -> sqlite3.Connection:
-    """Open the file of a catalog.
-
-    Parameters
-    ----------
-    path : of the file
-    mode : ``ro``, ``rw``, or ``rwc`` to create it. With ``ro``, a file in a folder without write
-        access is opened as immutable
-    """
-    uri = file_uri(path.absolute())
-    try:
-        connection = connect_autocommit(f"{uri}?mode={mode}")
-        connection.execute("select count(*) from sqlite_schema")
-    except sqlite3.OperationalError:
-        if mode != "ro" or can_write(path):
-            raise
-        connection = connect_autocommit(f"{uri}?mode=ro&immutable=1")
-    return connection
 
 
 def file_uri(path: PurePath) -> str:
@@ -462,18 +336,16 @@ def file_uri(path: PurePath) -> str:
     return uri if uri.startswith("file:///") else uri.replace("file://", "file:////", 1)
 
 
-def connect_autocommit(uri: str) -> sqlite3.Connection:
-    """Connect in autocommit mode, with explicit transactions.
-
-    Parameters
-    ----------
-    uri : of a file, or ``:memory:``
-    """
+def _connect(path: Path | None, mode: str = "") -> sqlite3.Connection:
+    """Connect to a file, or to memory, in autocommit mode with explicit transactions."""
     # s to wait for another process that writes
     lock_timeout = 60.0
-    return sqlite3.connect(
+    uri = ":memory:" if path is None else f"{file_uri(path.absolute())}?mode={mode}"
+    connection = sqlite3.connect(
         uri, uri=True, timeout=lock_timeout, isolation_level=None, check_same_thread=False
     )
+    connection.execute("pragma synchronous = normal")  # a catalog can be rebuilt
+    return connection
 
 
 def can_write(path: Path) -> bool:
@@ -488,31 +360,13 @@ def can_write(path: Path) -> bool:
     )
 
 
-def as_json(content: Mapping[str, Any]) -> str:
-    """Write an object as JSON with sorted keys, so that equal objects have equal text.
-
-    Parameters
-    ----------
-    content : the object
-    """
-    return json.dumps(content, ensure_ascii=False, sort_keys=True)
-
-
 _DAMAGED: Final = "it was damaged ({})"
 _NOT_DAMAGED: Final = ("lock", "readonly", "unable to open", "busy")
 """Words in SQLite errors that do not mean a damaged file."""
 
 
 class NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
-    """There is no usable catalog.
-
-    Parameters
-    ----------
-    why : there is none
-    """
-
-    def __init__(self, why: str) -> None:
-        super().__init__(why)
+    """There is no usable catalog, for the reason in its text."""
 
 
 def open_catalog(folder: Path) -> Catalog:
@@ -532,16 +386,21 @@ def open_catalog(folder: Path) -> Catalog:
     path = folder / CATALOG
     if not path.is_file():
         raise NoCatalog("no file" if path.exists() else "there was none")
+    is_writable = can_write(path)
     try:
-        with closing(open_connection(path, "ro")) as connection:
+        with ExitStack() as opened:
+            connection = opened.enter_context(
+                closing(_connect(path, "rw" if is_writable else "ro"))
+            )
             _check_tables(connection, path)
-        if not can_write(path):
-            return _copy_to_memory(path)
-        connection = open_connection(path, "rw")
-        _set_journal(connection, path)
-        return Catalog(connection, path, in_memory=False)
+            if is_writable:
+                opened.pop_all()
+                return Catalog(connection, path, in_memory=False)
+            memory = _connect(None)
+            connection.backup(memory)
+            return Catalog(memory, path, in_memory=True)
     except sqlite3.DatabaseError as error:
-        if any(word in str(error) for word in _NOT_DAMAGED):
+        if is_writable and any(word in str(error) for word in _NOT_DAMAGED):
             with sqlite_errors(path):
                 raise
         raise NoCatalog(_DAMAGED.format(error)) from error
@@ -561,27 +420,20 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
         If the system refuses.
     """
     path = folder / CATALOG
-    if not can_write(path):
-        memory = connect_autocommit(":memory:")
-        make_tables(memory)
-        return Catalog(memory, path, in_memory=True)
-    with storing(path):
-        if path.exists() and keep_old:
-            path.replace(path.with_name(f"{CATALOG}.damaged"))
-        for ending in ("", "-wal", "-shm", "-journal"):
-            path.with_name(CATALOG + ending).unlink(missing_ok=True)
+    is_writable = can_write(path)
+    if is_writable:
+        with storing(path):
+            if path.exists() and keep_old:
+                path.replace(path.with_name(f"{CATALOG}.damaged"))
+            for ending in ("", "-wal", "-shm", "-journal"):
+                path.with_name(CATALOG + ending).unlink(missing_ok=True)
     with sqlite_errors(path):
-        connection = open_connection(path, "rwc")
-        _set_journal(connection, path)
-        make_tables(connection)
-    return Catalog(connection, path, in_memory=False)
-
-
-def _copy_to_memory(path: Path) -> Catalog:
-    memory = connect_autocommit(":memory:")
-    with closing(open_connection(path, "ro")) as connection:
-        connection.backup(memory)
-    return Catalog(memory, path, in_memory=True)
+        connection = _connect(path if is_writable else None, "rwc")
+        connection.executescript(
+            f"begin immediate; {_TABLES} pragma application_id = {PROGRAM};"
+            f" pragma user_version = {SCHEMA}; commit;"
+        )
+    return Catalog(connection, path, in_memory=not is_writable)
 
 
 def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
@@ -610,13 +462,3 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
     (sound,) = connection.execute("pragma quick_check(1)").fetchone()
     if sound != "ok":
         raise NoCatalog(_DAMAGED.format(sound))
-
-
-def _set_journal(connection: sqlite3.Connection, path: Path) -> None:
-    """Allow concurrent readers and a writer, where the drive supports it."""
-    mode = "wal" if is_on_this_machine(path) else "delete"
-    with suppress(sqlite3.OperationalError):  # in use: the mode stays
-        connection.execute(f"pragma journal_mode = {mode}")
-    connection.execute(
-        "pragma synchronous = normal" if mode == "wal" else "pragma synchronous = full"
-    )

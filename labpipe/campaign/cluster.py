@@ -16,7 +16,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain, count, islice
 from pathlib import Path
@@ -47,26 +46,24 @@ def versions() -> Versions:
     return __version__, PROCESSING_VERSION
 
 
-@dataclass(frozen=True, slots=True)
-class FilesNotVisible:
-    """Outcome of a test whose files are not visible to a worker."""
-
-
-@dataclass(frozen=True, slots=True)
-class LostWorkers:
-    """Outcome of a test that lost its workers, and was not started again.
+class Answer(NamedTuple):
+    """Answer of a worker.
 
     Parameters
     ----------
-    times : number of earlier starts
+    worker : its address
+    ended : outcome of the test; None if it was not started, because its files are not visible to
+        the worker, or because it lost workers before
+    lost_workers : number of workers that were lost with the test
     """
 
-    times: int
+    worker: str
+    ended: Outcome | ProcessDied | CallRaised | None
+    lost_workers: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ClusterTask:
-    """A test for a worker.
+def process_on_worker(run: str, task: Task, home: Path, limit: float | None) -> Answer:
+    """Process a test on a worker.
 
     Parameters
     ----------
@@ -74,48 +71,23 @@ class ClusterTask:
     task : the test
     home : working folder of the client; relative paths start there
     limit : s, time limit; None for no limit
-    versions : of the client
-    """
-
-    run: str
-    task: Task
-    home: Path
-    limit: float | None
-    versions: Versions
-
-
-def process_on_worker(
-    test: ClusterTask,
-) -> tuple[str, Versions | LostWorkers | FilesNotVisible | Outcome | ProcessDied | CallRaised]:
-    """Process a test on a worker.
-
-    Parameters
-    ----------
-    test : with its run
-
-    Returns
-    -------
-    address : of the worker
-    ended : outcome of the test; the versions of this labpipe if they differ
     """
     max_lost_workers = 2  # workers that a test may lose before it is refused
     from distributed import get_client, get_worker
 
-    address = str(get_worker().address)
-    if test.versions != versions():
-        return address, versions()
-    if not (test.home / test.task.sheet).exists():
-        return address, FilesNotVisible()
-    client, counter = get_client(), [_METADATA, test.run, str(test.task.sheet)]
-    times = int(client.get_metadata(counter, 0))
-    if times >= max_lost_workers:
-        return address, LostWorkers(times)
-    client.set_metadata(counter, times + 1)
+    worker = str(get_worker().address)
+    if not (home / task.sheet).exists():
+        return Answer(worker, None)
+    client, counter = get_client(), [_METADATA, run, str(task.sheet)]
+    lost_workers = int(client.get_metadata(counter, 0))
+    if lost_workers >= max_lost_workers:
+        return Answer(worker, None, lost_workers)
+    client.set_metadata(counter, lost_workers + 1)
     with _worker_process() as process:
-        ended = process.call(partial(_outcome_at, test.home, test.task), limit=test.limit)
+        ended = process.call(partial(_outcome_at, home, task), limit=limit)
     # If the worker is lost before its result is fetched, the test is repeated without a penalty.
     client.set_metadata(counter, 0)
-    return address, ended
+    return Answer(worker, ended)
 
 
 def _outcome_at(home: Path, task: Task) -> Outcome:
@@ -244,7 +216,7 @@ class _Submitted(NamedTuple):
     ----------
     test : with its history
     future : of the cluster
-    workers : allowed ones; empty for all
+    workers : allowed ones, which have this labpipe and see its files
     """
 
     test: _Waiting
@@ -300,18 +272,15 @@ class _ClusterRun:
                 return
             able = self._workers.fit - test.unseen_by
             if able:
-                is_limited = test.unseen_by or self._workers.unfit
-                self._submit(test, able if is_limited else frozenset())
+                self._submit(test, able)
             else:
                 yield self._refuse_unseen(test.task)
 
     def _submit(self, test: _Waiting, workers: frozenset[str]) -> None:
         key = f"labpipe-{self._run}-{next(self._numbers)}"
-        call = ClusterTask(self._run, test.task, self._home, self._limit, versions())
+        call = (process_on_worker, self._run, test.task, self._home, self._limit)
         with self._lost_scheduler():
-            future = self._client.submit(
-                process_on_worker, call, key=key, pure=False, workers=sorted(workers) or None
-            )
+            future = self._client.submit(*call, key=key, pure=False, workers=sorted(workers))
         self._submitted[key] = _Submitted(test, future, workers)
         future.add_done_callback(lambda done: self._ended.put(done.key))
 
@@ -328,22 +297,17 @@ class _ClusterRun:
                 return self._refuse_killer(task, error.allowed_failures + 1)
             raise self._worker_error(error) from error
         with self._lost_scheduler():
-            worker, ended = future.result()
-        if isinstance(ended, LostWorkers):
-            return self._refuse_killer(task, ended.times)
-        unseen_by = submitted.test.unseen_by
-        if isinstance(ended, tuple):  # from a new worker
-            self._workers.record_versions(worker, ended)
-        elif isinstance(ended, FilesNotVisible):
-            if not task.sheet.exists():
-                return outcome_of(task)
-            unseen_by |= {worker}
-        else:
-            outcome = outcome_of_call(task, ended)
+            answer: Answer = future.result()
+        if answer.lost_workers:
+            return self._refuse_killer(task, answer.lost_workers)
+        if answer.ended is not None:
+            outcome = outcome_of_call(task, answer.ended)
             if _is_seen(outcome, time.monotonic() + visibility_timeout):
                 self._was_seen = True
                 return outcome
-            unseen_by |= {worker}
+        elif not task.sheet.exists():
+            return outcome_of(task)
+        unseen_by = submitted.test.unseen_by | {answer.worker}
         self._resubmitted.append(_Waiting(task, unseen_by))
         return None
 
@@ -384,7 +348,7 @@ class _ClusterRun:
     def _resubmit_orphans(self) -> None:
         """Resubmit tests that wait for lost workers."""
         for key, submitted in list(self._submitted.items()):
-            if submitted.workers and not submitted.workers & self._workers.fit:
+            if not submitted.workers & self._workers.fit:
                 self._submitted.pop(key)
                 self._client.cancel([submitted.future])
                 self._resubmitted.append(submitted.test)
@@ -468,22 +432,16 @@ class _ClusterWorkers:
             new = sorted(self._threads.keys() - self._known)
             if new:
                 answers = self._client.run(versions, workers=new, on_error="return")
-                for worker, version in answers.items():
-                    self.record_versions(worker, version)
+                for worker, answer in answers.items():
+                    self._record_versions(worker, answer)
             self._last_update = time.monotonic()
             if self.fit or not self._last_fit:
                 self._last_fit = self._last_update
             elif self._last_update > self._last_fit + no_worker_limit:
                 raise TimeoutError
 
-    def record_versions(self, worker: str, answer: object) -> None:
-        """Record the `versions` of a worker, or why it has none.
-
-        Parameters
-        ----------
-        worker : its address
-        answer : its versions, or an exception
-        """
+    def _record_versions(self, worker: str, answer: object) -> None:
+        """Record the `versions` of a worker, or why it has none."""
         if isinstance(answer, OSError):  # lost meanwhile: asked again if it returns
             return
         self._known.add(worker)

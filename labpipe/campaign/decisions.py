@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.outcome_rows import ResultRow, encodable
+from labpipe.campaign.catalog_rows import ResultRow, encodable
 from labpipe.errors import LabpipeError, StoreError, UsageError, error_text
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.store.read import read_run
@@ -27,8 +27,6 @@ NEEDS_NEW_DECISION: Final = (
 )
 OTHER_KEY: Final = "exports, sheet, protocol or labpipe changed since the decision"
 _TEXT_KEYS = ("test", "run", "decision", "because", "by", "when")
-_REQUIRED_KEYS = ("test", "run", "decision", "because", "by")
-_REPAIR = "Repair the file, or move it away and decide again; the file was not changed."
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,26 +100,41 @@ def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
     -------
     The decisions. Problems, including a missing file, are in `faults`.
     """
-    document = _document(path)
-    if isinstance(document, str):
-        return DecisionFile(faults=(document,), is_readable=False)
-    return decisions_in(document, path, campaign)
+    max_file_bytes = 50_000_000
+    try:
+        size = path.stat().st_size
+        if size > max_file_bytes:
+            return _unreadable(path, "", f"{size} bytes")
+        return parse_decisions(path.read_bytes(), path, campaign)
+    except OSError as error:
+        return _unreadable(path, "", error.strerror or str(error))
 
 
-def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") -> DecisionFile:
-    """Parse the decisions of a document.
+def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionFile:
+    """Parse decisions.
 
     Parameters
     ----------
-    document : with a list ``decisions``
-    path : of the document, for messages
+    content : JSON in UTF-8
+    path : of its file, for messages
     campaign : name of the expected campaign; decisions of another one are reported; empty if
         unknown
 
     Returns
     -------
-    The decisions. Problems with single ones are in `faults`.
+    The decisions. Problems with the content or with single decisions are in `faults`.
     """
+    try:
+        document = json.loads(content.decode("utf-8-sig"))
+    except json.JSONDecodeError as error:
+        return _unreadable(path, f"line {error.lineno}, column {error.colno}", error.msg)
+    except (ValueError, RecursionError):
+        return _unreadable(path, "", "text that is not JSON")
+    if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
+        return _unreadable(path, "", "JSON without a list 'decisions'")
+    if document.get("schema") != SCHEMA:
+        state = f"{document.get('schema')!r}; this labpipe reads {SCHEMA}"
+        return _unreadable(path, "schema", state)
     faults = []
     if campaign and document.get("campaign", campaign) != campaign:
         faults.append(
@@ -133,78 +146,39 @@ def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") ->
                 remedy="Decisions on the same exports, sheet and protocol are applied.",
             )
         )
-    read = [_decision(path, number, entry) for number, entry in enumerate(document["decisions"])]
-    faults += [entry for entry in read if isinstance(entry, str)]
-    decisions = tuple(entry for entry in read if isinstance(entry, Decision))
-    return DecisionFile(decisions, tuple(faults), document=document)
+    decisions = []
+    for number, entry in enumerate(document["decisions"]):
+        if fault := _fault_of(entry):
+            faults.append(_fault(path, f"decisions.{number}", *fault))
+        else:
+            texts = {key: encodable(entry.get(key) or "") for key in (*_TEXT_KEYS, "note")}
+            decisions.append(Decision(**texts))
+    return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
-def _document(path: Path) -> dict[str, Any] | str:
-    """Read the content of the file, or return a message."""
-    max_file_bytes = 50_000_000
-    try:
-        if path.stat().st_size > max_file_bytes:
-            return _file_error(path, "", f"{path.stat().st_size} bytes")
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
-    except json.JSONDecodeError as error:
-        return _file_error(path, f"line {error.lineno}, column {error.colno}", error.msg)
-    except (OSError, ValueError, RecursionError) as error:
-        return _file_error(path, "", getattr(error, "strerror", None) or "text that is not JSON")
-    return checked_document(document, path)
+def _unreadable(path: Path, place: str, state: str) -> DecisionFile:
+    return DecisionFile(
+        faults=(_fault(path, place, "decisions in JSON", state),), is_readable=False
+    )
 
 
-def checked_document(document: object, path: Path) -> dict[str, Any] | str:
-    """Check a document of decisions.
-
-    Parameters
-    ----------
-    document : parsed JSON
-    path : of the document, for messages
-
-    Returns
-    -------
-    The document, or a message.
-    """
-    if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
-        return _file_error(path, "", "JSON without a list 'decisions'")
-    if document.get("schema") != SCHEMA:
-        state = f"{document.get('schema')!r}; this labpipe reads {SCHEMA}"
-        return _file_error(path, "schema", state)
-    return document
+def _fault(path: Path, place: str, expected: str, state: str) -> str:
+    remedy = "Repair the file, or move it away and decide again; the file was not changed."
+    return error_text(path, place, expected=expected, found=state, remedy=remedy)
 
 
-def _file_error(path: Path, place: str, state: str) -> str:
-    return error_text(path, place, expected="decisions in JSON", found=state, remedy=_REPAIR)
-
-
-def _decision(path: Path, number: int, entry: object) -> Decision | str:
-    """Parse one decision, or return a message."""
-    place = f"decisions.{number}"
+def _fault_of(entry: Any) -> tuple[str, str] | None:
+    """Return what is expected of the entry of a decision, and what it is, or None."""
     if not isinstance(entry, dict):
-        return error_text(
-            path, place, expected="a decision", found=repr(entry)[:60], remedy=_REPAIR
-        )
-    missing = [key for key in _REQUIRED_KEYS if not str(entry.get(key) or "").strip()]
+        return "a decision", repr(entry)[:60]
+    required_keys = ("test", "run", "decision", "because", "by")
+    missing = [key for key in required_keys if not str(entry.get(key) or "").strip()]
     if missing:
         state = f"missing or empty: {', '.join(missing)}"
-        expected = "test, run, decision, because and by"
-        return error_text(path, place, expected=expected, found=state, remedy=_REPAIR)
+        return "test, run, decision, because and by", state
     if entry["decision"] not in {ACCEPT, REJECT}:
-        state = repr(entry["decision"])[:60]
-        expected = f"{ACCEPT} or {REJECT}"
-        return error_text(path, place, expected=expected, found=state, remedy=_REPAIR)
-    texts = {key: encodable(entry.get(key) or "") for key in (*_TEXT_KEYS, "note")}
-    return Decision(**texts)
-
-
-def by_test_and_run(decisions: Iterable[Decision]) -> dict[tuple[str, str], Decision]:
-    """Return the last decision for each test and key.
-
-    Parameters
-    ----------
-    decisions : in order
-    """
-    return {(decision.test, decision.run): decision for decision in decisions}
+        return f"{ACCEPT} or {REJECT}", repr(entry["decision"])[:60]
+    return None
 
 
 def applicable_decision(decisions: Iterable[Decision], *, run: str) -> Decision | None:
@@ -351,9 +325,7 @@ def carry_over(
         f"carried over from {decision.run}: only the processing version changed, and no number"
         f" changed by more than {change:.2g} of its interval"
     )
-    return Decision(
-        decision.test, run, decision.decision, decision.because, decision.by, decision.when, note
-    )
+    return replace(decision, run=run, note=note)
 
 
 def decision_folder(test: Path, shared: Path) -> Path:
@@ -537,9 +509,7 @@ def import_decisions(
     wanted = list(dict.fromkeys(decisions))
     files = _results(folder)
     named = {file: None for decision in wanted for file in files.get(decision.test, ())}
-    stored = {file: {*labelled} for file, labelled in decisions_on([*named]).items()}
-    labels = {file: label_of(file, folder) for file in named}
-    runs = {file: _run_of(file) for file in named}
+    stored, runs = decisions_on([*named]), {file: _run_of(file) for file in named}
     imported = ImportedDecisions()
     at_home: dict[Path, list[Decision]] = {}
     for decision in wanted:
@@ -547,7 +517,7 @@ def import_decisions(
         if file is None:
             imported.not_imported.append((decision, why))
             continue
-        labelled = replace(decision, test=labels[file])
+        labelled = replace(decision, test=label_of(file, folder))
         if labelled in stored.get(file, ()):
             imported.n_known += 1
         else:
@@ -579,7 +549,9 @@ def _find_decided_result(
     decision: Decision, files: Iterable[Path], runs: Mapping[Path, str | LabpipeError]
 ) -> tuple[Path | None, str]:
     """Find the result of a decision, or return why there is none."""
-    if decision.when and not _is_time(decision.when):
+    try:
+        datetime.fromisoformat(decision.when or now())
+    except ValueError:
         return None, f"its time {decision.when[:40]!r} is not in the form {now()}"
     why = NO_SUCH_TEST
     for file in files:
@@ -587,12 +559,3 @@ def _find_decided_result(
             return file, ""
         why = OTHER_KEY if isinstance(runs[file], str) else str(runs[file])
     return None, why
-
-
-def _is_time(text: str) -> bool:
-    """Return whether a text is an ISO 8601 time."""
-    try:
-        datetime.fromisoformat(text)
-    except ValueError:
-        return False
-    return True

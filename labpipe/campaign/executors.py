@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from labpipe.campaign.machine import default_jobs
+import psutil
+
 from labpipe.campaign.workers import (
     CallRaised,
     ProcessDied,
@@ -33,6 +35,33 @@ from labpipe.process.run import (
 from labpipe.records.result import Status
 
 __all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local", "process_tests"]
+
+BYTES_PER_TEST = 750_000_000
+"""Memory for the process of one test: a cantilever test of full size (70 MB of exports, figures as
+SVG and PNG) takes 540 MB, a tensile test 175 MB, of which 85 MB are the libraries."""
+_CONTAINER = Path("/sys/fs/cgroup")
+
+
+def default_jobs() -> int:
+    """Return the default number of parallel tests: the cores, fewer if memory is short.
+
+    Returns
+    -------
+    At least 1.
+    """
+    free = int(psutil.virtual_memory().available)
+    with suppress(OSError, ValueError):  # "max" means no limit
+        limit = int((_CONTAINER / "memory.max").read_text("ascii"))
+        free = min(free, limit - int((_CONTAINER / "memory.current").read_text("ascii")))
+    return max(1, min(_cores(), free // BYTES_PER_TEST))
+
+
+def _cores() -> int:
+    """Return the number of cores available to this process."""
+    with suppress(AttributeError):  # neither on Windows nor on macOS
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
 
 State: TypeAlias = Literal["ok", "doubtful", "failed"]
 

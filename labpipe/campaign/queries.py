@@ -6,7 +6,7 @@ import csv
 import json
 import re
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, count, islice
@@ -64,12 +64,10 @@ class Answer:
     ----------
     columns : names
     rows : text, numbers or None
-    count : counts all rows without reading them
     """
 
     columns: tuple[str, ...]
     rows: Iterator[Sequence[Any]]
-    count: Callable[[], int]
 
 
 @contextmanager
@@ -93,7 +91,7 @@ def query_results(catalog: Catalog, where: str) -> Iterator[Answer]:
     """
     # SQLite steps in millions: for any condition, and added for each result
     base_steps, steps_per_result = 200, 0.05
-    with catalog.reading() as connection:
+    with catalog.copy() as connection:
         fields = _fields(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
         max_steps, passed = base_steps + steps_per_result * results, count(1)
@@ -122,12 +120,7 @@ def _answer(connection: sqlite3.Connection, where: str, fields: dict[str, str]) 
     except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
         raise _condition_error(where, error, list(columns)) from error
     names = tuple(row[0] for row in rows.description)
-
-    def counted() -> int:
-        counts = connection.execute(f"select count(*) from ({sql})")
-        return int(next(_read_rows(counts, where))[0])
-
-    return Answer(names, _read_rows(chain(first, rows), where), counted)
+    return Answer(names, _read_rows(chain(first, rows), where))
 
 
 def _read_rows(rows: Iterable[Sequence[Any]], where: str) -> Iterator[Sequence[Any]]:
@@ -284,14 +277,14 @@ def write_workbook(answer: Answer, path: Path) -> int:
     from openpyxl import Workbook
     from openpyxl.cell import WriteOnlyCell
 
-    count = answer.count()
-    if count > _MAX_SHEET_ROWS:
-        remedy = "Select fewer with --where, or use --out csv."
-        expected = f"{_MAX_SHEET_ROWS} rows at most"
-        raise UsageError(error_text(path, "", expected=expected, found=f"{count}", remedy=remedy))
     book = Workbook(write_only=True)
     sheet = book.create_sheet("results")
-    for row in chain([answer.columns], answer.rows):
+    for n_rows, row in enumerate(chain([answer.columns], answer.rows)):
+        if n_rows > _MAX_SHEET_ROWS:
+            sheet.close()
+            remedy = "Select fewer with --where, or use --out csv."
+            expected = f"{_MAX_SHEET_ROWS} rows at most"
+            raise UsageError(error_text(path, "", expected=expected, found="more", remedy=remedy))
         cells = []
         for value in row:
             cell = WriteOnlyCell(sheet, escaped(value) if isinstance(value, str) else value)
@@ -301,4 +294,4 @@ def write_workbook(answer: Answer, path: Path) -> int:
         sheet.append(cells)
     with replacing(path) as temporary:
         book.save(temporary)
-    return count
+    return n_rows

@@ -15,6 +15,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from labpipe.campaign.catalog_rows import TestRow
 from labpipe.errors import LabpipeError
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.report.wording import shown_in
@@ -22,75 +23,11 @@ from labpipe.statistics.means import t_quantile
 
 MAX_NUMBERS: Final = 3
 """Numbers in a verdict."""
-_IGNORED_FIELDS = ("spool", "sample", "uncertainty")
-"""Fields of the specimen that may differ within a group."""
-
 
 _Entry: TypeAlias = Mapping[str, Any]
 """A result in summary.json."""
-
-
-@dataclass(slots=True)
-class Group:
-    """Values of tests that are equal except for spool and sample, by result.
-
-    Parameters
-    ----------
-    values : ok values of each result by folder of the test
-    """
-
-    values: dict[str, dict[Path, float]] = field(default_factory=dict)
-
-    def of(self, name: str, *, but: Path) -> list[float]:
-        """Return the values of a result without those of one test."""
-        return [value for folder, value in self.values.get(name, {}).items() if folder != but]
-
-
-class CampaignGroups:
-    """The numbers of the tests of a campaign, each read once from its ``summary.json``."""
-
-    def __init__(self) -> None:
-        self._groups: dict[str, Group] = {}
-        self._seen: dict[Path, tuple[str, str]] = {}
-
-    def group_of(self, summary: Mapping[str, Any]) -> Group:
-        """Return the group of a test.
-
-        Parameters
-        ----------
-        summary : of the test, from its summary.json
-        """
-        return self._groups.setdefault(_key(summary), Group())
-
-    def read(self, results: Mapping[Path, str]) -> None:
-        """Read new and changed tests, and remove missing ones.
-
-        Parameters
-        ----------
-        results : key of the results of each valid test, by folder
-        """
-        for folder in self._seen.keys() - results.keys():
-            self._remove(folder)
-        for folder, run in results.items():
-            if run and self._seen.get(folder, ("", ""))[0] != run:
-                self._remove(folder)
-                self._read(folder, run)
-
-    def _read(self, folder: Path, run: str) -> None:
-        summary = read_summary(folder)
-        if summary is None:
-            return
-        key = _key(summary)
-        self._seen[folder] = (run, key)
-        group = self._groups.setdefault(key, Group())
-        for result in summary["results"]:
-            if result.get("status") == "ok" and isinstance(result.get("value"), float | int):
-                group.values.setdefault(result["name"], {})[folder] = float(result["value"])
-
-    def _remove(self, folder: Path) -> None:
-        _, key = self._seen.pop(folder, ("", ""))
-        for values in self._groups.get(key, Group()).values.values():
-            values.pop(folder, None)
+Values: TypeAlias = Mapping[str, Sequence[float]]
+"""Values of several tests by result."""
 
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
@@ -114,11 +51,18 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
     return None
 
 
-def _key(summary: Mapping[str, Any]) -> str:
-    specimen = summary.get("specimen")
-    fields = dict(specimen) if isinstance(specimen, Mapping) else {}
-    group_fields = {key: value for key, value in fields.items() if key not in _IGNORED_FIELDS}
-    return json.dumps([summary.get("protocol"), group_fields], sort_keys=True)
+def group_of(row: TestRow) -> str:
+    """Return the group of a test: its protocol and specimen, except spool and sample.
+
+    Parameters
+    ----------
+    row : of the test
+    """
+    # Fields of the specimen that may differ within a group.
+    ignored_fields = ("spool", "sample", "uncertainty")
+    specimen = json.loads(row.specimen)
+    fields = {key: value for key, value in specimen.items() if key not in ignored_fields}
+    return json.dumps([row.protocol, fields], sort_keys=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,16 +93,15 @@ def display_settings(sheet: Path) -> DisplaySettings:
 
 
 def verdict(
-    name: str, folder: Path, summary: Mapping[str, Any], group: Group, settings: DisplaySettings
+    name: str, summary: Mapping[str, Any], others: Values, settings: DisplaySettings
 ) -> list[str]:
     """Write the verdict on a processed test.
 
     Parameters
     ----------
     name : of the test
-    folder : of its results
     summary : from its summary.json
-    group : of the test
+    others : ok values of each result in the other tests of its group
     settings : for display
 
     Returns
@@ -167,7 +110,7 @@ def verdict(
     """
     results = summary["results"]
     main = _main_results(results, settings.main)
-    numbers = [_number(result, group, folder, settings.display) for result in main]
+    numbers = [_number(result, others, settings.display) for result in main]
     outside = [number.name for number in numbers if number.is_outside]
     by_state = {
         state: [result["name"] for result in results if result["status"] == state]
@@ -262,24 +205,24 @@ def _main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry
     return ranked[:MAX_NUMBERS]
 
 
-def _number(result: _Entry, group: Group, folder: Path, display: Mapping[str, str]) -> _Number:
+def _number(result: _Entry, others: Values, display: Mapping[str, str]) -> _Number:
     # Tests needed to judge what is outside the spread; with fewer, only the range is shown.
     min_group_tests = 6
     name, value = result["name"], float(result["value"])
     scale = shown_in(name, result["unit"], display)
-    others = np.array(group.of(name, but=folder))
+    values = np.array(others.get(name, ()))
     text = f"{name} {scale.factor * value:.4g} {scale.unit}".rstrip()
-    n = len(others)
+    n = len(values)
     if n == 0:
         return _Number(name, text, "first of its group")
     if n < min_group_tests:
-        low, high = sorted(scale.factor * np.array([others.min(), others.max()]))
+        low, high = sorted(scale.factor * np.array([values.min(), values.max()]))
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
         return _Number(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")
     false_alarm_rate = 0.05  # of all numbers of a verdict together
     quantile = t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
-    reach = quantile * float(np.std(others, ddof=1)) * sqrt(1 + 1 / n)
-    centre = float(others.mean())
+    reach = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
+    centre = float(values.mean())
     low, high = (scale.factor * (centre + side * reach) for side in (-1.0, 1.0))
     is_outside = abs(value - centre) > reach
     place = "OUTSIDE" if is_outside else "within"

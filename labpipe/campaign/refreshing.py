@@ -18,22 +18,26 @@ from labpipe.campaign.campaign_folders import (
 )
 from labpipe.campaign.catalog import (
     CATALOG,
-    DOUBTFUL,
+    Catalog,
+    Claim,
+    NoCatalog,
+    can_write,
+    new_catalog,
+    open_catalog,
+)
+from labpipe.campaign.catalog_rows import (
     FAILED,
-    OK,
+    NEWER_RESULT,
     PENDING,
     REJECTED,
     RUNNING,
     STALE,
-    Catalog,
     Entry,
-    NoCatalog,
     Seen,
     TestRow,
     as_json,
-    can_write,
-    new_catalog,
-    open_catalog,
+    encodable,
+    read_outcome,
 )
 from labpipe.campaign.content_keys import Content, ContentKeys, describe_changes, parse_content
 from labpipe.campaign.decisions import (
@@ -42,12 +46,10 @@ from labpipe.campaign.decisions import (
     DecisionFile,
     add_decisions,
     applicable_decision,
-    by_test_and_run,
     carry_over,
     read_decisions,
+    unapplied_decisions,
 )
-from labpipe.campaign.machine import Claim
-from labpipe.campaign.outcome_rows import NEWER_RESULT, StoredOutcome, encodable, read_outcome_files
 from labpipe.campaign.pairing import list_candidates, plan_of
 from labpipe.errors import LabpipeError, StoreError, error_text
 from labpipe.protocol.campaign_plan import PLAN_NAME
@@ -67,7 +69,7 @@ class Overview:
     rows : of all tests, by folder
     claims : of processes at work, by folder
     raw : test sheets and files
-    decisions : all, and whether each is applied
+    decisions : all of the campaign, in order
     notes : messages, such as on a rebuilt catalog or unreadable decisions
     bad_input : whether a note is on a file that needs repair
     has_failed_results : whether any result failed in a test that is not rejected
@@ -76,7 +78,7 @@ class Overview:
     rows: dict[str, TestRow]
     claims: dict[str, Claim] = field(default_factory=dict)
     raw: RawFolder = field(default_factory=RawFolder)
-    decisions: list[tuple[Decision, bool]] = field(default_factory=list)
+    decisions: tuple[Decision, ...] = ()
     notes: list[str] = field(default_factory=list)
     bad_input: bool = False
     has_failed_results: bool = False
@@ -89,6 +91,15 @@ class Overview:
         folder : of the test
         """
         return RUNNING if folder in self.claims else self.rows[folder].state
+
+    @property
+    def unapplied(self) -> list[tuple[Decision, str]]:
+        """Return the decisions that are not applied, and why."""
+        return list(
+            unapplied_decisions(
+                self.decisions, {folder: row.attempt for folder, row in self.rows.items()}
+            )
+        )
 
     @property
     def counts(self) -> Counter[str]:
@@ -208,9 +219,9 @@ class CatalogSync:
         """
         sheet = self.campaign.raw / folder / SHEET_NAME
         files = find_outcome(self.campaign, folder)
-        row, seen = self.catalog.row_of(folder), self.catalog.seen_of(folder)
-        sheet_file = sheet if sheet.is_file() else None
-        entry = self._new_entry(folder, sheet_file, files, row, seen)
+        row = self.catalog.rows(folder).get(folder)
+        seen = self.catalog.seen(folder).get(folder)
+        entry = self._new_entry(folder, sheet if sheet.is_file() else None, files, row, seen)
         if entry is not None:
             self.catalog.put([entry])
             return entry.row
@@ -223,11 +234,15 @@ class CatalogSync:
         ----------
         folder : of the test, with a test sheet
         """
-        seen = self.catalog.seen_of(folder) or Seen()
+        seen = self._seen(folder)
         sheet = self.campaign.raw / folder / SHEET_NAME
         content = self._keys.content_of(sheet, parse_content(seen.content))
-        self.catalog.put_seen(folder, replace(seen, content=content.as_text()))
+        renewed = replace(seen, content=content.as_text())
+        self.catalog.put([Entry(TestRow(folder), renewed, only_seen=True)])
         return content
+
+    def _seen(self, folder: str) -> Seen:
+        return self.catalog.seen(folder).get(folder, Seen())
 
     def files_of(self, folder: str, sheet: Path) -> tuple[str, ...]:
         """Return the files that a test names, below its folder; only its sheet if that is faulty.
@@ -237,7 +252,7 @@ class CatalogSync:
         folder : of the test
         sheet : its test.yaml
         """
-        content = parse_content((self.catalog.seen_of(folder) or Seen()).content)
+        content = parse_content(self._seen(folder).content)
         if content is not None and content.stamps:
             return tuple(content.stamps)
         try:
@@ -250,25 +265,20 @@ class CatalogSync:
         """Read the decisions of the campaign, for later updates."""
         campaign = self.campaign
         self._decisions = read_decisions(campaign.processed, campaign.name)
-        self._decision_by_run = by_test_and_run(self._decisions.decisions)
+        self._decision_by_run = {
+            (decision.test, decision.run): decision for decision in self._decisions.decisions
+        }
         self._on_test: dict[str, list[Decision]] = {}
         for decision in self._decisions.decisions:
             self._on_test.setdefault(decision.test, []).append(decision)
 
     def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
-        runs = {folder: row.attempt for folder, row in rows.items()}
-        decisions = [
-            (
-                decision,
-                self._decision_by_run.get((decision.test, runs.get(decision.test, ""))) is decision,
-            )
-            for decision in self._decisions.decisions
-        ]
-        self.catalog.put_decisions(decisions)
-        notes = [*self.notes, *self._decisions.faults, *raw.refused]
-        is_bad = bool(self._decisions.faults or raw.refused)
+        stored = self._decisions
+        notes = [*self.notes, *stored.faults, *raw.refused]
+        is_bad = bool(stored.faults or raw.refused)
         has_failed = self.catalog.has_failed_results()
-        return Overview(rows, self.catalog.claims(), raw, decisions, notes, is_bad, has_failed)
+        claims = self.catalog.claims()
+        return Overview(rows, claims, raw, stored.decisions, notes, is_bad, has_failed)
 
     def _new_entry(
         self,
@@ -290,11 +300,10 @@ class CatalogSync:
         is_same = now is None or (stored is not None and stored.key == now.key)
         looks_same = seen is not None and seen.marks == renewed.marks
         if row is not None and looks_same and is_same and self._is_current(row, now):
-            return None if content == stored else Entry(row, renewed)
-        outcome = read_outcome_files(files)
-        decision = self._decision_on(folder, outcome, row)
-        new_row = _row(folder, outcome, now, decision)
-        return Entry(new_row, renewed, outcome.inputs, outcome.results)
+            return None if content == stored else Entry(row, renewed, only_seen=True)
+        outcome = read_outcome(folder, files)
+        rejection = self._rejection_of(outcome, row)
+        return replace(outcome, row=_row(outcome, now, rejection), seen=renewed)
 
     def _is_current(self, row: TestRow, content: Content | None) -> bool:
         """Return whether a row is still valid for the present content and decisions."""
@@ -313,80 +322,58 @@ class CatalogSync:
         decision = applicable_decision(self._on_test.get(folder, ()), run=run)
         return decision if decision is not None and decision.decision == REJECT else None
 
-    def _decision_on(
-        self, folder: str, outcome: StoredOutcome, row: TestRow | None
-    ) -> Decision | None:
+    def _rejection_of(self, outcome: Entry, row: TestRow | None) -> Decision | None:
         """Return the rejection of a test; carry it over if only the processing version changed."""
-        if (folder, outcome.attempt) in self._decision_by_run or row is None or outcome.has_failed:
-            return self._rejection(folder, outcome.attempt)
-        old = self._decision_by_run.get((folder, row.run))
-        if old is None or not outcome.run or not self._has_same_inputs(row, outcome):
-            return self._rejection(folder, outcome.attempt)
-        before = self.catalog.results_of(folder)
-        carried = carry_over(old, outcome.run, before, outcome.results)
-        if carried is None or self.catalog.in_memory:
-            return self._rejection(folder, outcome.attempt)
-        add_decisions(self.campaign.processed, self.campaign.name, [carried])
-        self.read_decisions()
-        return self._rejection(folder, outcome.run)
+        folder, key = outcome.row.folder, _attempt(outcome.row)
+        old = None if row is None else self._decision_by_run.get((folder, row.run))
+        if (
+            (folder, key) not in self._decision_by_run
+            and row is not None
+            and old is not None
+            and outcome.row.state != FAILED
+            and key
+            and self._has_same_inputs(row, outcome)
+            and not self.catalog.in_memory
+        ):
+            before = self.catalog.results_of(folder)
+            carried = carry_over(old, key, before, outcome.results)
+            if carried is not None:
+                add_decisions(self.campaign.processed, self.campaign.name, [carried])
+                self.read_decisions()
+        return self._rejection(folder, key)
 
-    def _has_same_inputs(self, row: TestRow, outcome: StoredOutcome) -> bool:
+    def _has_same_inputs(self, row: TestRow, outcome: Entry) -> bool:
         """Return whether exports, sheet and protocol of a test are those of its row."""
-        texts = (outcome.sheet, outcome.protocol_text)
+        texts = (outcome.row.sheet, outcome.row.resolved)
         same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
         return same and self.catalog.inputs_of(row.folder) == outcome.inputs
 
 
-def _row(
-    folder: str, outcome: StoredOutcome, content: Content | None, rejection: Decision | None
-) -> TestRow:
-    """Make the row of a test."""
-    about = dict(content.about) if content is not None else {}
-    specimen = outcome.specimen or {key: about.get(key, "") for key in ("type", "spool", "sample")}
-    state, why = _state(outcome, content, rejection)
-    is_rejected = state == REJECTED and rejection is not None
-    return TestRow(
-        folder=folder,
-        test=outcome.test or about.get("test", "") or folder.rpartition("/")[2],
-        state=state,
-        why=why,
-        code=outcome.code,
-        reason=outcome.reason,
-        protocol=outcome.protocol or about.get("protocol", ""),
-        type=encodable(specimen["type"]),
-        spool=encodable(specimen["spool"]),
-        sample=encodable(specimen["sample"]),
-        date=outcome.date or about.get("date", ""),
-        operator=outcome.operator or about.get("operator", ""),
-        specimen=encodable(as_json(specimen)),
-        labpipe=outcome.labpipe,
-        run=outcome.run,
-        failed_run=outcome.failed_run,
-        sheet=outcome.sheet,
-        resolved=outcome.protocol_text,
-        decided_by=rejection.by if is_rejected and rejection is not None else "",
-        decided=rejection.when if is_rejected and rejection is not None else "",
-    )
+def _attempt(row: TestRow) -> str:
+    """Return the key of the last attempt of a test; empty also for a failure without a key."""
+    return row.failed_run if row.state == FAILED else row.run
 
 
-def _state(
-    outcome: StoredOutcome, content: Content | None, rejection: Decision | None
-) -> tuple[str, str]:
-    """Return the state of a test and the reason."""
-    if outcome.code == NEWER_RESULT:
-        return FAILED, ""
-    if not outcome.attempt and not outcome.has_failed:
-        return PENDING, outcome.unreadable
-    if content is not None and content.key != outcome.attempt:
-        now = describe_changes(
-            inputs=outcome.inputs, sheet=outcome.sheet, protocol=outcome.protocol_text, now=content
+def _row(outcome: Entry, content: Content | None, rejection: Decision | None) -> TestRow:
+    """Make the row of a test from its outcome, the facts of its sheet, and its rejection."""
+    row, about = outcome.row, {} if content is None else content.about
+    facts = {key: getattr(row, key) or encodable(text) for key, text in about.items()}
+    row = replace(row, **facts)
+    row = replace(row, test=row.test or row.folder.rpartition("/")[2])
+    if row.specimen == "{}":
+        specimen = {"type": row.type, "spool": row.spool, "sample": row.sample}
+        row = replace(row, specimen=as_json(specimen))
+    if row.code == NEWER_RESULT or row.state == PENDING:
+        return row
+    if content is not None and content.key != _attempt(row):
+        changes = describe_changes(
+            inputs=outcome.inputs, sheet=row.sheet, protocol=row.resolved, now=content
         )
-        return STALE, now
-    if rejection is not None:
-        return REJECTED, rejection.because
-    if outcome.has_failed:
-        return FAILED, ""
-    return (DOUBTFUL if outcome.code else OK), ""
+        return replace(row, state=STALE, why=changes)
+    if rejection is None:
+        return row
+    reason, person, day = rejection.because, rejection.by, rejection.when
+    return replace(row, state=REJECTED, why=reason, decided_by=person, decided=day)
 
 
 USED, WAITING, UNKNOWN = "used", "waiting", "unknown"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -65,120 +65,66 @@ from labpipe.store.summaries import SUMMARY_FILE, check_summary
 from labpipe.studies.bundle_bounds import find_places
 from labpipe.studies.wire_sheets import read_wire_sheet
 
+RECIPE_FILE = "report.json"
+
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """Groups and comparisons of a report.
+    """Options of a report, stored beside it to make it again.
 
     Parameters
     ----------
+    title : of the report; if empty, the name of the common folder of the tests
     by : fields of the test sheets to group by; if empty, the type and all fields of the specimen
         that differ within a type
     alone : show only pairs of groups that differ in this field alone; empty for all
     wires : wire sheet, for the bounds of harness bundles
-    """
-
-    by: tuple[str, ...] = ()
-    alone: str = ""
-    wires: Path | None = None
-
-
-DEFAULT_OPTIONS = ReportOptions()
-
-
-@dataclass(frozen=True, slots=True)
-class ReportContext:
-    """Letterhead and additional files of a report.
-
-    Parameters
-    ----------
     letterhead : laboratory, customer and order
     formats : of figure files: ``svg``, ``png``, ``pdf``; empty for no files
     has_test_pages : whether each test has a page
     """
 
+    title: str = ""
+    by: tuple[str, ...] = ()
+    alone: str = ""
+    wires: Path | None = None
     letterhead: Letterhead = PLAIN
     formats: tuple[str, ...] = ()
     has_test_pages: bool = False
 
-
-DEFAULT_CONTEXT = ReportContext()
-
-
-RECIPE_FILE = "report.json"
-
-
-@dataclass(frozen=True, slots=True)
-class Recipe:
-    """Options of a report, stored beside it to make it again.
-
-    Parameters
-    ----------
-    title : of the report
-    options : groups and comparisons
-    context : letterhead, figures as files, pages of tests
-    """
-
-    title: str = ""
-    options: ReportOptions = DEFAULT_OPTIONS
-    context: ReportContext = DEFAULT_CONTEXT
-
     @classmethod
-    def read(cls, folder: Path) -> Recipe:
-        """Read the recipe of the report in a folder; without one, return an empty one."""
+    def read(cls, folder: Path) -> ReportOptions:
+        """Read the options of the report in a folder; without any, return empty ones."""
         try:
-            recipe = json.loads((folder / RECIPE_FILE).read_text(encoding="utf-8"))
-            wires = None if recipe["wires"] is None else folder / recipe["wires"]
-            letterhead = Letterhead(
-                tuple((name, text) for name, text in recipe["letterhead"]), recipe["logo"]
-            )
-            context = ReportContext(letterhead, tuple(recipe["figures"]), recipe["pages"])
-            return cls(
-                recipe["title"],
-                ReportOptions(tuple(recipe["by"]), recipe["compare"], wires),
-                context,
-            )
+            stored = json.loads((folder / RECIPE_FILE).read_text(encoding="utf-8"))
+            facts, logo = (stored["letterhead"][key] for key in ("facts", "logo"))
+            stored["letterhead"] = Letterhead(tuple((name, text) for name, text in facts), logo)
+            stored["wires"] = stored["wires"] and folder / stored["wires"]
+            return cls(**stored | {key: tuple(stored[key]) for key in ("by", "formats")})
         except (OSError, ValueError, KeyError, TypeError):  # of an earlier labpipe, or edited
             return cls()
 
     def text(self, folder: Path) -> str:
         """Write JSON, with the wire sheet relative to the folder of the report."""
-        wires, letterhead = self.options.wires, self.context.letterhead
-        recipe = {
-            "title": self.title,
-            "by": self.options.by,
-            "compare": self.options.alone,
-            "wires": None if wires is None else os.path.relpath(wires, folder),
-            "letterhead": letterhead.facts,
-            "logo": letterhead.logo,
-            "figures": self.context.formats,
-            "pages": self.context.has_test_pages,
-        }
-        return json.dumps(recipe, indent=1, ensure_ascii=False) + "\n"
+        wires = self.wires and os.path.relpath(self.wires, folder)
+        return json.dumps(asdict(self) | {"wires": wires}, indent=1, ensure_ascii=False) + "\n"
 
-    def or_earlier(self, earlier: Recipe) -> Recipe:
-        """Fill the missing options of this recipe from an earlier one.
+    def or_earlier(self, earlier: ReportOptions) -> ReportOptions:
+        """Fill the missing options from those of an earlier report.
 
         Parameters
         ----------
-        earlier : recipe
+        earlier : options
         """
-        context, then = self.context, earlier.context
-        facts = dict(then.letterhead.facts) | dict(context.letterhead.facts)
-        logo = context.letterhead.logo or then.letterhead.logo
-        return Recipe(
-            self.title or earlier.title,
-            ReportOptions(
-                self.options.by or earlier.options.by,
-                self.options.alone or earlier.options.alone,
-                self.options.wires or earlier.options.wires,
-            ),
-            ReportContext(
-                Letterhead(tuple(facts.items()), logo),
-                context.formats or then.formats,
-                context.has_test_pages or then.has_test_pages,
-            ),
-        )
+        own, then = self.letterhead, earlier.letterhead
+        facts = dict(then.facts) | dict(own.facts)
+        letterhead = Letterhead(tuple(facts.items()), own.logo or then.logo)
+        names = [field.name for field in fields(self)]
+        filled = {name: getattr(self, name) or getattr(earlier, name) for name in names}
+        return ReportOptions(**filled | {"letterhead": letterhead})
+
+
+DEFAULT_OPTIONS = ReportOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,10 +147,8 @@ def report_tests(
     targets: Sequence[Path],
     *,
     out: Path | None = None,
-    title: str = "",
     say: Callable[[str], None] = lambda _: None,
     options: ReportOptions = DEFAULT_OPTIONS,
-    context: ReportContext = DEFAULT_CONTEXT,
 ) -> Reported:
     """Make one report from processed tests.
 
@@ -212,10 +156,8 @@ def report_tests(
     ----------
     targets : result.h5 files, or folders with some
     out : folder of the report; None for ``report`` in the common folder of the tests
-    title : of the report; the name of the common folder if empty
     say : called with the name of each test when it is read
-    options : groups and comparisons
-    context : letterhead, figures as files, pages of tests
+    options : title, groups, letterhead and further files
 
     Returns
     -------
@@ -230,14 +172,14 @@ def report_tests(
     """
     files = find_results(targets)
     shared = shared_folder(files)
-    campaign = make_campaign(files, title or shared.resolve().name, say, options)
+    campaign = make_campaign(files, options.title or shared.resolve().name, say, options)
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
-        pages = pages_of(campaign) if context.has_test_pages else {}
-        extras = Extras(context.letterhead, context.formats, pages)
+        pages = pages_of(campaign) if options.has_test_pages else {}
+        extras = Extras(options.letterhead, options.formats, pages)
         written = write_report(campaign, stage, extras)
-        recipe = Recipe(title, options, context).text(folder)
+        recipe = options.text(folder)
         (stage / RECIPE_FILE).write_text(recipe, encoding="utf-8", newline="\n")
     return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import CampaignFolders
-from labpipe.campaign.catalog import FAILED, PENDING, STALE, TestRow
+from labpipe.campaign.catalog_rows import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
 from labpipe.campaign.executors import Executor, Outcome, Task
 from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
@@ -38,28 +38,13 @@ class RunSummary:
     elsewhere: list[str] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True)
-class Drawing:
-    """Figures of each test.
-
-    Parameters
-    ----------
-    figures : whether figures are drawn, as SVG
-    png : whether also as PNG
-    """
-
-    figures: bool = True
-    png: bool = False
-
-
 def run_campaign(
     campaign: CampaignFolders,
     executor: Executor,
     *,
     only: Collection[str] | None = None,
     again: Collection[str] = (),
-    drawing: Drawing = Drawing(),
-    follow_links: bool = False,
+    make_task: Callable[..., Task] = Task,
     begin: Callable[[int], None] = lambda _: None,
     on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
 ) -> RunSummary:
@@ -71,8 +56,8 @@ def run_campaign(
     executor : processes the tests
     only : tests to consider; None for all
     again : tests to process even if nothing changed
-    drawing : figures of the tests
-    follow_links : whether exports may be links to files outside the test folder
+    make_task : makes the task of a test from its sheet, folder of results and key, such as a
+        partial of `Task` with figures and links
     begin : called with the number of tests to process
     on_outcome : called with each processed test and its outcome
 
@@ -96,7 +81,7 @@ def run_campaign(
             and (row.state in {PENDING, STALE} or folder in again)
         ]
         begin(len(due))
-        run = _Run(sync, drawing, follow_links=follow_links, on_outcome=on_outcome)
+        run = _Run(sync, make_task, on_outcome)
         run.process(executor, due, again)
         return RunSummary(sync.refresh() if due else overview, run.outcomes, run.elsewhere)
 
@@ -126,7 +111,7 @@ def run_test(
     with _open_writable(campaign) as sync:
         sync.catalog.release_dead()
         sync.read_decisions()
-        run = _Run(sync, Drawing())
+        run = _Run(sync)
         run.process(executor, [folder], [folder] if again else ())
         row = sync.renew(folder)
     return None if folder in run.elsewhere else row, run.outcomes.get(folder)
@@ -150,13 +135,10 @@ class _Run:
     def __init__(
         self,
         sync: CatalogSync,
-        drawing: Drawing,
-        *,
-        follow_links: bool = False,
+        make_task: Callable[..., Task] = Task,
         on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
     ) -> None:
-        self._sync, self._drawing, self._on_outcome = sync, drawing, on_outcome
-        self._follow_links = follow_links
+        self._sync, self._make_task, self._on_outcome = sync, make_task, on_outcome
         self._at_work: dict[Path, str] = {}
         self._in_use: list[str] = []
         self.outcomes: dict[str, Outcome] = {}
@@ -195,14 +177,8 @@ class _Run:
                 sync.catalog.release(folder)
                 continue
             self._at_work[sheet] = folder
-            yield Task(
-                sheet,
-                sync.campaign.processed / folder,
-                figures=self._drawing.figures,
-                png=self._drawing.png,
-                follow_links=self._follow_links,
-                run=sync.content_of(folder).key,
-            )
+            key = sync.content_of(folder).key
+            yield self._make_task(sheet, sync.campaign.processed / folder, run=key)
 
     def _settle(self, outcome: Outcome) -> None:
         folder = self._at_work.pop(outcome.sheet)
@@ -211,7 +187,6 @@ class _Run:
             self._in_use.append(folder)
         else:
             self._sync.renew(folder)
-            catalog.put_time(folder, now(), outcome.seconds)
             self.outcomes[folder] = outcome
             self._on_outcome(folder, outcome)
         catalog.release(folder)

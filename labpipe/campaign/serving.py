@@ -21,12 +21,11 @@ from urllib.parse import unquote, urlsplit
 
 from labpipe.campaign.decisions import (
     ImportedDecisions,
-    checked_document,
     decision_entry,
-    decisions_in,
     decisions_on,
     import_decisions,
     label_of,
+    parse_decisions,
 )
 from labpipe.errors import LabpipeError, UsageError, error_text, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below
@@ -305,15 +304,9 @@ def _find_test(name: str, site: Site) -> Path:
 
 def _save(body: bytes, site: Site) -> dict[str, Any]:
     """Import the decisions of a page; return the answer with all decisions."""
-    name = Path("decisions")
-    try:
-        document = checked_document(json.loads(body), name)
-    except (ValueError, RecursionError):
-        document = "decisions: expected JSON, found something else."
-    read = document if isinstance(document, str) else decisions_in(document, name)
-    if isinstance(read, str) or read.faults:
-        why = read if isinstance(read, str) else "\n".join(read.faults)
-        raise RefusedError(HTTPStatus.BAD_REQUEST, why)
+    read = parse_decisions(body, Path("decisions"))
+    if read.faults:
+        raise RefusedError(HTTPStatus.BAD_REQUEST, "\n".join(read.faults))
     taken = import_decisions(site.folder, site.campaign, read.decisions)
     stored = decisions_on(files_below(site.folder, RESULT_FILE))
     entries = [decision_entry(decision) for decisions in stored.values() for decision in decisions]

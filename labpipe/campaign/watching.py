@@ -6,14 +6,14 @@ import time
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Literal, TypeAlias, TypeVar
 
 from labpipe.campaign.campaign_folders import CampaignFolders
-from labpipe.campaign.catalog import PENDING, REJECTED, STALE
+from labpipe.campaign.catalog_rows import OK, PENDING, REJECTED, STALE
 from labpipe.campaign.executors import Executor, Outcome, Task, outcome_of, outcome_of_call
 from labpipe.campaign.pairing import (
     Candidate,
@@ -24,12 +24,13 @@ from labpipe.campaign.pairing import (
     plan_of,
 )
 from labpipe.campaign.quick_look import (
-    CampaignGroups,
     display_settings,
     failure_lines,
+    group_of,
     read_summary,
     verdict,
 )
+from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import read_overview, run_test
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, describe_death
 from labpipe.errors import LabpipeError, ProcessingError, error_text
@@ -181,10 +182,23 @@ class WatchedCampaign:
         self._rows = {**self._rows, label: row}
         return outcome
 
-    def results(self) -> dict[Path, str]:
-        """Return the key of the results of each test that is not rejected, by folder."""
-        rows = {folder: row for folder, row in self._rows.items() if row.state != REJECTED}
-        return {self._folders.processed / folder: row.run for folder, row in rows.items()}
+    def values_beside(self, sheet: Path) -> dict[str, list[float]]:
+        """Return the ok values of each result in the other tests of the group of a test.
+
+        Parameters
+        ----------
+        sheet : of the test; rejected tests are left out
+        """
+        label = self._label(sheet)
+        group, values = group_of(self._rows[label]), dict[str, list[float]]()
+        with open_campaign(self._folders) as sync:
+            for folder, row in self._rows.items():
+                is_valid = folder != label and row.run and row.state != REJECTED
+                if is_valid and group_of(row) == group:
+                    for result in sync.catalog.results_of(folder):
+                        if result.status == OK and result.value is not None:
+                            values.setdefault(result.name, []).append(result.value)
+        return values
 
     def _label(self, sheet: Path) -> str:
         return sheet.parent.relative_to(self._folders.raw).as_posix()
@@ -303,26 +317,6 @@ class _Test:
     again: bool = False
 
 
-@dataclass(slots=True)
-class _Announcer:
-    """Prints messages, on request only once.
-
-    Parameters
-    ----------
-    say : called with each message
-    printed : messages so far
-    """
-
-    say: Callable[[str], None]
-    printed: set[str] = field(default_factory=set)
-
-    def say_once(self, text: str) -> None:
-        """Print a message unless it was printed before."""
-        if text not in self.printed:
-            self.printed.add(text)
-            self.say(text)
-
-
 class Watcher:
     """Looks at the folder of a campaign repeatedly.
 
@@ -349,15 +343,10 @@ class Watcher:
         self.plan = plan_of(campaign.raw)
         self._plan_mark = _mark(campaign.raw / PLAN_NAME)
         self._files = FileStability(clock, self.plan.still_for)
-        self._output = _Announcer(say)
+        self._say, self._printed = say, set[str]()
         self._tests: dict[Path, _Test] = {}
-        self._groups = CampaignGroups()
         self._turn = 0
         self._is_gone = self._has_begun = False
-
-    def prepare(self) -> None:
-        """Read the numbers of earlier tests before the first verdict."""
-        self._groups.read(self._campaign.results())
 
     def look(self) -> bool:
         """Look once, and handle the newest test that is ready.
@@ -379,8 +368,14 @@ class Watcher:
             return False
         if self._is_gone:
             self._is_gone = False
-            self._output.say(f"{self._campaign.raw}: available again")
+            self._say(f"{self._campaign.raw}: available again")
         return len(ready) > 1
+
+    def _say_once(self, text: str) -> None:
+        """Print a message unless it was printed before."""
+        if text not in self._printed:
+            self._printed.add(text)
+            self._say(text)
 
     def _is_skipped(self, folder: Path) -> bool:
         """Return whether a test was handled a while ago and is skipped in this look."""
@@ -395,13 +390,13 @@ class Watcher:
         if not self._is_gone:
             self._is_gone = True
             why = (error.strerror or str(error)).lower()
-            self._output.say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
+            self._say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
 
     def _ready(self, listed: RawListing) -> list[Candidate]:
         """Return the tests that are ready, the newest first."""
         for path, why in listed.unmatched.items():
             if self._files.look(path) == "still" and self._still_for(path) > self.plan.patience:
-                self._output.say_once(f"{_printable(self._below(path))}: not used: {why}")
+                self._say_once(f"{_printable(self._below(path))}: not used: {why}")
         ready = [candidate for candidate in listed.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
@@ -420,13 +415,13 @@ class Watcher:
         try:
             self.plan = plan_of(self._campaign.raw)
         except LabpipeError as error:
-            self._output.say(f"{error}\n  the last valid {PLAN_NAME} is used")
+            self._say(f"{error}\n  the last valid {PLAN_NAME} is used")
             return
         self._files.still_for = self.plan.still_for
         self._tests = {
             folder: _Test(test.done, settled=test.settled) for folder, test in self._tests.items()
         }
-        self._output.say(f"{PLAN_NAME} was read again")
+        self._say(f"{PLAN_NAME} was read again")
 
     def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
         """Leave out tests that were processed before the watch."""
@@ -461,12 +456,10 @@ class Watcher:
         moving = self._files.moving_for(path)
         name = f"{_label(candidate)}: {_printable(path.name)}"
         if state == "locked" and moving > self.plan.patience:
-            self._output.say_once(
-                f"{name} cannot be opened, another program uses it; waiting for it"
-            )
+            self._say_once(f"{name} cannot be opened, another program uses it; waiting for it")
         if moving > REMINDER_DELAY and state in ("growing", "locked"):
             what = "is still being written" if state == "growing" else "still cannot be opened"
-            self._output.say_once(f"{name} {what} after an hour; waiting for it")
+            self._say_once(f"{name} {what} after an hour; waiting for it")
 
     def _handle(self, candidate: Candidate) -> None:
         # s between attempts
@@ -478,7 +471,7 @@ class Watcher:
             written = self._pair(candidate, self.plan, self._waited(candidate))
         except LabpipeError as error:
             test.done = marks
-            self._output.say_once(f"{_label(candidate)}: {error}")
+            self._say_once(f"{_label(candidate)}: {error}")
             return
         if written.sheet is None:
             self._say_missing(candidate, test, written)
@@ -494,7 +487,7 @@ class Watcher:
         try:
             outcome = self._campaign.process(candidate.sheet, again=test.again)
         except LabpipeError as error:
-            self._output.say_once(f"{_label(candidate)}: {error}")
+            self._say_once(f"{_label(candidate)}: {error}")
             return False
         test.again = False
         if outcome is not None:
@@ -514,13 +507,13 @@ class Watcher:
             stood = self._still_for(candidate.files.get(name, candidate.folder / name))
             what = f"{_label(candidate)}: {_printable(name)} cannot be read"
             if stood > self.plan.patience:
-                self._output.say_once(f"{what} yet ({why}); waiting for it")
+                self._say_once(f"{what} yet ({why}); waiting for it")
             if stood > REMINDER_DELAY:
-                self._output.say_once(f"{what} after an hour; waiting for it")
+                self._say_once(f"{what} after an hour; waiting for it")
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
-            self._output.say(f"{_label(candidate)}: waits for {waits}")
+            self._say(f"{_label(candidate)}: waits for {waits}")
 
     def _say_sheet(self, candidate: Candidate, written: PairingOutcome) -> None:
         lines = [
@@ -530,18 +523,18 @@ class Watcher:
         if written.open:
             lines.append(f"  to fill in: {', '.join(written.open)}; it is processed then")
         if lines:
-            self._output.say("\n".join(lines))
+            self._say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
-        self._groups.read(self._campaign.results())
         summary = None if outcome.folder is None else read_summary(outcome.folder)
         if outcome.state == "failed" or outcome.folder is None or summary is None:
             lines = failure_lines(_label(candidate), outcome.code, outcome.reason)
         else:
-            group, settings = self._groups.group_of(summary), display_settings(candidate.sheet)
-            lines = verdict(_label(candidate), outcome.folder, summary, group, settings)
+            others = self._campaign.values_beside(candidate.sheet)
+            settings = display_settings(candidate.sheet)
+            lines = verdict(_label(candidate), summary, others, settings)
             self._draw(outcome.folder)
-        self._output.say("\n".join(lines))
+        self._say("\n".join(lines))
 
     def _marks(self, candidate: Candidate) -> Marks:
         return tuple((str(path), self._files.mark(path)) for path in _paths(candidate))
@@ -605,7 +598,6 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         draw = worker.draw if figures else (lambda _: None)
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; press Ctrl+C to stop")
-        watcher.prepare()
         all_protocols()  # loads units and grammar before the first verdict
         while True:
             began = time.monotonic()

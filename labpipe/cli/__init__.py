@@ -279,6 +279,7 @@ def _report_contents(parser: argparse.ArgumentParser) -> None:
 
 def _serve(parser: argparse.ArgumentParser) -> None:
     _report_contents(parser)
+    parser.set_defaults(pages=False, figures="")
     which = "port on the local address; 0 for any free one (default: %(default)s)"
     parser.add_argument("--port", type=_whole, default=8765, metavar="N", help=which)
     shut = "print the address; do not open a browser"

@@ -7,21 +7,20 @@ import json
 import sys
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
-from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
+from labpipe.campaign.catalog_rows import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import (
     Decision,
     decision_sentence,
     import_decision_file,
-    unapplied_decisions,
 )
-from labpipe.campaign.executors import executor_of
+from labpipe.campaign.executors import Task, executor_of
 from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
 from labpipe.campaign.refreshing import Overview, account_for_files, open_campaign
 from labpipe.campaign.running import (
-    Drawing,
     RunSummary,
     clear_failures,
     decide,
@@ -45,13 +44,15 @@ def _run(
     options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
 ) -> int:
     executor = executor_of(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
+    make_task = partial(
+        Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
+    )
     with counting("test") as (begin, show_ended):
         summary = run_campaign(
             campaign,
             executor,
             again=again or (),
-            drawing=Drawing(figures=not options.no_figures, png=options.png),
-            follow_links=options.follow_links,
+            make_task=make_task,
             begin=begin,
             on_outcome=lambda folder, outcome: show_ended(f"{escaped(folder)}: {outcome.state}"),
         )
@@ -231,13 +232,11 @@ def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[st
 
 def _unapplied_decisions(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
-    current_keys = {folder: row.attempt for folder, row in overview.rows.items()}
-    decisions = unapplied_decisions([decision for decision, _ in overview.decisions], current_keys)
     return _section_lines(
         "decisions not applied",
         [
             f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
-            for decision, why in decisions
+            for decision, why in overview.unapplied
         ],
     )
 
@@ -265,8 +264,6 @@ def _abbreviated_names(names: list[str]) -> str:
 def _as_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
-    current_keys = {folder: row.attempt for folder, row in overview.rows.items()}
-    unapplied = unapplied_decisions([decision for decision, _ in overview.decisions], current_keys)
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     return {
         "campaign": campaign.name,
@@ -281,7 +278,7 @@ def _as_json(
         },
         "decisions_not_applied": [
             {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
-            for decision, why in unapplied
+            for decision, why in overview.unapplied
         ],
         "files": files,
         "notes": overview.notes,

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from shutil import copyfile
 
-from labpipe.campaign.machine import default_jobs
+from labpipe.campaign.executors import default_jobs
 from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.workers import run_jobs
 from labpipe.cli.calibrate import calibration_table
@@ -138,7 +138,7 @@ def _status(processed: Sequence[Processed], refused: int, *reports: int) -> int:
 def _report(folder: Path, wires: Path) -> tuple[Path, int]:
     """Report a campaign; return its page and the exit status."""
     title = f"Synthetic demo campaign: {folder.name}"
-    reported = report_tests([folder], title=title, options=ReportOptions(wires=wires))
+    reported = report_tests([folder], options=ReportOptions(title, wires=wires))
     return reported.files[0], status_of(reported)
 
 

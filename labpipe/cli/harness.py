@@ -8,9 +8,8 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
-from labpipe.cli.terminal import from_here, statuses_of
+from labpipe.cli.terminal import from_here, progress_bar, statuses_of
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import count_of, plain_numbers, unit_words
 from labpipe.studies.harness_solution import FollowedHarness
@@ -29,12 +28,12 @@ def run(options: argparse.Namespace) -> int:
     """Compute the line of each harness and print its results."""
     statuses = []
     for file in options.files:
-        out = options.out if options.out is None or len(options.files) == 1 else None
+        has_own_folder = options.out is not None and len(options.files) > 1
         with following() as watcher:
             harness = follow_harness(
                 file,
                 wires=options.wire,
-                out=out or _own_folder(options.out, file),
+                out=options.out / file.stem if has_own_folder else options.out,
                 figures=not options.no_figures,
                 png=options.png,
                 watcher=watcher,
@@ -50,21 +49,21 @@ def run(options: argparse.Namespace) -> int:
 @contextmanager
 def following() -> Iterator[Watcher]:
     """Show progress over lines and steps: a bar on a terminal, a line for each in a pipe."""
-    if not sys.stderr.isatty():
-        names, total = itertools.count(1), [0]
+    numbers = itertools.count(1)
+    with progress_bar("step") as bar:
+        n_lines = 0
 
-        def say(name: str) -> None:
-            if total[0] > 1:
-                print(f"{next(names)}/{total[0]} {name}", file=sys.stderr)
+        def begin(lines: int, steps: int) -> None:
+            nonlocal n_lines
+            n_lines = lines
+            bar.reset(lines * steps)
 
-        yield Watcher(lambda lines, _: total.__setitem__(0, lines), say)
-        return
-    from tqdm import tqdm
+        def begin_line(name: str) -> None:
+            if bar.disable and n_lines > 1:
+                print(f"{next(numbers)}/{n_lines} {name}", file=sys.stderr)
+            bar.set_description(name)
 
-    with tqdm(unit="step", leave=False) as bar:
-        yield Watcher(
-            lambda lines, steps: bar.reset(lines * steps), bar.set_description, bar.update
-        )
+        yield Watcher(begin, begin_line, bar.update)
 
 
 def _faults(harness: FollowedHarness) -> Iterator[str]:
@@ -73,11 +72,6 @@ def _faults(harness: FollowedHarness) -> Iterator[str]:
         yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
     elif not harness.limit.is_assumed and harness.sharpest.radius < harness.limit.radius:
         yield "".join(_limit(harness)).strip()
-
-
-def _own_folder(out: Path | None, file: Path) -> Path | None:
-    """Return the folder of one of several files below the folder of the option."""
-    return None if out is None else out / file.stem
 
 
 def harness_table(solution: FollowedHarness) -> str:

@@ -8,8 +8,7 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from labpipe.campaign.executors import process_tests
-from labpipe.campaign.machine import default_jobs
+from labpipe.campaign.executors import default_jobs, process_tests
 from labpipe.cli.terminal import from_here, name_width, progress, result_line, statuses_of
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from labpipe.campaign.queries import escaped
-from labpipe.campaign.reporting import ReportContext, Reported, ReportOptions, report_tests
+from labpipe.campaign.reporting import Reported, ReportOptions, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
 from labpipe.errors import UsageError, error_text, nearest
 from labpipe.process.output_paths import find_results
@@ -17,56 +17,32 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.lab_report import Letterhead, read_logo
 from labpipe.report.saving import FORMATS
+from labpipe.report.wording import count_words
 
 
 def run(options: argparse.Namespace) -> int:
     """Report processed tests in a page, figures and a workbook."""
-    files, context = find_results(options.paths), _report_context(options)
+    files, wanted = find_results(options.paths), report_options(options)
     with reading(len(files)) as say:
-        reported = report_tests(
-            files,
-            out=options.out,
-            title=options.title,
-            say=say,
-            options=report_options(options),
-            context=context,
-        )
+        reported = report_tests(files, out=options.out, say=say, options=wanted)
     print(report_table(reported))
     return status_of(reported)
 
 
 def report_options(options: argparse.Namespace) -> ReportOptions:
-    """Read groups and comparisons from the options.
+    """Read what a report shows from the options.
 
     Parameters
     ----------
-    options : of ``labpipe report``
-    """
-    by = tuple(dict.fromkeys(filter(None, map(str.strip, options.by.split(",")))))
-    return ReportOptions(by, options.compare, options.wire)
-
-
-def letterhead_of(options: argparse.Namespace) -> Letterhead:
-    """Read the letterhead from the options.
-
-    Parameters
-    ----------
-    options : with lab, customer, order and logo
+    options : of ``labpipe report`` or ``labpipe serve``
 
     Raises
     ------
     UsageError
-        If the logo is not a PNG or JPEG of the allowed size.
+        If a format of figures is unknown, or the logo is not a PNG or JPEG of the allowed size.
     """
-    entries = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
-    logo = "" if options.logo is None else read_logo(options.logo)
-    return Letterhead(tuple((name, text) for name, text in entries.items() if text), logo)
-
-
-def _report_context(options: argparse.Namespace) -> ReportContext:
-    """Read letterhead, figure formats and test pages from the options."""
-    wanted = tuple(dict.fromkeys(filter(None, map(str.strip, options.figures.split(",")))))
-    unknown = [name for name in wanted if name not in FORMATS]
+    formats = _list_of(options.figures)
+    unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         message = error_text(
             "--figures",
@@ -76,7 +52,22 @@ def _report_context(options: argparse.Namespace) -> ReportContext:
             remedy=f"Nearest: {nearest(unknown[0], list(FORMATS), limit=1)[0]}.",
         )
         raise UsageError(message)
-    return ReportContext(letterhead_of(options), wanted, options.pages)
+    entries = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
+    logo = "" if options.logo is None else read_logo(options.logo)
+    return ReportOptions(
+        title=options.title,
+        by=_list_of(options.by),
+        alone=options.compare,
+        wires=options.wire,
+        letterhead=Letterhead(tuple((name, text) for name, text in entries.items() if text), logo),
+        formats=formats,
+        has_test_pages=options.pages,
+    )
+
+
+def _list_of(text: str) -> tuple[str, ...]:
+    """Split a comma-separated option."""
+    return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
 def status_of(reported: Reported) -> int:
@@ -103,9 +94,7 @@ def report_table(reported: Reported) -> str:
     """
     lines: list[str] = []
     for group in reported.campaign.groups:
-        spools = {sample.specimen.spool for sample in group.samples}
-        count = f"{_several(len(group.samples), 'sample')} from {_several(len(spools), 'spool')}"
-        lines.append(f"{group.name}  ({group.protocol}): {count}")
+        lines.append(f"{group.name}  ({group.protocol}): {count_words(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
         width = name_width(number.name for number in group.numbers)
         lines += [_mean_line(number, display, width) for number in group.numbers]
@@ -116,10 +105,6 @@ def report_table(reported: Reported) -> str:
         f"report: {from_here(reported.files[0])}" if reported.files else "report: nothing written"
     )
     return "\n".join(lines)
-
-
-def _several(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> str:

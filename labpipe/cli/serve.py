@@ -7,9 +7,9 @@ import webbrowser
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import name_of_campaign
-from labpipe.campaign.reporting import Recipe, ReportContext, page_of_test, report_tests
+from labpipe.campaign.reporting import ReportOptions, page_of_test, report_tests
 from labpipe.campaign.serving import REPORT, ReportServer, Site
-from labpipe.cli.report import letterhead_of, report_options
+from labpipe.cli.report import report_options
 from labpipe.cli.terminal import reading
 from labpipe.process.output_paths import find_results, shared_folder
 from labpipe.report.lab_report import PAGE_FILE
@@ -38,14 +38,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _make(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
-    typed = Recipe(options.title, report_options(options), ReportContext(letterhead_of(options)))
-    recipe = typed.or_earlier(Recipe.read(folder))
+    wanted = report_options(options).or_earlier(ReportOptions.read(folder))
     with reading(len(files)) as say:
-        report_tests(
-            files,
-            out=options.out,
-            title=recipe.title,
-            say=say,
-            options=recipe.options,
-            context=recipe.context,
-        )
+        report_tests(files, out=options.out, say=say, options=wanted)

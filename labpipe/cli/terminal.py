@@ -9,14 +9,32 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import plain_numbers, shown_in
 
-_STAGES = ("read", "process", "write", "draw")
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 DIGITS = 5
 """Significant digits of a number without an interval."""
+
+
+@contextmanager
+def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]]:
+    """Show a bar of progress on a terminal; in a pipe it is disabled.
+
+    Parameters
+    ----------
+    unit : what is counted
+    total : number of these; None if it is not known yet
+    """
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=unit, leave=False, delay=1.0, disable=None) as bar:
+        yield bar
 
 
 @contextmanager
@@ -31,27 +49,15 @@ def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
     ------
     begin : call it with each test; it returns a function to call at the start of each stage
     """
-    numbers = itertools.count()
-    if not sys.stderr.isatty():
-
-        def name(test: Path) -> Callable[[str], None]:
-            print(f"{next(numbers) + 1}/{count} {test.parent.name}", file=sys.stderr)
-            return lambda _: None
-
-        yield name
-        return
-    from tqdm import tqdm
-
-    with tqdm(total=count * len(_STAGES), unit="stage", leave=False, delay=1.0) as bar:
+    stages, numbers = ("read", "process", "write", "draw"), itertools.count()
+    with progress_bar("stage", count * len(stages)) as bar:
 
         def begin(test: Path) -> Callable[[str], None]:
-            bar.n = next(numbers) * len(_STAGES)
-
-            def say(stage: str) -> None:
-                bar.set_description(f"{test.parent.name}: {stage}")
-                bar.update()
-
-            return say
+            number = next(numbers)
+            bar.n = number * len(stages)
+            if bar.disable:
+                print(f"{number + 1}/{count} {test.parent.name}", file=sys.stderr)
+            return lambda stage: _advance(bar, f"{test.parent.name}: {stage}")
 
         yield begin
 
@@ -69,21 +75,13 @@ def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str],
     begin : call it with the total number
     show : call it with a text on each thing that has ended
     """
-    total, done = [0], itertools.count(1)
-    if not sys.stderr.isatty():
-
-        def say(text: str) -> None:
-            print(f"{next(done)}/{total[0]} {text}", file=sys.stderr)
-
-        yield partial(total.__setitem__, 0), say
-        return
-    from tqdm import tqdm
-
-    with tqdm(unit=unit, leave=False, delay=1.0) as bar:
+    done = itertools.count(1)
+    with progress_bar(unit) as bar:
 
         def show(text: str) -> None:
-            bar.set_description(text)
-            bar.update()
+            if bar.disable:
+                print(f"{next(done)}/{bar.total} {text}", file=sys.stderr)
+            _advance(bar, text)
 
         yield bar.reset, show
 
@@ -100,18 +98,13 @@ def reading(count: int) -> Iterator[Callable[[str], None]]:
     ------
     say : call it with the name of each test
     """
-    if not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from tqdm import tqdm
+    with progress_bar("test", count + 1) as bar:
+        yield partial(_advance, bar)
 
-    with tqdm(total=count + 1, unit="test", leave=False, delay=1.0) as bar:
 
-        def say(name: str) -> None:
-            bar.set_description(name)
-            bar.update()
-
-        yield say
+def _advance(bar: tqdm[NoReturn], text: str) -> None:
+    bar.set_description(text)
+    bar.update()
 
 
 def from_here(path: Path) -> Path:

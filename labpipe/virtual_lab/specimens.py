@@ -2,8 +2,8 @@
 
 The law of a stranded wire is that of first loading of `wire.bending_law`, as plays (`play_law`
 there): after a reversal strands slip and copper yields in the other direction at twice the size
-(Masing). Calibrations use the same physics, but another solution: `virtual_lab.cantilever_scenarios`
-bends the wire station by station with a history, calibrations use the first integral. Bundles of
+(Masing). Calibrations use the same physics, but another solution: `cantilever_scenarios` bends the
+wire station by station with a history, calibrations use the first integral. Bundles of
 wires are in `virtual_lab.specimens`.
 
 All wires share one curvature. The moment of a bundle is that of its wires, each bent about its own

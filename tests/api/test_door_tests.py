@@ -14,11 +14,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from labpipe.api.data_sets import PARTS, dataset_of
-from labpipe.api.export_facts import inspect
-from labpipe.api.given_paths import path_of, paths_of
-from labpipe.api.notebook_page import page_of
-from labpipe.api.one_test import Test
+from labpipe.api.data_frames import PARTS, dataset_of
+from labpipe.api.many_tests import path_of, paths_of
+from labpipe.api.one_test import Test, inspect, page_of
 from labpipe.errors import ProcessingError, ReadError, UsageError
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Specimen, TestResult

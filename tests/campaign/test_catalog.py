@@ -12,12 +12,11 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import psutil
 import pytest
 
-from labpipe.campaign import machine
+from labpipe.campaign import executors
 from labpipe.campaign.campaign_folders import (
     CampaignFolders,
     find_campaign,
@@ -25,25 +24,16 @@ from labpipe.campaign.campaign_folders import (
     list_raw,
 )
 from labpipe.campaign.catalog import (
-    OK,
+    MAX_CLAIM_AGE,
     SCHEMA,
-    STALE,
     Catalog,
-    Entry,
-    Seen,
-    TestRow,
+    is_alive,
     new_catalog,
+    new_claim,
     sqlite_errors,
 )
-from labpipe.campaign.machine import (
-    BYTES_PER_TEST,
-    MAX_CLAIM_AGE,
-    default_jobs,
-    is_alive,
-    is_on_this_machine,
-    new_claim,
-)
-from labpipe.campaign.outcome_rows import ResultRow
+from labpipe.campaign.catalog_rows import OK, STALE, Entry, ResultRow, Seen, TestRow
+from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
@@ -64,8 +54,8 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
 def test_what_is_put_comes_back_unless_another_process_knows_better(catalog: Catalog) -> None:
     """And of several changes none is kept where one fails."""
     catalog.put([ENTRY])
-    assert (catalog.rows(), catalog.row_of("T1")) == ({"T1": ENTRY.row}, ENTRY.row)
-    assert (catalog.row_of("T2"), catalog.seen_of("T2")) == (None, None)
+    assert catalog.rows() == catalog.rows("T1") == {"T1": ENTRY.row}
+    assert (catalog.rows("T2"), catalog.seen("T2")) == ({}, {})
     assert catalog.results_of("T1") == (RESULT,)
     assert catalog.inputs_of("T1") == (("force", "a", "1"),)
     before = catalog.seen()
@@ -229,37 +219,6 @@ def test_of_another_host_the_claim_must_be_young() -> None:
         assert not is_alive(replace(other, since=time.time() - age))
 
 
-class Mount(NamedTuple):
-    mountpoint: str
-    fstype: str
-
-
-MOUNTS = [
-    Mount("/", "ext4"),
-    Mount("/mnt/lab", "nfs4"),
-    Mount("/mnt/lab/own disk", "xfs"),
-    Mount("/mnt/win", "cifs"),
-    Mount("/mnt/cloud", "fuse.sshfs"),
-]
-
-
-@pytest.mark.skipif(os.name == "nt", reason="paths of Linux")
-def test_the_deepest_mount_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(psutil, "disk_partitions", lambda **_: MOUNTS)
-    is_local = {
-        "/processed/C": True,
-        "/mnt/lab/processed/C": False,
-        "/mnt/lab": False,
-        "/mnt/laboratory": True,
-        "/mnt/lab/own disk/C": True,
-        "/mnt/win/C": False,
-        "/mnt/cloud/C": False,
-    }
-    assert {path: is_on_this_machine(Path(path)) for path in is_local} == is_local
-    monkeypatch.setattr(psutil, "disk_partitions", lambda **_: [])
-    assert not is_on_this_machine(Path("/processed/C"))
-
-
 @pytest.mark.parametrize(
     ("tests", "limit", "jobs"),
     [(0.2, 0, 1), (1.5, 0, 1), (3.5, 0, 3), (99.0, 0, 8), (99.0, "max", 8), (99.0, 3 * 10**9, 2)],
@@ -271,7 +230,7 @@ def test_the_cores_but_no_more_than_the_memory_takes(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     free = SimpleNamespace(available=int(tests * BYTES_PER_TEST))
     monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
-    monkeypatch.setattr(machine, "_CONTAINER", tmp_path)
+    monkeypatch.setattr(executors, "_CONTAINER", tmp_path)
     if limit:
         (tmp_path / "memory.max").write_text(f"{limit}\n")
         (tmp_path / "memory.current").write_text("1000000000\n")

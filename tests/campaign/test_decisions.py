@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.catalog import OK, REJECTED, STALE
+from labpipe.campaign.catalog_rows import OK, REJECTED, STALE, ResultRow
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
@@ -19,9 +19,7 @@ from labpipe.campaign.decisions import (
     import_decisions,
     largest_change,
     read_decisions,
-    unapplied_decisions,
 )
-from labpipe.campaign.outcome_rows import ResultRow
 from labpipe.campaign.running import decide, read_overview, rebuild
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
@@ -75,8 +73,7 @@ def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: Kep
     overview = read_overview(kept.folders)
     assert overview.rows["T1"].state == REJECTED
     assert "slipped in the grip (needs a new decision: " in overview.rows["T1"].why
-    runs = {folder: row.attempt for folder, row in overview.rows.items()}
-    ((left, why),) = unapplied_decisions([each for each, _ in overview.decisions], runs)
+    ((left, why),) = overview.unapplied
     assert left.because == "slipped in the grip"
     assert why.startswith("exports, sheet, protocol or labpipe changed")
     decide(kept.folders, "T1", replace(REJECT, decision="accept"))

@@ -11,8 +11,8 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-from labpipe.campaign.catalog import OK, Catalog, Entry, Seen, TestRow, as_json, new_catalog
-from labpipe.campaign.outcome_rows import ResultRow
+from labpipe.campaign.catalog import Catalog, new_catalog
+from labpipe.campaign.catalog_rows import OK, Entry, ResultRow, Seen, TestRow, as_json
 from labpipe.campaign.queries import Answer, escaped, query_results, write_answer, write_workbook
 from labpipe.errors import UsageError
 
@@ -127,7 +127,7 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
 def test_a_text_in_a_csv_is_no_formula(cell: str) -> None:
     """A quote stands before what a spreadsheet would take for a formula."""
     out, text = io.StringIO(), cell.removeprefix("'")
-    write_answer(Answer((text, "value"), iter([(text, -1.5)]), lambda: 1), "csv", out)
+    write_answer(Answer((text, "value"), iter([(text, -1.5)])), "csv", out)
     rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
     assert rows == [[cell, "value"], [cell, "-1.5"]]
 
@@ -149,7 +149,7 @@ def test_more_rows_than_a_sheet_takes(
     catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)
-    message = "expected 3 rows at most, found 4. Select fewer with --where, or use"
+    message = "expected 3 rows at most, found more. Select fewer with --where, or use"
     with query_results(catalog, "") as answer, pytest.raises(UsageError, match=message):
         write_workbook(answer, tmp_path / "out.xlsx")
     assert not (tmp_path / "out.xlsx").exists()

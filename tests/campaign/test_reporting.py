@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,6 @@ from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
 from labpipe.campaign.report_samples import add_sizes, number_kinds, sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
-    Recipe,
-    ReportContext,
     ReportOptions,
     make_campaign,
     report_tests,
@@ -160,18 +159,19 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
 
 def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None:
     letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
-    beside = ReportContext(letterhead, ("png",), True)
-    made = Recipe("Tubes", ReportOptions(("spool",), "", tmp_path / "w.xlsx"), beside)
+    made = ReportOptions(
+        *("Tubes", ("spool",), "", tmp_path / "w.xlsx", letterhead, ("png",)), has_test_pages=True
+    )
     (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
-    assert Recipe.read(tmp_path) == made
-    typed = Recipe("Other", context=ReportContext(Letterhead((("Order", "4712"),))))
-    again = typed.or_earlier(Recipe.read(tmp_path))
-    assert (again.title, again.options) == ("Other", made.options)
+    assert ReportOptions.read(tmp_path) == made
+    typed = ReportOptions("Other", letterhead=Letterhead((("Order", "4712"),)))
+    again = typed.or_earlier(ReportOptions.read(tmp_path))
     facts = (("Customer", "a"), ("Order", "4712"))
-    assert again.context.letterhead == Letterhead(facts, "data:x")
-    assert Recipe.read(results) == Recipe()
-    report = report_tests([results], title="Tubes", context=ReportContext(letterhead))
-    assert Recipe.read(report.folder).context.letterhead == letterhead
+    assert again == replace(made, title="Other", letterhead=Letterhead(facts, "data:x"))
+    assert ReportOptions.read(results) == ReportOptions()
+    options = ReportOptions("Tubes", letterhead=letterhead)
+    report = report_tests([results], options=options)
+    assert ReportOptions.read(report.folder) == options
 
 
 def test_a_recording_is_counted_once(results: Path) -> None:

@@ -16,9 +16,8 @@ from typing import Any
 import pytest
 
 from labpipe.campaign.campaign_folders import find_outcome
-from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
+from labpipe.campaign.catalog_rows import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.outcome_rows import StoredOutcome, read_outcome_files
 from labpipe.campaign.refreshing import account_for_files, open_campaign
 from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_test
 from labpipe.errors import LabpipeError, StoreError, UsageError
@@ -382,26 +381,27 @@ def one_test(tmp_path: Path) -> KeptCampaign:
     return one_test
 
 
-def outcome(one_test: KeptCampaign) -> StoredOutcome:
-    return read_outcome_files(find_outcome(one_test.folders, "T1"))
+def outcome(one_test: KeptCampaign) -> Entry:
+    return read_outcome("T1", find_outcome(one_test.folders, "T1"))
 
 
 def test_a_failure_beside_earlier_results(one_test: KeptCampaign) -> None:
     """It counts with its own key or without one, and is over where the results have its key."""
     before, folder = outcome(one_test), one_test.processed / "T1"
-    write_failure(FailedTest("T1", "process_died", "it was ended", before.run), folder)
+    write_failure(FailedTest("T1", "process_died", "it was ended", before.row.run), folder)
     assert outcome(one_test) == before
     failure = FailedTest("T1", "process_died", "it was ended", "f" * 64, made_of={"sheet": "5e"})
     write_failure(failure, folder)
-    found = outcome(one_test)
-    assert (found.has_failed, found.code, found.reason) == (True, "process_died", "it was ended")
-    assert (found.run, found.failed_run, found.attempt) == (before.run, "f" * 64, "f" * 64)
-    assert (found.sheet, found.protocol_text, found.inputs) == ("5e", "", ())
-    assert found.results == before.results
+    failed = outcome(one_test)
+    row = failed.row
+    assert (row.state, row.code, row.reason) == (FAILED, "process_died", "it was ended")
+    assert (row.run, row.failed_run, row.attempt) == (before.row.run, "f" * 64, "f" * 64)
+    assert (row.sheet, row.resolved, failed.inputs) == ("5e", "", ())
+    assert failed.results == before.results
     for text in ("", "[]", '{"made_of": 1, "inputs": [1]}', '{"inputs": {}}'):
         (folder / "failure.json").write_text(text, "utf-8")
-        found = outcome(one_test)
-        assert (found.has_failed, found.code) == (True, "unknown")
+        row = outcome(one_test).row
+        assert (row.state, row.code) == (FAILED, "unknown")
 
 
 def test_a_test_that_an_orphan_still_writes_is_tried_again(

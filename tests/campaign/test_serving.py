@@ -180,8 +180,8 @@ def test_decisions_are_saved_at_once(asked: Asked) -> None:
 @pytest.mark.parametrize(
     ("body", "length", "status", "message"),
     [
-        ("{", "", 400, "decisions: expected JSON"),
-        ("[" * 100_000, "", 400, "decisions: expected JSON"),
+        ("{", "", 400, "decisions, line 1, column 2: expected decisions in JSON"),
+        ("[" * 100_000, "", 400, "decisions: expected decisions in JSON"),
         ("[]", "", 400, "found JSON without a list 'decisions'"),
         ('{"schema": 2, "decisions": []}', "", 400, "schema: expected decisions in JSON, found 2"),
         ('{"schema": 1, "decisions": [{"test": "T-1"}]}', "", 400, "decisions.0: expected test,"),

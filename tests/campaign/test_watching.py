@@ -11,26 +11,29 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from labpipe.campaign.campaign_folders import find_campaign
+from labpipe.campaign.catalog_rows import TestRow
+from labpipe.campaign.decisions import Decision
 from labpipe.campaign.executors import Outcome
 from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.quick_look import (
-    CampaignGroups,
     DisplaySettings,
     actions,
+    group_of,
     verdict,
 )
-from labpipe.campaign.running import read_overview
+from labpipe.campaign.running import decide, read_overview
 from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.records.quality import Severity
+from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.small_tests import Lab
 
 PLAN = """\
@@ -75,9 +78,8 @@ class Campaign(WatchedCampaign):
         self.done.append(name)
         return Outcome(sheet, folder, "ok")
 
-    def results(self) -> dict[Path, str]:
-        folder = self.home / "processed" / "c"
-        return {path: path.name for path in folder.iterdir()} if folder.is_dir() else {}
+    def values_beside(self, sheet: Path) -> dict[str, list[float]]:
+        return {"peak_force.1": [1.0 for name in self.done if name != sheet.parent.name]}
 
 
 @dataclass
@@ -318,47 +320,34 @@ def summary(
     return {"protocol": "p", "specimen": specimen, "results": results, "quality": []}
 
 
-def put_summary(folder: Path, said: Summary) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "summary.json").write_text(json.dumps(said), encoding="utf-8")
-    return folder
+def lines(said: Summary, peaks: Sequence[float] = ()) -> list[str]:
+    others = {"peak_force.1": peaks, "peak_force.2": peaks, "energy.1": [2.0] * len(peaks)}
+    return verdict("T", said, others, MM)
 
 
-def lines(tmp_path: Path, said: Summary, before: Sequence[Summary] = ()) -> list[str]:
-    groups = CampaignGroups()
-    groups.read(
-        {put_summary(tmp_path / f"T{i}", summary): "run" for i, summary in enumerate(before)}
-    )
-    return verdict("T", tmp_path / "T", said, groups.group_of(said), MM)
-
-
-def test_a_number_outside_the_spread_so_far(tmp_path: Path) -> None:
-    before = [summary(1.0 + 0.01 * i) for i in range(-3, 4)]
-    head, numbers, last = lines(tmp_path, summary(1.2), before)
+def test_a_number_outside_the_spread_so_far() -> None:
+    before = [1.0 + 0.01 * i for i in range(-3, 4)]
+    head, numbers, last = lines(summary(1.2), before)
     assert head == "T: LOOK, 3 ok, outside the group: peak_force.1"
     # 1 +- t(6 degrees, 1 - 0.05 / 6) * 0.0216 * sqrt(1 + 1 / 7), with t = 3.2875
     assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076); " in numbers
     assert numbers.endswith("; n = 7 so far")
     assert last.startswith("  while it is mounted: compare the set-up with that of the other tests")
-    assert "(within 924.1 to 1076)" in lines(tmp_path, summary(1.07), before)[1]
+    assert "(within 924.1 to 1076)" in lines(summary(1.07), before)[1]
 
 
 def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -> None:
-    groups = CampaignGroups()
-    folders = [put_summary(tmp_path / f"T{i}", summary(i)) for i in range(3)]
-    long = put_summary(tmp_path / "L", summary(9.0, length=0.1))
-    doubted = put_summary(tmp_path / "D", summary(9.0, status="doubtful", codes=["gap"]))
-    others = [long, doubted, tmp_path / "none"]
-    for runs, peaks in (
-        (dict.fromkeys([*folders, *others], "1"), [0.0, 2.0]),
-        (dict.fromkeys(folders, "1"), [0.0, 2.0]),  # the first was processed again, unknown yet
-        ({folders[0]: "2", folders[1]: "1"}, [7.0]),  # the third is rejected
-        ({folders[0]: "2", folders[1]: "1", folders[2]: "1"}, [2.0, 7.0]),
-    ):
-        groups.read(runs)
-        group = groups.group_of(summary())
-        assert sorted(group.of("peak_force.1", but=folders[1])) == peaks
-        put_summary(folders[0], summary(7.0))
+    kept = KeptCampaign(tmp_path)
+    for name, export in (("T1", "1"), ("T2", "2"), ("T3", "3"), ("D", "doubt"), ("F", "fail bad")):
+        kept.add(name, export)
+    kept.run()
+    decide(kept.folders, "T3", Decision("", "", "reject", "slipped", "AT"))
+    campaign = WatchedCampaign(kept.folders, kept.stand_in)
+    assert campaign.values_beside(kept.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
+    row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')
+    other = replace(row, specimen='{"length": 1, "sample": "2", "type": "A"}')
+    longer = replace(row, specimen='{"type": "A", "length": 2}')
+    assert group_of(row) == group_of(other) != group_of(longer)
 
 
 def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:

@@ -1,0 +1,288 @@
+"""Rows of the catalog, and how those of a test are read from summary.json and failure.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+from labpipe.campaign.campaign_folders import OutcomeFiles
+from labpipe.errors import error_text
+from labpipe.process.output_paths import RESULT_FILE
+from labpipe.process.run import SUMMARY_FILE
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_SCHEMA, sealed
+
+PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
+    *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
+)
+NEWER_RESULT: Final = "newer_result"
+"""Code of a test whose results are from a newer labpipe; they are not changed."""
+Inputs = tuple[tuple[str, str, str], ...]
+"""Role, file and SHA-256 of the exports of a test."""
+
+
+@dataclass(frozen=True, slots=True)
+class TestRow:
+    """A row of the table ``tests``.
+
+    Parameters
+    ----------
+    folder : of the test below the campaign, with slashes; the key
+    test : its name
+    state : one of `STATES` except ``running``
+    why : what changed for a stale test, the reason for a rejected one, the fault of summary.json
+        for a pending one
+    code, reason : of a failure, or of the first doubtful result
+    protocol, type, spool, sample, date, operator : from summary.json, else the test sheet
+    specimen : from summary.json, as JSON
+    labpipe : version of the last attempt
+    run : key of the results; empty without results
+    failed_run : key of the last attempt if it failed; may be empty even then
+    sheet, resolved : SHA-256 of test sheet and resolved protocol of the last attempt
+    decided_by, decided : person and time of a rejection
+    """
+
+    __test__ = False  # pytest must not collect it
+
+    folder: str
+    test: str = ""
+    state: str = PENDING
+    why: str = ""
+    code: str = ""
+    reason: str = ""
+    protocol: str = ""
+    type: str = ""
+    spool: str = ""
+    sample: str = ""
+    date: str = ""
+    operator: str = ""
+    specimen: str = "{}"
+    labpipe: str = ""
+    run: str = ""
+    failed_run: str = ""
+    sheet: str = ""
+    resolved: str = ""
+    decided_by: str = ""
+    decided: str = ""
+
+    @property
+    def attempt(self) -> str:
+        """Return the key of the last attempt; empty without any."""
+        return self.failed_run or self.run
+
+
+@dataclass(frozen=True, slots=True)
+class ResultRow:
+    """A result in the catalog; numbers are SI, None if not available.
+
+    Parameters
+    ----------
+    name, value, unit, lower, upper, level, estimate, status : as in summary.json
+    code, reason : codes and messages if doubtful or failed; else empty
+    seal : SHA-256 of its numbers; empty if summary.json has none
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    lower: float | None
+    upper: float | None
+    level: float | None
+    estimate: float | None
+    status: str
+    code: str
+    reason: str
+    seal: str = ""
+
+
+TEST_COLUMNS: Final = tuple(field.name for field in fields(TestRow))
+RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """State of the files of a test when its row was made.
+
+    Parameters
+    ----------
+    content : inputs of the test, from `Content.as_text`; empty if not determined
+    marks : of the files of its outcome
+    """
+
+    content: str = ""
+    marks: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Catalog entry of a test.
+
+    Parameters
+    ----------
+    row : of the table ``tests``
+    seen : state of its files
+    inputs : exports of the last attempt
+    results : of the last successful attempt
+    only_seen : whether row, inputs and results in the catalog are still valid
+    """
+
+    row: TestRow
+    seen: Seen = Seen()
+    inputs: Inputs = ()
+    results: tuple[ResultRow, ...] = ()
+    only_seen: bool = False
+
+
+def encodable(value: object) -> str:
+    """Return text that any file and database accepts: lone surrogates are escaped.
+
+    Parameters
+    ----------
+    value : text, or anything else
+    """
+    return str(value).encode("utf-8", "backslashreplace").decode()
+
+
+def as_json(content: Mapping[str, Any]) -> str:
+    """Write an object as JSON with sorted keys, so that equal objects have equal text.
+
+    Parameters
+    ----------
+    content : the object
+    """
+    return json.dumps(content, ensure_ascii=False, sort_keys=True)
+
+
+def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
+    """Read the outcome of a test.
+
+    Parameters
+    ----------
+    folder : of the test below the campaign
+    files : of the outcome; None for none
+
+    Returns
+    -------
+    Its entry, in state ``pending`` without any outcome, else ``ok``, ``doubtful`` or ``failed``. A
+    failure with the key of the results is ignored: it is left over from a process that was killed
+    before deleting it.
+    """
+    nothing = Entry(TestRow(folder))
+    if files is None:
+        return nothing
+    done = nothing
+    if files.has_results:
+        done = _read_summary(nothing, files.folder / SUMMARY_FILE)
+    elif f"{SUMMARY_FILE}:" in files.marks:
+        done = _unreadable(nothing, f"{RESULT_FILE} is missing")
+    if not files.has_failure:
+        return done
+    return _with_failure(done, _read_object(files.folder / FAILURE_FILE) or {})
+
+
+def _unreadable(nothing: Entry, why: str) -> Entry:
+    return replace(nothing, row=replace(nothing.row, why=why))
+
+
+def _with_failure(done: Entry, failure: Mapping[str, Any]) -> Entry:
+    run = encodable(failure.get("run") or "")
+    if run and run == done.row.run:
+        return done
+    row = replace(
+        done.row,
+        failed_run=run,
+        state=FAILED,
+        code=encodable(failure.get("code") or "unknown"),
+        reason=encodable(failure.get("reason") or ""),
+        labpipe=encodable(failure.get("labpipe") or done.row.labpipe),
+    )
+    try:
+        inputs = _inputs(failure.get("inputs") or [])
+        return replace(done, row=replace(row, **_texts_made_of(failure)), inputs=inputs)
+    except (KeyError, TypeError, AttributeError):
+        return replace(done, row=row)
+
+
+def _read_summary(nothing: Entry, path: Path) -> Entry:
+    content = _read_object(path)
+    if content is None:
+        return _unreadable(nothing, f"{SUMMARY_FILE} cannot be read")
+    if isinstance(content.get("schema"), int) and content["schema"] > SUMMARY_SCHEMA:
+        reason = error_text(
+            path,
+            "schema",
+            expected=f"{SUMMARY_SCHEMA} or less",
+            found=str(content["schema"]),
+            remedy="A newer labpipe made it: use that version.",
+        )
+        return Entry(replace(nothing.row, state=FAILED, code=NEWER_RESULT, reason=reason))
+    try:
+        return _parse_summary(nothing.row.folder, content)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        return _unreadable(nothing, f"{SUMMARY_FILE} is damaged ({error})")
+
+
+def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
+    results = tuple(_result_row(entry) for entry in content["results"])
+    doubted = next((result for result in results if result.status != "ok"), None)
+    specimen = {"type": "", "spool": "", "sample": "", **content["specimen"]}
+    run = encodable(content["run"])
+    row = TestRow(
+        folder,
+        test=encodable(content["test"]),
+        state=PENDING if not run else OK if doubted is None else DOUBTFUL,
+        code="" if doubted is None else doubted.code,
+        reason="" if doubted is None else f"{doubted.name}: {doubted.reason}",
+        protocol=encodable(content["protocol"]),
+        **{name: encodable(specimen[name]) for name in ("type", "spool", "sample")},
+        date=encodable(content.get("date") or ""),
+        operator=encodable(content.get("operator") or ""),
+        specimen=encodable(as_json(specimen)),
+        labpipe=encodable(content["labpipe"]),
+        run=run,
+        **_texts_made_of(content),
+    )
+    return Entry(row, inputs=_inputs(content["inputs"]), results=results)
+
+
+def _texts_made_of(content: Mapping[str, Any]) -> dict[str, str]:
+    made_of = content.get("made_of") or {}
+    return {
+        "sheet": encodable(made_of.get("sheet", "")),
+        "resolved": encodable(made_of.get("protocol", "")),
+    }
+
+
+def _inputs(entries: Iterable[Mapping[str, Any]]) -> Inputs:
+    return tuple(
+        (encodable(entry["role"]), encodable(entry["file"]), encodable(entry["sha256"]))
+        for entry in entries
+    )
+
+
+def _result_row(entry: Mapping[str, Any]) -> ResultRow:
+    seal = encodable(entry.get("seal") or "")
+    if seal and seal != sealed(entry):
+        message = f"the numbers of {entry['name']} were changed"
+        raise ValueError(message)
+    numbers = ("value", "lower", "upper", "level", "estimate")
+    reasons = entry["reasons"]
+    fields: dict[str, Any] = {name: encodable(entry[name]) for name in ("name", "unit", "status")}
+    fields |= {name: None if entry[name] is None else float(str(entry[name])) for name in numbers}
+    return ResultRow(
+        **fields,
+        code=encodable(", ".join(str(reason["code"]) for reason in reasons)),
+        reason=encodable("; ".join(str(reason["message"]) for reason in reasons)),
+        seal=seal,
+    )
+
+
+def _read_object(path: Path) -> dict[str, Any] | None:
+    """Read the object of a JSON file; return None for anything else."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
