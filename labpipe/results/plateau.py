@@ -369,7 +369,7 @@ class Plateau(Kind):
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Measure the plateau; without the slope at the end nothing is said of an onset."""
+        """Measure the plateau; without the slope at the end, the onset is not available."""
         computed = super(Plateau, self).compute(test)
         is_available = computed.results[0].value is not None
         return computed if is_available else replace(computed, results=computed.results[:1])

@@ -65,7 +65,7 @@ class Entered:
 
     @classmethod
     def kept(cls) -> Entered:
-        """What was recorded, made anew where tests have changed."""
+        """What was recorded; recorded again where tests have changed."""
         record()
         data, seconds = CoverageData(no_disk=True), dict[str, float]()
         for path in sorted(KEPT.glob("*.json")):

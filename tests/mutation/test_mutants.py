@@ -81,7 +81,7 @@ def test_tests_that_enter_are_asked_first_and_of_each_the_fastest() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("is_at_import", [False, True])
 def test_a_trial_tells_the_test_that_fails(repository: Path, *, is_at_import: bool) -> None:
-    """In a session that has imported the sound package, and where it is imported anew."""
+    """In a session that has imported the sound package, and where it is imported again."""
     module, beside = "results/least_squares.py", "tests/results/test_slack.py"
     source = (repository / "labpipe" / module).read_text(encoding="utf-8")
     mutants = {mutant.function: mutant for mutant in mutants_of(module, source)}

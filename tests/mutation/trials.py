@@ -2,7 +2,7 @@
 
 No file is changed. The process is a fork of one that has collected the tests, and its functions get
 the code that they have with the fault; where the fault acts as the module is imported, that is done
-anew. So a trial costs little more than its tests.
+again. So a trial costs little more than its tests.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def _replace_code(mutant: Mutant) -> None:
 
 
 def _anew(mutant: Mutant, tests: Sequence[str]) -> str:
-    """The first test that fails, where the package is imported anew with the fault.
+    """The first test that fails, where the package is imported again with the fault.
 
     What was imported without it is forgotten: a test that was would go on with the sound module.
     """
