@@ -8,11 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.first_loadings import observe_loading
+from labpipe.mechanics.wire.calibration.calibrate_wire import (
+    MeasuredCurve,
+    Settings,
+    Wire,
+    calibrate,
+)
+from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.records.wire_calibration import Calibration, CalibrationFailure
 from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.wire.calibration.calibrate_wire import MeasuredCurve, Settings, Wire, calibrate
-from labpipe.wire.cantilever import StringRig
 
 RUNS = 5
 LENGTHS = (0.070, 0.085, 0.100)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.law.sliders import linear_moment_law
+from labpipe.mechanics.law.sliders import linear_moment_law
+from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load
+from labpipe.mechanics.rod.line import Line, Section
+from labpipe.mechanics.rod.rotations import frame_from_axes, matrices
+from labpipe.mechanics.rod.statics import RodSettings, follow
 from labpipe.records.arrays import Floats
-from labpipe.rod.boundaries import Boundary, Gravity, Held, Load
-from labpipe.rod.line import Line, Section
-from labpipe.rod.rotations import frame_from_axes, matrices
-from labpipe.rod.statics import RodSettings, follow
 
 STEPS = 10
 SOFT = RodSettings(most_stretch=0.5)

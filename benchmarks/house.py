@@ -89,8 +89,8 @@ def sizes(package: Path) -> dict[str, Size]:
     """Sizes by folder of the package, ``.`` for the files in none."""
     found: dict[str, Size] = {}
     for path in sorted(package.rglob("*.py")):
-        parts = path.relative_to(package).parts
-        folder = parts[0] if len(parts) > 1 else "."
+        folders = path.relative_to(package).parts[:-1]
+        folder = "/".join(folders[: 2 if folders[:1] == ("mechanics",) else 1]) or "."
         found[folder] = found.get(folder, Size()) + size_of(path.read_text(encoding="utf-8"))
     return found
 

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from labpipe.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.rod.boundaries import Held, Load
+from labpipe.mechanics.rod.line import Line, Section
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.statics import follow
 from labpipe.records.arrays import Floats
-from labpipe.rod.boundaries import Held, Load
-from labpipe.rod.line import Line, Section
-from labpipe.rod.path import RodPath
-from labpipe.rod.statics import follow
 from tests.builders.rods import straight_line
 
 SLIDERS = 8
@@ -161,9 +161,9 @@ def against_mujoco() -> None:
     if find_spec("mujoco") is None:
         print("MuJoCo is not installed")
         return
-    from labpipe.decks.mujoco_sliders import DEFAULT_NODES as HINGES
-    from labpipe.decks.mujoco_sliders import mujoco_plane_deck
-    from labpipe.law.loss_card import sliders_of
+    from labpipe.mechanics.decks.mujoco_sliders import DEFAULT_NODES as HINGES
+    from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck
+    from labpipe.mechanics.law.loss_card import sliders_of
     from tests.builders.wire_tables import LENGTH, wire_table
     from tests.judges.rod_references import tips
 

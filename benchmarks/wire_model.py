@@ -10,12 +10,12 @@ import numpy as np
 from openpyxl import Workbook, load_workbook
 
 from benchmarks import plain_loop
-from labpipe.wire.bending_law import moment_curvature, play_law
-from labpipe.wire.cross_section import CrossSection, Insulation, Layer, hexagonal, lay_up
-from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.friction import Contacts, insulated
-from labpipe.wire.materials import ANNEALED_COPPER
-from labpipe.wire.packing import packed
+from labpipe.mechanics.wire.bending_law import moment_curvature, play_law
+from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, Layer, hexagonal, lay_up
+from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.friction import Contacts, insulated
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER
+from labpipe.mechanics.wire.packing import packed
 
 RUNS = 9
 WALL = 0.3e-3

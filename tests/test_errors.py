@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from labpipe import errors
 from labpipe.errors import CODES, LabpipeError, ReadError, code_of, error_text, nearest, refusal
+from labpipe.mechanics.studies.first_loadings import NotUsableError
 from labpipe.readers.channels import NoChannelError
-from labpipe.studies.first_loadings import NotUsableError
 
 
 def test_grammar() -> None:

@@ -40,6 +40,8 @@ from labpipe.campaign.report_samples import (
     sample_of,
 )
 from labpipe.errors import LabpipeError, UsageError
+from labpipe.mechanics.studies.bundle_bounds import find_places
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.process.output_paths import (
     find_copies,
     find_results,
@@ -62,8 +64,6 @@ from labpipe.statistics.outliers import with_outliers
 from labpipe.store.read import read_drawable, read_result
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
-from labpipe.studies.bundle_bounds import find_places
-from labpipe.studies.wire_sheets import read_wire_sheet
 
 RECIPE_FILE = "report.json"
 

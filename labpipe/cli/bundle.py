@@ -9,11 +9,11 @@ from collections.abc import Iterator
 
 from labpipe.cli.terminal import from_here
 from labpipe.errors import UsageError, error_text
+from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
+from labpipe.mechanics.wire.bundle_packing import WANTED_FRACTION
 from labpipe.records.curve import Interval
 from labpipe.report.wording import plain_numbers
-from labpipe.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.units import parse_quantity
-from labpipe.wire.bundle_packing import WANTED_FRACTION
 
 _LABEL_WIDTH = 44
 

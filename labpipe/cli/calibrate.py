@@ -13,6 +13,7 @@ import numpy as np
 from labpipe.campaign.decisions import without_rejected
 from labpipe.campaign.queries import escaped
 from labpipe.cli.terminal import DIGITS, from_here, reading
+from labpipe.mechanics.studies.calibration_study import Calibrated, as_json, calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire_calibration import (
     DISPLAYED,
@@ -23,7 +24,6 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.report.wording import plain_numbers
-from labpipe.studies.calibration_study import Calibrated, as_json, calibrate_tests
 
 _DOUBTED = {
     Identifiability.NOT,

@@ -17,15 +17,15 @@ from labpipe.cli.harness import harness_table
 from labpipe.cli.process import headline, process_all, table
 from labpipe.cli.report import status_of
 from labpipe.cli.terminal import from_here
+from labpipe.mechanics.studies.calibration_study import MODEL_FILE, Calibrated, calibrate_tests
+from labpipe.mechanics.studies.harness_section import DEFAULT_SHEET
+from labpipe.mechanics.studies.harness_solution import FollowedHarness
+from labpipe.mechanics.studies.harness_study import follow_harness
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed
 from labpipe.protocol.load import load_test_sheet, shipped_folder
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.records.result import Status
-from labpipe.studies.calibration_study import MODEL_FILE, Calibrated, calibrate_tests
-from labpipe.studies.harness_section import DEFAULT_SHEET
-from labpipe.studies.harness_solution import FollowedHarness
-from labpipe.studies.harness_study import follow_harness
 from labpipe.virtual_lab import (
     SMALL_HARNESS,
     Campaign,

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from labpipe.cli.terminal import from_here, progress_bar, statuses_of
+from labpipe.mechanics.studies.harness_solution import FollowedHarness
+from labpipe.mechanics.studies.harness_study import Watcher, as_json, follow_harness
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import count_of, plain_numbers, unit_words
-from labpipe.studies.harness_solution import FollowedHarness
-from labpipe.studies.harness_study import Watcher, as_json, follow_harness
 
 _DISPLAY_UNITS = {
     "m": (1e3, "mm"),

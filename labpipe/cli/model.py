@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.cli.terminal import from_here, reading
+from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
+from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
+from labpipe.mechanics.wire.end_load_path import force_at
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.studies.wire_models import ModelledWires, as_json, model_wires
-from labpipe.studies.wire_sheets import describe_stress_tables
-from labpipe.wire.end_load_path import force_at
 
 _HEADING = (
     *("wire", "strands", "layout", "EI stick", "EI slip"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.mechanics.wire.end_load_path import force_at
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
@@ -32,7 +33,6 @@ from labpipe.report.workbook_file import (
     sheet_of,
     unite_heads,
 )
-from labpipe.wire.end_load_path import force_at
 
 DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Tip deflections at which the end load is reported, m."""

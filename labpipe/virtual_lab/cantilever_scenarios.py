@@ -22,11 +22,8 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.law.plays import MomentLaw
-from labpipe.records.arrays import Floats
-from labpipe.units import GRAVITY
-from labpipe.virtual_lab.specimens import TAPED_TYPES, BundleModel, StrandedWire, WireModel
-from labpipe.wire.cantilever import (
+from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
     StringRig,
     WireState,
@@ -34,7 +31,10 @@ from labpipe.wire.cantilever import (
     bend_under_force,
     straight,
 )
-from labpipe.wire.newton import interpolation_matrix
+from labpipe.mechanics.wire.newton import interpolation_matrix
+from labpipe.records.arrays import Floats
+from labpipe.units import GRAVITY
+from labpipe.virtual_lab.specimens import TAPED_TYPES, BundleModel, StrandedWire, WireModel
 
 TAPED_LENGTH = 0.1143
 

@@ -22,7 +22,7 @@ from typing import Generic, TypeAlias, TypeVar, overload
 import numpy as np
 import yaml
 
-from labpipe.law.plays import MomentLaw, respond, unbent_plays
+from labpipe.mechanics.law.plays import MomentLaw, respond, unbent_plays
 from labpipe.records.harness_bundle import NONE
 from labpipe.records.recording import Recording
 from labpipe.store.replace import storing

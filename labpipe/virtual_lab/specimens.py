@@ -36,12 +36,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.law.plays import LinearLaw, PlayLaw, corners_of, polygon_law, stick_slip_law
-from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
-from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
-from labpipe.wire.bending_law import play_law
-from labpipe.wire.cross_section import (
+from labpipe.mechanics.law.plays import LinearLaw, PlayLaw, corners_of, polygon_law, stick_slip_law
+from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     compressed,
@@ -49,8 +46,11 @@ from labpipe.wire.cross_section import (
     lay_up,
     strand_diameter,
 )
-from labpipe.wire.friction import Contacts, insulated
-from labpipe.wire.materials import ANNEALED_COPPER
+from labpipe.mechanics.wire.friction import Contacts, insulated
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER
+from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
+from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 
 
 def scaled_law(law: PlayLaw, factor: float, later_slip: float = 1.0) -> PlayLaw:

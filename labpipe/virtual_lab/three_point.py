@@ -36,7 +36,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from labpipe.law.plays import MomentLaw, respond, unbent_plays
+from labpipe.mechanics.law.plays import MomentLaw, respond, unbent_plays
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import NONE
 from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose

@@ -16,7 +16,7 @@ from labpipe.bending.law_table import (
     measure_bending,
     tabulate,
 )
-from labpipe.law.plays import LinearLaw, MomentLaw
+from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
 from labpipe.virtual_lab.specimens import WireModel

@@ -13,7 +13,7 @@ from labpipe.bending.bent_frames import (
     marker_layout,
     mean_frames,
 )
-from labpipe.law.plays import LinearLaw
+from labpipe.mechanics.law.plays import LinearLaw
 from labpipe.records.curve import PointFlag
 from tests.builders.bent_tests import (
     HEAVY,

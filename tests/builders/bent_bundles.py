@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.mechanics.wire.end_load_path import end_load_path
 from labpipe.protocol.load import dump_protocol, load_protocol
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Specimen, TestResult
 from labpipe.virtual_lab.specimens import TAPED_TYPES
-from labpipe.wire.end_load_path import end_load_path
 from tests.builders.bundles import bundle
 
 _PROTOCOL = load_protocol(Path(__file__).resolve().parents[2] / "protocols" / "taped-bundle.yaml")

@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull
-from labpipe.law.plays import MomentLaw
 from labpipe.markers.specimen_shape import Offsets, fit_shape
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import AT_REST, PointFlag
-from labpipe.wire.cantilever import (
+from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
     StringRig,
     bend_to_travel,
@@ -19,6 +17,8 @@ from labpipe.wire.cantilever import (
     shape_of,
     straight,
 )
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import AT_REST, PointFlag
 
 LENGTH, STRING, WEIGHT = 0.085, 0.760, 0.0265
 HEIGHT, PULL_OFFSET = 0.0008, 0.004

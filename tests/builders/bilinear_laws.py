@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.law.loading_table import NODES, LoadingLaw, panel_rule
-from labpipe.law.plays import MomentLaw, PlayLaw
+from labpipe.mechanics.law.loading_table import NODES, LoadingLaw, panel_rule
+from labpipe.mechanics.law.plays import MomentLaw, PlayLaw
 from labpipe.records.arrays import Floats
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.harness_bundle import PACKED, Bundle, BundleWire
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.studies.wire_sheets import read_wire_sheet
-from labpipe.wire.wire_table import wire_table
 
 MODULUS, CORE, WALL = 100e9, 0.8e-3, 0.1e-3
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"

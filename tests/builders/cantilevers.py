@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.law.plays import MomentLaw, stick_slip_law
+from labpipe.mechanics.law.plays import MomentLaw, stick_slip_law
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, straight
 from labpipe.records.arrays import Floats
-from labpipe.wire.cantilever import bend_to_deflection, straight
 
 LENGTH = 0.085
 WIRE = stick_slip_law(

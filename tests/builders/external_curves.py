@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.mechanics.wire.calibration.measured_curves import compare_curves
 from labpipe.records.group import Band
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import (
@@ -15,7 +16,6 @@ from labpipe.records.wire_calibration import (
     Prediction,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.wire.calibration.measured_curves import compare_curves
 
 GRID = np.linspace(0.0, 0.05, 51)
 FORCE = 2.0 * GRID

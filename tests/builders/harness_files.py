@@ -7,12 +7,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
+from labpipe.mechanics.studies.harness_section import Material, material_of
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
-from labpipe.rod.path import RodPath
-from labpipe.rod.statics import follow
-from labpipe.studies.harness_line import PreparedLine, prepare_line
-from labpipe.studies.harness_section import Material, material_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SHEET = EXAMPLES / "wires.xlsx"

@@ -11,15 +11,20 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from labpipe.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.calibration.fit import Wire
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.cantilever import (
+    StringRig,
+    bend_to_deflection,
+    bend_to_travel,
+    straight,
+)
+from labpipe.mechanics.wire.cross_section import CrossSection, hexagonal
+from labpipe.mechanics.wire.friction import insulated
+from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.records.arrays import Floats
-from labpipe.wire.bending_law import play_law
-from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
-from labpipe.wire.cross_section import CrossSection, hexagonal
-from labpipe.wire.friction import insulated
-from labpipe.wire.materials import RambergOsgood
 from tests.builders.stranded_wires import WIRES, layers_of, tube
 
 PHI, MODULUS, SCALE = 0.0465, 1e9, 1.0

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.law.sliders import SliderLaw, linear_moment_law
-from labpipe.records.arrays import Floats
-from labpipe.rod.boundaries import Boundary, Gravity, Held, Load
-from labpipe.rod.line import Line, Section, line_along
-from labpipe.rod.path import RodPath, RodState
-from labpipe.rod.rotations import (
+from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load
+from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.path import RodPath, RodState
+from labpipe.mechanics.rod.rotations import (
     frame_from_axes,
     from_rotation_vectors,
     matrices,
     multiply,
     unit,
 )
-from labpipe.rod.statics import follow
+from labpipe.mechanics.rod.statics import follow
+from labpipe.records.arrays import Floats
 
 STIFFNESS = 1e-3
 SLIDING = SliderLaw(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.wire.cross_section import (
+from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
@@ -12,8 +12,8 @@ from labpipe.wire.cross_section import (
     hexagonal,
     lay_up,
 )
-from labpipe.wire.friction import Contacts, insulated
-from labpipe.wire.materials import ANNEALED_COPPER, Elastic, Material
+from labpipe.mechanics.wire.friction import Contacts, insulated
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Elastic, Material
 
 LAYS = {7: (12.0,), 19: (12.0, -15.0), 37: (12.0, -15.0, 12.0)}
 WIRES = {

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from labpipe.law.loss_card import COUNTS, LossCard, card_of
-from labpipe.law.sliders import fit_sliders
+from labpipe.mechanics.law.loss_card import COUNTS, LossCard, card_of
+from labpipe.mechanics.law.sliders import fit_sliders
+from labpipe.mechanics.wire.wire_table import wire_table as table_of
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.wire.wire_table import wire_table as table_of
 from tests.builders.stranded_wires import LAYS, WIRES, layers_of
 
 LENGTH = 85e-3

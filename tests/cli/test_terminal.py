@@ -18,6 +18,13 @@ from labpipe.cli.model import model_table
 from labpipe.cli.process import table
 from labpipe.cli.report import report_table
 from labpipe.cli.terminal import counting, progress
+from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
+from labpipe.mechanics.studies.calibration_study import Calibrated
+from labpipe.mechanics.studies.first_loadings import FirstLoading
+from labpipe.mechanics.studies.validation import compare
+from labpipe.mechanics.studies.wire_models import ModelledWires
+from labpipe.mechanics.wire.bundle_model import bundle_model
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.process.run import Processed
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
@@ -25,13 +32,6 @@ from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.wire import WireTable
 from labpipe.records.wire_calibration import Calibration, Identifiability, ParameterChoice
-from labpipe.studies.bundle_bounds import Conduit, ModelledBundle
-from labpipe.studies.calibration_study import Calibrated
-from labpipe.studies.first_loadings import FirstLoading
-from labpipe.studies.validation import compare
-from labpipe.studies.wire_models import ModelledWires
-from labpipe.wire.bundle_model import bundle_model
-from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from tests.approved import Approve
 from tests.builders.bundles import EXAMPLES, bundle, example_wires
 from tests.builders.campaigns import build_group, build_number, six_samples, troubled_samples

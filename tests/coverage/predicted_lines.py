@@ -10,31 +10,31 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import PARAMETERS, Calibration
-from labpipe.rod.bands import LineBands, bands_of
-from labpipe.rod.input_distributions import (
+from labpipe.mechanics.rod.bands import LineBands, bands_of
+from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     calibrated_distributions,
     join_distributions,
     stated_distribution,
 )
-from labpipe.rod.path import RodPath
-from labpipe.rod.response import Band
-from labpipe.units import GRAVITY
-from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.calibration.prediction import tested_curvature
-from labpipe.wire.cantilever import StringRig
-from labpipe.wire.law_family import (
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.response import Band
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.calibration.fit import Wire
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.prediction import tested_curvature
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.law_family import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
     LawFamily,
     family_of,
 )
-from labpipe.wire.wire_table import build, mass_per_length
+from labpipe.mechanics.wire.wire_table import build, mass_per_length
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import PARAMETERS, Calibration
+from labpipe.units import GRAVITY
 from tests.coverage.drawn_lines import (
     FREEDOM,
     SPREAD,

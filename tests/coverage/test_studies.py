@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.law.sliders import SliderLaw
+from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.wire.calibration.law_components import loading_table, split_wire
+from labpipe.mechanics.wire.heavy_loading import heavy_states
 from labpipe.virtual_lab.specimens import ElasticModel
-from labpipe.wire.calibration.law_components import loading_table, split_wire
-from labpipe.wire.heavy_loading import heavy_states
 from tests.coverage import lab_bending, line_judgement, study
 from tests.coverage.drawn_lines import KINDS as LINES
 from tests.coverage.drawn_lines import NODES, draw

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.law.sliders import SliderLaw
-from labpipe.rod.bands import line_curvatures
-from labpipe.rod.boundaries import EARTH, Gravity, Held, Load
-from labpipe.rod.line import Line, Section
-from labpipe.rod.path import RodPath
-from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
-from labpipe.rod.statics import follow
+from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.rod.bands import line_curvatures
+from labpipe.mechanics.rod.boundaries import EARTH, Gravity, Held, Load
+from labpipe.mechanics.rod.line import Line, Section
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.rotations import from_rotation_vectors, matrices, multiply
+from labpipe.mechanics.rod.statics import follow
 from tests.builders.rods import straight_line
 from tests.coverage.drawn_lines import (
     LAYING,

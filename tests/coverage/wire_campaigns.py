@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.calibration.fit import Wire
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.prediction import predict
+from labpipe.mechanics.wire.cantilever import StringRig, bend_to_travel, straight
+from labpipe.mechanics.wire.cross_section import Insulation, compressed, hexagonal, lay_up
+from labpipe.mechanics.wire.friction import insulated
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import PARAMETERS, CalibratedParameter, Calibration
-from labpipe.wire.bending_law import play_law
-from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.calibration.prediction import predict
-from labpipe.wire.cantilever import StringRig, bend_to_travel, straight
-from labpipe.wire.cross_section import Insulation, compressed, hexagonal, lay_up
-from labpipe.wire.friction import insulated
-from labpipe.wire.materials import ANNEALED_COPPER
 from tests.judges.foreign import wire_section as foreign
 
 SAMPLES, POINTS, DEEPEST = 3, 272, 0.05

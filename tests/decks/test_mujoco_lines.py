@@ -10,15 +10,15 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pytest
 
-from labpipe.decks.deck_law import linear_range
-from labpipe.decks.mujoco import mujoco_deck
-from labpipe.decks.mujoco_line import line_deck
+from labpipe.mechanics.decks.deck_law import linear_range
+from labpipe.mechanics.decks.mujoco import mujoco_deck
+from labpipe.mechanics.decks.mujoco_line import line_deck
+from labpipe.mechanics.rod import boundaries as rod
+from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
+from labpipe.mechanics.studies.harness_section import material_of
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
-from labpipe.rod import boundaries as rod
-from labpipe.rod.statics import follow
-from labpipe.studies.harness_line import PreparedLine, prepare_line
-from labpipe.studies.harness_section import material_of
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 from tests.builders.wire_tables import LENGTH, wire_table
 

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.decks import DECKS
-from labpipe.decks.lookup import sliders_csv, sliders_json
-from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
-from labpipe.law.plays import concave_law
+from labpipe.mechanics.decks import DECKS
+from labpipe.mechanics.decks.lookup import sliders_csv, sliders_json
+from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
+from labpipe.mechanics.law.plays import concave_law
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.studies.wire_sheets import read_wire_sheet
-from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.wire_table import wire_table
 from tests.approved import Approve
 from tests.judges.rod_references import tips
 

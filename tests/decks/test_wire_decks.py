@@ -14,11 +14,16 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from labpipe import __version__
-from labpipe.decks import DECKS, deck_texts, write_decks
-from labpipe.decks import deck_law as deck_facts
-from labpipe.decks.beam_sections import MAX_POINTS, abaqus_deck, ansys_deck, shear_stiffness
-from labpipe.decks.calculix import TIP, BarMesh, calculix_deck, half_bar
-from labpipe.decks.deck_law import (
+from labpipe.mechanics.decks import DECKS, deck_texts, write_decks
+from labpipe.mechanics.decks import deck_law as deck_facts
+from labpipe.mechanics.decks.beam_sections import (
+    MAX_POINTS,
+    abaqus_deck,
+    ansys_deck,
+    shear_stiffness,
+)
+from labpipe.mechanics.decks.calculix import TIP, BarMesh, calculix_deck, half_bar
+from labpipe.mechanics.decks.deck_law import (
     abaqus_label,
     ansys_name,
     file_stem,
@@ -28,9 +33,15 @@ from labpipe.decks.deck_law import (
     skew_bending_error,
     solid_area,
 )
-from labpipe.decks.lookup import COLUMNS, lookup_csv, lookup_json, sliders_csv, sliders_json
-from labpipe.law.equivalent_material import equivalent_material
-from labpipe.law.loss_card import sliders_of, turn_loss
+from labpipe.mechanics.decks.lookup import (
+    COLUMNS,
+    lookup_csv,
+    lookup_json,
+    sliders_csv,
+    sliders_json,
+)
+from labpipe.mechanics.law.equivalent_material import equivalent_material
+from labpipe.mechanics.law.loss_card import sliders_of, turn_loss
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable

@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from labpipe.cli import main
+from labpipe.mechanics.studies.validation import STEPS, bent_shapes
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.wire_table import build, wire_table
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
-from labpipe.studies.validation import STEPS, bent_shapes
-from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.virtual_lab import simulate_campaigns, simulate_test
 from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
 from labpipe.virtual_lab.specimens import WIRES as SPECIMENS
 from labpipe.virtual_lab.tensile import corrugated_tube
-from labpipe.wire.calibration.calibrate_wire import Wire
-from labpipe.wire.cantilever import StringRig
-from labpipe.wire.wire_table import build, wire_table
 from tests.approved import Approve
 from tests.builders.small_tests import Run, RunSummary, state
 from tests.builders.tensile_tests import make_tensile

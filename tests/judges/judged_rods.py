@@ -1,4 +1,4 @@
-"""Rods bent by `labpipe.rod.statics` in cases whose answers are known, with any number of elements.
+"""Rods bent by `labpipe.mechanics.rod.statics` in cases whose answers are known.
 
 Each case gives its error: found less wanted, the wanted numbers from `rod_references` or formulas.
 """
@@ -10,16 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from labpipe.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.rod.assembly import Assembly, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane
+from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
+from labpipe.mechanics.rod.stability import StabilityCheck
+from labpipe.mechanics.rod.statics import RodSettings, follow
+from labpipe.mechanics.rod.supports import supports_of
 from labpipe.records.arrays import Floats
-from labpipe.rod.assembly import Assembly, Demands, LineMemory, Shape
-from labpipe.rod.boundaries import Gravity, Held, Load, Plane
-from labpipe.rod.line import Line, Section, line_along
-from labpipe.rod.path import RodPath
-from labpipe.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
-from labpipe.rod.stability import StabilityCheck
-from labpipe.rod.statics import RodSettings, follow
-from labpipe.rod.supports import supports_of
 from tests.builders.rods import straight_line
 from tests.judges.rod_references import (
     LEVEL,

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.integrate import cumulative_simpson, solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
+from labpipe.mechanics.wire.cross_section import CrossSection
+from labpipe.mechanics.wire.friction import Bundle, Contacts, arrange, ring_pressure, sines
+from labpipe.mechanics.wire.materials import helix_factor, strand_moment
 from labpipe.records.arrays import Floats, Ints
-from labpipe.wire.cross_section import CrossSection
-from labpipe.wire.friction import Bundle, Contacts, arrange, ring_pressure, sines
-from labpipe.wire.materials import helix_factor, strand_moment
 
 LENGTH = 0.085
 MARKERS = np.linspace(0.008, 0.081, 8)

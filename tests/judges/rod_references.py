@@ -1,6 +1,6 @@
 """Shapes of rods by other means: boundary value problems, elliptic integrals, MuJoCo.
 
-Nothing here shares code with `labpipe.rod`: the equations are those of Kirchhoff's rod, written out
+Nothing here shares code with `labpipe.mechanics.rod`: its equations are Kirchhoff's, written out
 once more and solved by scipy, or formulas of the literature; MuJoCo runs labpipe's decks. Lengths
 and stiffnesses are whatever the caller measures in.
 """
@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
-from labpipe.decks.mujoco_sliders import REST
+from labpipe.mechanics.decks.mujoco_sliders import REST
 from labpipe.records.arrays import Floats
 
 TOLERANCE = 1e-9

@@ -9,14 +9,14 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from labpipe.law.equivalent_material import (
+from labpipe.mechanics.law.equivalent_material import (
     EquivalentMaterial,
     equivalent_material,
 )
-from labpipe.law.loading_table import LoadingTable
-from labpipe.law.loss_card import fit_dahl, turn_loss
-from labpipe.law.plays import LinearLaw, PlayLaw, first_curvature, respond, unbent_plays
-from labpipe.law.sliders import fit_sliders, slide, unbent_rests
+from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.law.loss_card import fit_dahl, turn_loss
+from labpipe.mechanics.law.plays import LinearLaw, PlayLaw, first_curvature, respond, unbent_plays
+from labpipe.mechanics.law.sliders import fit_sliders, slide, unbent_rests
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import loss_card, wire_table
 

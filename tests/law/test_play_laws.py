@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.law.equivalent_material import equivalent_material
-from labpipe.law.plays import (
+from labpipe.mechanics.law.equivalent_material import equivalent_material
+from labpipe.mechanics.law.plays import (
     LinearLaw,
     MomentLaw,
     PlayLaw,
@@ -22,8 +22,8 @@ from labpipe.law.plays import (
     stick_slip_law,
     unbent_plays,
 )
-from labpipe.law.sliders import SliderLaw, fit_sliders, in_directions, linear_moment_law
-from labpipe.law.thinning import thin
+from labpipe.mechanics.law.sliders import SliderLaw, fit_sliders, in_directions, linear_moment_law
+from labpipe.mechanics.law.thinning import thin
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 from tests.builders.bilinear_laws import bilinear_law

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labpipe.law.loss_card import SLIDERS, sliders_of, table_card
-from labpipe.law.plays import respond, unbent_plays
-from labpipe.law.sliders import (
+from labpipe.mechanics.law.loss_card import SLIDERS, sliders_of, table_card
+from labpipe.mechanics.law.plays import respond, unbent_plays
+from labpipe.mechanics.law.sliders import (
     TURNS,
     SliderLaw,
     as_plays,
@@ -25,7 +25,7 @@ from labpipe.law.sliders import (
     turned,
     unbent_rests,
 )
-from labpipe.law.thinning import thin
+from labpipe.mechanics.law.thinning import thin
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import wire_table
 

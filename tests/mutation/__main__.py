@@ -134,11 +134,13 @@ class Counted:
     def of(
         cls, drawn: Sequence[Mutant], known: Mapping[str, str], why: Mapping[str, str]
     ) -> Counted:
-        ends: dict[str, Counter[str]] = {layer: Counter() for layer in sorted(LAYERS)}
+        ends: dict[str, Counter[str]] = {
+            room: Counter() for room in sorted(layer.rpartition("/")[2] for layer in LAYERS)
+        }
         survived = []
         for mutant in drawn:
             end = _end(mutant, known.get(token(mutant)), why)
-            ends[mutant.module.partition("/")[0]][end] += 1
+            ends[mutant.room][end] += 1
             if end == "survived":
                 survived.append(mutant.key)
         return cls(ends, tuple(survived))
@@ -181,7 +183,7 @@ def _end(mutant: Mutant, by: str | None, why: Mapping[str, str]) -> str:
         return "explained" if mutant.key in why else "survived"
     if by.startswith("tests/golden/"):
         return KEPT
-    is_beside = f"tests/{mutant.module.partition('/')[0]}/" in by or "/" not in by
+    is_beside = f"tests/{mutant.room}/" in by or "/" not in by
     return BESIDE if is_beside else OTHERS
 
 

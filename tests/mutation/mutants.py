@@ -14,7 +14,7 @@ from typing import Any
 
 LAYERS = (
     *("results", "bending", "signal", "markers"),
-    *("statistics", "wire", "uncertainty", "law"),
+    *("statistics", "uncertainty", "mechanics/wire", "mechanics/law"),
 )
 SEED, COUNT = 20261122, 400
 """Fixed before the first run."""
@@ -79,7 +79,13 @@ class Mutant:
     @property
     def rank(self) -> str:
         """Where it stands in the order in which faults are drawn."""
-        return hashlib.sha256(f"{SEED} {self.key}".encode()).hexdigest()
+        key = self.key.removeprefix("mechanics/")
+        return hashlib.sha256(f"{SEED} {key}".encode()).hexdigest()
+
+    @property
+    def room(self) -> str:
+        """Folder of its tests."""
+        return self.module.removeprefix("mechanics/").partition("/")[0]
 
     @property
     def tree(self) -> ast.Module:

@@ -101,7 +101,7 @@ def test_a_trial_tells_the_test_that_fails(repository: Path, *, is_at_import: bo
 
 def test_the_score() -> None:
     one, two, three, four, *_ = (
-        replace(mutant, module="law/plays.py") for mutant in mutants_of("m.py", SOURCE)
+        replace(mutant, module="mechanics/law/plays.py") for mutant in mutants_of("m.py", SOURCE)
     )
     known = {token(one): "tests/law/test_plays.py::test_a", token(two): "", token(three): ""}
     counted = Counted.of([one, two, three, four], known, {two.key: "It is the same."})

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ReadError
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.readers import read_export, recognise_export
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.readers.sheet_cells import (
@@ -29,7 +30,6 @@ from labpipe.readers.workbooks import (
     is_workbook,
     open_sheets,
 )
-from labpipe.studies.wire_sheets import read_wire_sheet
 from tests.approved import Approve
 from tests.readers.load_frame.exports import (
     LAST,

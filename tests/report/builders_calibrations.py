@@ -7,6 +7,9 @@ from functools import cache
 
 import numpy as np
 
+from labpipe.mechanics.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate
+from labpipe.mechanics.wire.calibration.measured_curves import curve_errors
+from labpipe.mechanics.wire.calibration.prediction import predict
 from labpipe.records.group import SampleCurve
 from labpipe.records.wire_calibration import (
     Calibration,
@@ -15,9 +18,6 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
 from labpipe.statistics.mean_curves import common_curves, mean_band
-from labpipe.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate
-from labpipe.wire.calibration.measured_curves import curve_errors
-from labpipe.wire.calibration.prediction import predict
 from tests.builders.loading_tests import measured, rig_of, wire_of
 
 LENGTHS = (0.085, 0.12)

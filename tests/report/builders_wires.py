@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
+from labpipe.mechanics.wire.cross_section import Insulation, compressed, lay_up, strand_diameter
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER
+from labpipe.mechanics.wire.wire_table import layout_of
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
-from labpipe.wire.cross_section import Insulation, compressed, lay_up, strand_diameter
-from labpipe.wire.materials import ANNEALED_COPPER
-from labpipe.wire.wire_table import layout_of
 from tests.builders.wire_tables import wire_table
 
 DEFAULTS_TAKEN = QualityNote(

@@ -9,6 +9,7 @@ import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
+from labpipe.mechanics.wire.bundle_model import bundle_model
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
@@ -33,7 +34,6 @@ from labpipe.report.harness_figure import (
     sweep_figure,
 )
 from labpipe.report.wording import Scale
-from labpipe.wire.bundle_model import bundle_model
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, grouped, three_of
 from tests.builders.bundles import bundle, example_wires

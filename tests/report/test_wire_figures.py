@@ -15,6 +15,7 @@ from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 from python_calamine import CalamineWorkbook
 
+from labpipe.mechanics.wire.end_load_path import force_at
 from labpipe.records.wire import WireTable
 from labpipe.report.figure_page import style
 from labpipe.report.wire_figures import (
@@ -33,7 +34,6 @@ from labpipe.report.wire_workbook import (
     shown_rows,
     summary_record,
 )
-from labpipe.wire.end_load_path import force_at
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
 from tests.report.builders_wires import CUT, compressed_wire, troubled

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.law.sliders import linear_moment_law
+from labpipe.mechanics.law.sliders import linear_moment_law
+from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.banded import Band
+from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
+from labpipe.mechanics.rod.input_distributions import join_distributions, stated_distribution
+from labpipe.mechanics.rod.line import Line, Section
+from labpipe.mechanics.rod.response import Fields, field_band, respond
+from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
+from labpipe.mechanics.rod.supports import supports_of
 from labpipe.records.arrays import Floats
-from labpipe.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
-from labpipe.rod.banded import Band
-from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
-from labpipe.rod.input_distributions import join_distributions, stated_distribution
-from labpipe.rod.line import Line, Section
-from labpipe.rod.response import Fields, field_band, respond
-from labpipe.rod.rotations import from_rotation_vectors, multiply, skew
-from labpipe.rod.supports import supports_of
 from tests.builders.rods import (
     LENGTH,
     SLIDING,

@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from labpipe.law.sliders import SliderLaw
-from labpipe.records.wire_calibration import Calibration
-from labpipe.rod.bands import bands_of, line_curvatures
-from labpipe.rod.boundaries import Gravity, Held, Load
-from labpipe.rod.input_distributions import (
+from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.rod.bands import bands_of, line_curvatures
+from labpipe.mechanics.rod.boundaries import Gravity, Held, Load
+from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     calibrated_distributions,
     join_distributions,
     stated_distribution,
 )
-from labpipe.rod.line import Line, Section
-from labpipe.rod.path import RodPath
-from labpipe.rod.statics import follow
-from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.variances import quantiles
-from labpipe.wire.law_family import LAW_FACTOR
+from labpipe.mechanics.rod.line import Line, Section
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.calibration.variances import quantiles
+from labpipe.mechanics.wire.law_family import LAW_FACTOR
+from labpipe.records.wire_calibration import Calibration
 from tests.builders.loading_tests import measured, wire_of
 from tests.builders.rods import straight_line
 

@@ -7,12 +7,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from labpipe.law.sliders import SliderLaw, linear_moment_law
-from labpipe.records.arrays import Floats
-from labpipe.rod.assembly import Shape
-from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
-from labpipe.rod.line import Line, Section, line_along
-from labpipe.rod.rotations import (
+from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.rod.assembly import Shape
+from labpipe.mechanics.rod.boundaries import (
+    Boundary,
+    Gravity,
+    Held,
+    Load,
+    Moment,
+    Plane,
+    Ring,
+    String,
+)
+from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.rotations import (
     conjugate,
     cross,
     frame_from_axes,
@@ -24,8 +32,9 @@ from labpipe.rod.rotations import (
     skew,
     unit,
 )
-from labpipe.rod.schedule import Schedule
-from labpipe.rod.supports import END_SHARE, supports_of
+from labpipe.mechanics.rod.schedule import Schedule
+from labpipe.mechanics.rod.supports import END_SHARE, supports_of
+from labpipe.records.arrays import Floats
 from tests.approved import Approve
 from tests.builders.rods import linear_section, sliding_section, straight_line
 

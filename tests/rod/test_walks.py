@@ -5,22 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.law.sliders import linear_moment_law
-from labpipe.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
-from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
-from labpipe.rod.contacts import nearest_place, point_at, thread, touch_plane
-from labpipe.rod.line import Line, Section
-from labpipe.rod.rotations import (
+from labpipe.mechanics.law.sliders import linear_moment_law
+from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
+from labpipe.mechanics.rod.contacts import nearest_place, point_at, thread, touch_plane
+from labpipe.mechanics.rod.line import Line, Section
+from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
     matrices,
     multiply,
     rotation_vectors,
 )
-from labpipe.rod.stability import StabilityCheck
-from labpipe.rod.statics import RodSettings, follow
-from labpipe.rod.supports import Grip, supports_of
-from labpipe.studies.harness_responses import residual_curvature
+from labpipe.mechanics.rod.stability import StabilityCheck
+from labpipe.mechanics.rod.statics import RodSettings, follow
+from labpipe.mechanics.rod.supports import Grip, supports_of
+from labpipe.mechanics.studies.harness_responses import residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
     LENGTH,

@@ -8,15 +8,21 @@ import numpy as np
 import pytest
 
 from labpipe.errors import LabpipeError
+from labpipe.mechanics.studies.bundle_bounds import (
+    Conduit,
+    as_json,
+    bundle_loop,
+    find_places,
+    model_bundle,
+)
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.bundle_model import bundle_model
 from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, worded
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.store.write import write_result
-from labpipe.studies.bundle_bounds import Conduit, as_json, bundle_loop, find_places, model_bundle
-from labpipe.studies.wire_sheets import read_wire_sheet
 from labpipe.units import GRAVITY
-from labpipe.wire.bundle_model import bundle_model
 from tests.approved import Approve
 from tests.builders.bent_bundles import LENGTH, bent_bundle
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample, grouped, three_of

@@ -10,6 +10,27 @@ import numpy as np
 import pytest
 
 from labpipe.errors import LabpipeError, ProcessingError, UsageError
+from labpipe.mechanics.studies.calibration_file import comparison_json, read_calibrated
+from labpipe.mechanics.studies.calibration_study import (
+    Calibrated,
+    as_json,
+    calibrated_spec,
+)
+from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
+from labpipe.mechanics.studies.first_loadings import FirstLoading
+from labpipe.mechanics.studies.validation import (
+    built_wire,
+    compare,
+    default_sheet,
+    drop_copies,
+    misfit_notes,
+    require_wires,
+    wire_to_calibrate,
+)
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.calibration.prediction import tested_curvature as reached
+from labpipe.mechanics.wire.wire_table import straight_range
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.wire_calibration import (
@@ -19,27 +40,6 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.studies.calibration_file import comparison_json, read_calibrated
-from labpipe.studies.calibration_study import (
-    Calibrated,
-    as_json,
-    calibrated_spec,
-)
-from labpipe.studies.external_curves import compare_external_curves, read_external_curves
-from labpipe.studies.first_loadings import FirstLoading
-from labpipe.studies.validation import (
-    built_wire,
-    compare,
-    default_sheet,
-    drop_copies,
-    misfit_notes,
-    require_wires,
-    wire_to_calibrate,
-)
-from labpipe.studies.wire_sheets import read_wire_sheet
-from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.prediction import tested_curvature as reached
-from labpipe.wire.wire_table import straight_range
 from tests.approved import Approve
 from tests.builders.harness_files import SHEET
 from tests.builders.loading_tests import exact_curve, measured, wire_of

@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import Interval
-from labpipe.rod.boundaries import Gravity, Held, Plane
-from labpipe.rod.path import Reason, RodPath
-from labpipe.rod.statics import follow
-from labpipe.studies.harness_convergence import (
+from labpipe.mechanics.rod.boundaries import Gravity, Held, Plane
+from labpipe.mechanics.rod.path import Reason, RodPath
+from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.studies.harness_convergence import (
     MAX_CHANGE,
     coarse_doubt,
     coarse_steps,
@@ -18,8 +16,10 @@ from labpipe.studies.harness_convergence import (
     few_elements_doubt,
     walk_with_other_steps,
 )
-from labpipe.studies.harness_line import PreparedLine
-from labpipe.studies.harness_numbers import Doubt, numbers_of
+from labpipe.mechanics.studies.harness_line import PreparedLine
+from labpipe.mechanics.studies.harness_numbers import Doubt, numbers_of
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
 from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
 
 CORNERS = LENGTH * np.array(

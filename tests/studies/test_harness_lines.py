@@ -8,32 +8,32 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from labpipe.decks.lookup import sliders_json
 from labpipe.errors import LabpipeError
-from labpipe.law.sliders import (
+from labpipe.mechanics.decks.lookup import sliders_json
+from labpipe.mechanics.law.sliders import (
     SliderLaw,
     linear_moment_law,
     slide_vector,
     slider_moment,
     unbent_rests,
 )
-from labpipe.protocol.harness_file import HarnessFile
-from labpipe.protocol.load import load_harness
-from labpipe.records.arrays import Floats
-from labpipe.rod import boundaries as rod
-from labpipe.rod.line import Section
-from labpipe.rod.rotations import matrices
-from labpipe.studies.harness_line import PreparedLine, prepare_line
-from labpipe.studies.harness_responses import (
+from labpipe.mechanics.rod import boundaries as rod
+from labpipe.mechanics.rod.line import Section
+from labpipe.mechanics.rod.rotations import matrices
+from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
+from labpipe.mechanics.studies.harness_responses import (
     curvature_after_release,
     largest_unbending,
     max_residual_curvature,
     residual_curvature,
     unloading_reason,
 )
-from labpipe.studies.harness_section import Material, material_of
-from labpipe.studies.wire_sheets import read_wire_sheet
-from labpipe.wire.wire_table import wire_table
+from labpipe.mechanics.studies.harness_section import Material, material_of
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.load import load_harness
+from labpipe.records.arrays import Floats
 from tests.approved import Approve
 from tests.builders.harness_files import (
     SHEET,

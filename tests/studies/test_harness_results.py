@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
-from labpipe.records.result import Status
-from labpipe.rod.path import Reason as RodReason
-from labpipe.rod.path import RodPath
-from labpipe.studies.harness_line import PreparedLine
-from labpipe.studies.harness_numbers import (
+from labpipe.mechanics.rod.path import Reason as RodReason
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.studies.harness_line import PreparedLine
+from labpipe.mechanics.studies.harness_numbers import (
     Doubt,
     Number,
     bend_limit,
@@ -28,15 +26,15 @@ from labpipe.studies.harness_numbers import (
     sharpest,
     unloading_doubt,
 )
-from labpipe.studies.harness_responses import (
+from labpipe.mechanics.studies.harness_responses import (
     RADIUS,
     RADIUS_ON_PATH,
     evaluate_number,
     fields_of,
     number_names,
 )
-from labpipe.studies.harness_solution import FollowedHarness
-from labpipe.studies.harness_study import (
+from labpipe.mechanics.studies.harness_solution import FollowedHarness
+from labpipe.mechanics.studies.harness_study import (
     drawn_harness,
     follow_harness,
     forces_csv,
@@ -44,6 +42,8 @@ from labpipe.studies.harness_study import (
     shape_csv,
     shape_vtk,
 )
+from labpipe.records.arrays import Floats
+from labpipe.records.result import Status
 from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
 
 ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"

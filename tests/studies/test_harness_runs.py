@@ -13,19 +13,24 @@ import pytest
 from scipy.stats import rice
 
 from labpipe.errors import LabpipeError, ProcessingError
-from labpipe.protocol.load import load_harness
-from labpipe.records.result import Status
-from labpipe.rod.statics import follow
-from labpipe.studies.harness_line import Inputs, prepare_line
-from labpipe.studies.harness_section import material_of
-from labpipe.studies.harness_solution import (
+from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.studies.harness_line import Inputs, prepare_line
+from labpipe.mechanics.studies.harness_section import material_of
+from labpipe.mechanics.studies.harness_solution import (
     FollowedHarness,
     HarnessBands,
     harness_bands,
     solve_harness,
     solve_sweep_length,
 )
-from labpipe.studies.harness_study import as_json, drawn_harness, drawn_sweep, follow_harness
+from labpipe.mechanics.studies.harness_study import (
+    as_json,
+    drawn_harness,
+    drawn_sweep,
+    follow_harness,
+)
+from labpipe.protocol.load import load_harness
+from labpipe.records.result import Status
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 
 FILES = {"shape.csv", "forces.csv", "shape.vtk", "line.mujoco.xml", "summary.json"}

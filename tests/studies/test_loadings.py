@@ -6,12 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.protocol.load import load_protocol
-from labpipe.protocol.schema import Protocol
-from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Direction, Interval, Series
-from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.records.result import Contribution, Result, Specimen, Status, TestResult
-from labpipe.studies.first_loadings import (
+from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     NotUsableError,
     first_loading,
@@ -23,6 +18,11 @@ from labpipe.studies.first_loadings import (
     with_self_weight,
     zero_error,
 )
+from labpipe.protocol.load import load_protocol
+from labpipe.protocol.schema import Protocol
+from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Direction, Interval, Series
+from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.result import Contribution, Result, Specimen, Status, TestResult
 from labpipe.units import GRAVITY
 from tests.approved import Approve
 

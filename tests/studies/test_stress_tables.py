@@ -12,14 +12,14 @@ from scipy.optimize import brentq
 
 from labpipe.cli import main
 from labpipe.errors import ReadError
-from labpipe.studies.wire_sheets import (
+from labpipe.mechanics.studies.wire_sheets import (
     Conditions,
     ProofStress,
     ramberg_osgood_curve,
     read_wire_sheet,
     read_wires,
 )
-from labpipe.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import wire_table
 from tests.approved import Approve
 from tests.builders.wire_tables import spec_of
 from tests.readers.load_frame.exports import workbook

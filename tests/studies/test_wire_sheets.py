@@ -13,13 +13,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from openpyxl import load_workbook
 
-from labpipe.decks import deck_texts
 from labpipe.errors import ProcessingError, ReadError, StoreError
+from labpipe.mechanics.decks import deck_texts
+from labpipe.mechanics.studies import wire_models as modelling
+from labpipe.mechanics.studies.wire_models import make_tables, model_wires
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire import wire_table as making
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.studies import wire_models as modelling
-from labpipe.studies.wire_models import make_tables, model_wires
-from labpipe.studies.wire_sheets import read_wire_sheet
-from labpipe.wire import wire_table as making
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
 from tests.readers.load_frame.exports import changed, workbook
@@ -81,10 +81,10 @@ def fail(error: BaseException) -> Callable[..., object]:
 @pytest.mark.parametrize(
     ("name", "failing", "error", "message"),
     [
-        ("studies.wire_models.wire_table", lambda _: os._exit(9), ProcessingError,
+        ("wire_table", lambda _: os._exit(9), ProcessingError,
          "processes that run to the end, found one that was killed"),
-        ("studies.wire_models.write_texts", fail(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
-        ("studies.wire_models.write_texts", fail(OSError(28, "No space left on device")),
+        ("write_texts", fail(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
+        ("write_texts", fail(OSError(28, "No space left on device")),
          StoreError, "expected room on the disk, found a full disk"),
     ],
     ids=["killed", "interrupt", "full disk"],
@@ -97,7 +97,7 @@ def test_a_model_that_fails_leaves_earlier_results(
     error: type[BaseException],
     message: str,
 ) -> None:
-    monkeypatch.setattr(f"labpipe.{name}", failing)
+    monkeypatch.setattr(f"labpipe.mechanics.studies.wire_models.{name}", failing)
     out = many.parent / "out"
     with pytest.raises(error, match=message):
         model_wires(many, out=out, figures=False)

@@ -1,6 +1,6 @@
 """An independent solution by finite elements: CalculiX CrunchiX (``ccx``), G. Dhondt, K. Wittig.
 
-The decks of `labpipe.decks.calculix` are run as they are, and what the program prints is read back
+The decks of `labpipe.mechanics.decks.calculix` are run as they are; what the program prints is read
 as a curve from elsewhere. Nothing in it is a beam: it solves for the displacements of solid bricks
 with large rotations and a von Mises material.
 
@@ -24,14 +24,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.decks.calculix import calculix_deck
-from labpipe.law.plays import LinearLaw, concave_law
+from labpipe.mechanics.decks.calculix import calculix_deck
+from labpipe.mechanics.law.plays import LinearLaw, concave_law
+from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.wire_table import wire_table as table_of
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.wire_table import wire_table as table_of
 from tests.builders.wire_tables import spec_of, wire_table
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.mechanics.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
+from labpipe.mechanics.wire.cross_section import concentric
+from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
 from labpipe.results.least_squares import slope_of_line, zero_of_line
 from labpipe.statistics.means import mean_interval, nested_mean
 from labpipe.statistics.outliers import find_suspects
 from labpipe.statistics.two_groups import contrast_of, difference_of_means, equivalence_p
 from labpipe.uncertainty.linear_fits import fit_linear
-from labpipe.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
-from labpipe.wire.cross_section import concentric
-from labpipe.wire.friction import Contacts
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
 NORRIS = """

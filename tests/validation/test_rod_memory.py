@@ -10,15 +10,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
-from labpipe.law.loss_card import sliders_of
-from labpipe.law.plays import respond, unbent_plays
-from labpipe.law.sliders import as_plays
+from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
+from labpipe.mechanics.law.loss_card import sliders_of
+from labpipe.mechanics.law.plays import respond, unbent_plays
+from labpipe.mechanics.law.sliders import as_plays
+from labpipe.mechanics.rod.boundaries import Load, Moment
+from labpipe.mechanics.rod.line import Section
+from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.wire.cantilever import bend_under_force, straight
 from labpipe.records.arrays import Floats
-from labpipe.rod.boundaries import Load, Moment
-from labpipe.rod.line import Section
-from labpipe.rod.statics import follow
-from labpipe.wire.cantilever import bend_under_force, straight
 from tests.builders.rods import (
     LENGTH,
     SLIDING,

@@ -13,13 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.law.sliders import SliderLaw
+from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held
+from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.rotations import (
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    shortest_turns,
+)
+from labpipe.mechanics.rod.statics import follow
 from labpipe.records.arrays import Floats
-from labpipe.rod.boundaries import Boundary, Gravity, Held
-from labpipe.rod.line import Line, Section, line_along
-from labpipe.rod.path import RodPath
-from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply, shortest_turns
-from labpipe.rod.statics import follow
 from tests.builders.rods import straight_line
 
 pytestmark = [pytest.mark.slow, pytest.mark.realdata]

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.mechanics.wire.cantilever import bend_to_travel
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest, solve_path
 from labpipe.virtual_lab.instruments import plan_cantilever
 from labpipe.virtual_lab.observations import Observation, write_exports
-from labpipe.wire.cantilever import bend_to_travel
 
 
 def test_segments_join_without_a_jump_and_the_string_keeps_its_length() -> None:

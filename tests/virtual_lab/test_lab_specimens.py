@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.law.plays import corners_of, respond, unbent_plays
+from labpipe.mechanics.law.plays import corners_of, respond, unbent_plays
+from labpipe.mechanics.wire.bending_law import moment_curvature, stick_stiffness
 from labpipe.virtual_lab.cantilever_scenarios import solve_path, taped_scenario
 from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, BundleModel, StrandedWire, lay_wires
 from labpipe.virtual_lab.truth import evaluate_taped, find_kink
-from labpipe.wire.bending_law import moment_curvature, stick_stiffness
 from tests.judges.reference_wires import bend_along
 
 EVERY = pytest.mark.parametrize("wire", WIRES.values(), ids=WIRES)

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from labpipe.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.wire_table import build
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
 from labpipe.virtual_lab.observations import (
     PROTOCOL_VALUES,
@@ -20,7 +21,6 @@ from labpipe.virtual_lab.specimens import WIRES
 from labpipe.virtual_lab.three_point import (
     conduit_scenario,
 )
-from labpipe.wire.wire_table import build
 
 
 @pytest.mark.parametrize("name", PROTOCOL_VALUES)

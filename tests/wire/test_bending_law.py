@@ -15,24 +15,23 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from benchmarks import plain_loop
-from labpipe.law.plays import respond, unbent_plays
-from labpipe.records.arrays import Floats
-from labpipe.wire.bending_law import (
+from labpipe.mechanics.law.plays import respond, unbent_plays
+from labpipe.mechanics.wire.bending_law import (
     moment_curvature,
     orientation_range,
     play_law,
     slip_stiffness,
     stick_stiffness,
 )
-from labpipe.wire.cantilever import (
+from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
     straight,
 )
-from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric
-from labpipe.wire.friction import (
+from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, Layer, concentric
+from labpipe.mechanics.wire.friction import (
     Contacts,
     arrange,
     axial_forces,
@@ -42,13 +41,14 @@ from labpipe.wire.friction import (
     sines,
     slip_onsets,
 )
-from labpipe.wire.materials import (
+from labpipe.mechanics.wire.materials import (
     Elastic,
     ElasticPerfectlyPlastic,
     Material,
     RambergOsgood,
     StressTable,
 )
+from labpipe.records.arrays import Floats
 from tests.builders.stranded_wires import WIRES, cardinal, contacts_of, layers_of, wire
 from tests.judges.reference_wires import bend_along
 

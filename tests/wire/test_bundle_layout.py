@@ -10,9 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from labpipe.records.arrays import Ints
-from labpipe.records.harness_bundle import ARRANGEMENTS
-from labpipe.wire.bundle_layout import (
+from labpipe.mechanics.wire.bundle_layout import (
     _lattice_heap,
     _start_pitches,
     arrange,
@@ -20,7 +18,7 @@ from labpipe.wire.bundle_layout import (
     on_one_side,
     sites,
 )
-from labpipe.wire.bundle_packing import (
+from labpipe.mechanics.wire.bundle_packing import (
     bore_for,
     choose_bore,
     densest_heap,
@@ -29,7 +27,9 @@ from labpipe.wire.bundle_packing import (
     packing_fraction,
     require_dense,
 )
-from labpipe.wire.cross_section import largest_overlap
+from labpipe.mechanics.wire.cross_section import largest_overlap
+from labpipe.records.arrays import Ints
+from labpipe.records.harness_bundle import ARRANGEMENTS
 from tests.builders.bundles import bundle
 
 

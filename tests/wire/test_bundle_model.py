@@ -13,12 +13,15 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from labpipe.law.plays import first_curvature, respond, unbent_plays
-from labpipe.records.arrays import Floats
-from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleModel, BundleWire
-from labpipe.wire.bundle_friction import Friction, fit_friction, friction_law, friction_moment
-from labpipe.wire.bundle_layout import sites
-from labpipe.wire.bundle_model import (
+from labpipe.mechanics.law.plays import first_curvature, respond, unbent_plays
+from labpipe.mechanics.wire.bundle_friction import (
+    Friction,
+    fit_friction,
+    friction_law,
+    friction_moment,
+)
+from labpipe.mechanics.wire.bundle_layout import sites
+from labpipe.mechanics.wire.bundle_model import (
     axial_force,
     bundle_model,
     common_curvature,
@@ -27,7 +30,9 @@ from labpipe.wire.bundle_model import (
     sticking,
     stretching_moment,
 )
-from labpipe.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.records.arrays import Floats
+from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleModel, BundleWire
 from tests.approved import Approve
 from tests.builders.bundles import bundle, example_wires, solid_stiffnesses, solid_wire
 

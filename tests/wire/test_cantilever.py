@@ -7,11 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from labpipe.law.loading_table import LoadingTable
-from labpipe.law.plays import LinearLaw, MomentLaw
-from labpipe.records.arrays import Floats
-from labpipe.wire.bending_law import play_law
-from labpipe.wire.cantilever import (
+from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
+from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.cantilever import (
     AtDeflection,
     CantileverShape,
     DeadLoad,
@@ -23,8 +22,8 @@ from labpipe.wire.cantilever import (
     held_level,
     straight,
 )
-from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.newton import (
+from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.newton import (
     Condition,
     Wire,
     bend_wire,
@@ -33,6 +32,7 @@ from labpipe.wire.newton import (
     jacobian,
     residual,
 )
+from labpipe.records.arrays import Floats
 from tests.builders.cantilevers import LENGTH, WIRE
 from tests.builders.stranded_wires import contacts_of, wire
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import plain_loop
-from labpipe.wire.cross_section import (
+from labpipe.mechanics.wire.cross_section import (
     Insulation,
     Layer,
     compressed,
@@ -18,8 +18,8 @@ from labpipe.wire.cross_section import (
     lay_up,
     strand_diameter,
 )
-from labpipe.wire.materials import ANNEALED_COPPER
-from labpipe.wire.packing import Kind, lay_out, overlap_energy, packed
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER
+from labpipe.mechanics.wire.packing import Kind, lay_out, overlap_energy, packed
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
 

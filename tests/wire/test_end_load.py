@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from labpipe.law.plays import LinearLaw, MomentLaw, PlayLaw, respond, unbent_plays
-from labpipe.wire.bending_law import play_law
-from labpipe.wire.cantilever import bend_to_deflection, bend_under_force, straight
-from labpipe.wire.end_load import deflection_at, end_loads, polygon_of
-from labpipe.wire.end_load_path import end_load_path
+from labpipe.mechanics.law.plays import LinearLaw, MomentLaw, PlayLaw, respond, unbent_plays
+from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, straight
+from labpipe.mechanics.wire.end_load import deflection_at, end_loads, polygon_of
+from labpipe.mechanics.wire.end_load_path import end_load_path
 from tests.builders.bilinear_laws import bilinear_law, complementary_energy
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire

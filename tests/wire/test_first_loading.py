@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from labpipe.law.loading_table import LoadingTable
-from labpipe.law.plays import LinearLaw, MomentLaw, polygon_law
-from labpipe.records.arrays import Floats
-from labpipe.wire.calibration.prediction import tested_curvature as curvature_of
-from labpipe.wire.cantilever import (
+from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.law.plays import LinearLaw, MomentLaw, polygon_law
+from labpipe.mechanics.wire.calibration.prediction import tested_curvature as curvature_of
+from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
     StringRig,
     bend_to_deflection,
@@ -20,12 +19,13 @@ from labpipe.wire.cantilever import (
     held_level,
     straight,
 )
-from labpipe.wire.first_loading import (
+from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
     force_at,
     load_cantilever,
 )
-from labpipe.wire.heavy_loading import heavy_states, load_heavy
+from labpipe.mechanics.wire.heavy_loading import heavy_states, load_heavy
+from labpipe.records.arrays import Floats
 from tests.builders.bilinear_laws import bilinear_law, law_of_plays
 from tests.builders.loading_tests import DEEPEST, TRUTH, law_of, measured, rig_of, wire_of
 from tests.judges.reference_wires import HeavyWire, yielding

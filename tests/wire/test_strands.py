@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from labpipe.wire.cross_section import Insulation, tube_moment
-from labpipe.wire.materials import (
+from labpipe.mechanics.wire.cross_section import Insulation, tube_moment
+from labpipe.mechanics.wire.materials import (
     ANNEALED_COPPER,
     Elastic,
     ElasticPerfectlyPlastic,

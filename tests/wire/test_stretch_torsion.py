@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric, stretch_torsion
-from labpipe.wire.materials import Elastic
+from labpipe.mechanics.wire.cross_section import (
+    CrossSection,
+    Insulation,
+    Layer,
+    concentric,
+    stretch_torsion,
+)
+from labpipe.mechanics.wire.materials import Elastic
 
 MODULUS, DIAMETER = 1e11, 1e-3
 

@@ -8,29 +8,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.law.plays import LinearLaw
-from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire
-from labpipe.records.wire import WireSpec
-from labpipe.wire.bending_law import moment_curvature, play_law
-from labpipe.wire.bundle_friction import Friction, fit_friction, friction_moment
-from labpipe.wire.bundle_layout import arrange, sites
-from labpipe.wire.bundle_model import bundle_model, share_of_bounds
-from labpipe.wire.bundle_packing import (
+from labpipe.mechanics.law.plays import LinearLaw
+from labpipe.mechanics.wire.bending_law import moment_curvature, play_law
+from labpipe.mechanics.wire.bundle_friction import Friction, fit_friction, friction_moment
+from labpipe.mechanics.wire.bundle_layout import arrange, sites
+from labpipe.mechanics.wire.bundle_model import bundle_model, share_of_bounds
+from labpipe.mechanics.wire.bundle_packing import (
     bore_for,
     choose_bore,
     densest_heap,
     packing_fraction,
     require_dense,
 )
-from labpipe.wire.calibration.prediction import tested_curvature as curvature_of
-from labpipe.wire.cantilever import (
+from labpipe.mechanics.wire.calibration.prediction import tested_curvature as curvature_of
+from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
     straight,
 )
-from labpipe.wire.cross_section import (
+from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Layer,
     compressed,
@@ -40,20 +38,22 @@ from labpipe.wire.cross_section import (
     strand_diameter,
     tube_moment,
 )
-from labpipe.wire.end_load import deflection_at
-from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.friction import Contacts, axial_strain, sines
-from labpipe.wire.friction import arrange as rings_of
-from labpipe.wire.materials import (
+from labpipe.mechanics.wire.end_load import deflection_at
+from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.friction import Contacts, axial_strain, sines
+from labpipe.mechanics.wire.friction import arrange as rings_of
+from labpipe.mechanics.wire.materials import (
     ANNEALED_COPPER,
     Elastic,
     RambergOsgood,
     StressTable,
     strand_moment,
 )
-from labpipe.wire.newton import chebyshev_stations, interpolation_matrix
-from labpipe.wire.packing import packed
-from labpipe.wire.wire_table import build, layout_of, wire_table
+from labpipe.mechanics.wire.newton import chebyshev_stations, interpolation_matrix
+from labpipe.mechanics.wire.packing import packed
+from labpipe.mechanics.wire.wire_table import build, layout_of, wire_table
+from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire
+from labpipe.records.wire import WireSpec
 from tests.approved import Approve
 from tests.builders.bundles import bundle, example_wires, solid_wire
 from tests.builders.loading_tests import TRUTH, wire_of

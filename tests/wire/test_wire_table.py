@@ -11,17 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.law.plays import concave_law
-from labpipe.law.sliders import slider_moment
-from labpipe.records.wire import WireSpec, WireTable
-from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
-from labpipe.studies.wire_sheets import read_wire_sheet
-from labpipe.units import GRAVITY
-from labpipe.wire.bending_law import moment_curvature, stick_stiffness
-from labpipe.wire.cantilever import bend_to_deflection, held_level
-from labpipe.wire.end_load_path import end_load_path, force_at
-from labpipe.wire.friction import Contacts
-from labpipe.wire.law_family import (
+from labpipe.mechanics.law.plays import concave_law
+from labpipe.mechanics.law.sliders import slider_moment
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.wire.bending_law import moment_curvature, stick_stiffness
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, held_level
+from labpipe.mechanics.wire.end_load_path import end_load_path, force_at
+from labpipe.mechanics.wire.friction import Contacts
+from labpipe.mechanics.wire.law_family import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
@@ -29,8 +26,8 @@ from labpipe.wire.law_family import (
     family_of,
     with_values,
 )
-from labpipe.wire.materials import RambergOsgood, StressTable
-from labpipe.wire.wire_table import (
+from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
+from labpipe.mechanics.wire.wire_table import (
     WireError,
     build,
     curvature_grid,
@@ -39,6 +36,9 @@ from labpipe.wire.wire_table import (
     range_of,
     wire_table,
 )
+from labpipe.records.wire import WireSpec, WireTable
+from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
+from labpipe.units import GRAVITY
 from tests.approved import Approve
 from tests.builders.wire_tables import codes, spec_of, told
 from tests.builders.wire_tables import wire_table as table_of
@@ -260,13 +260,13 @@ def test_a_law_that_softens_or_stiffens(monkeypatch: pytest.MonkeyPatch) -> None
 
         return curve_of
 
-    monkeypatch.setattr("labpipe.wire.wire_table.moment_curvature", changed(-1e-3))
+    monkeypatch.setattr("labpipe.mechanics.wire.wire_table.moment_curvature", changed(-1e-3))
     message = (
         r"the law softens: the moment falls from (\S+) N m at 9\.\d+ 1/m to (\S+) N m at 10\.\d+ "
     )
     with pytest.raises(WireError, match=message):
         wire_table(A2)
-    monkeypatch.setattr("labpipe.wire.wire_table.moment_curvature", changed(1e-2))
+    monkeypatch.setattr("labpipe.mechanics.wire.wire_table.moment_curvature", changed(1e-2))
     table = wire_table(A2)
     assert codes(table) == ["cantilever_cut"]
     assert told(table)[0].message.startswith("no curve of the cantilever: the law stiffens at")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.calibration.law_components import loading_curve, split_wire
-from labpipe.wire.first_loading import force_at
+from labpipe.mechanics.wire.bending_law import moment_curvature
+from labpipe.mechanics.wire.calibration.law_components import loading_curve, split_wire
+from labpipe.mechanics.wire.first_loading import force_at
 from tests.coverage.wire_campaigns import rig_of, wire_of
 from tests.judges.foreign.rig import KINDS, MAKERS, wander
 from tests.judges.foreign.specimens import Bending, Wire, knives

@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
-from labpipe.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
-from labpipe.wire.bundle_model import sticking
-from labpipe.wire.cross_section import (
+from labpipe.mechanics.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
+from labpipe.mechanics.wire.bundle_model import sticking
+from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
@@ -31,8 +30,9 @@ from labpipe.wire.cross_section import (
     strand_diameter,
     stretch_torsion,
 )
-from labpipe.wire.friction import Contacts
-from labpipe.wire.materials import ANNEALED_COPPER, Elastic, Material
+from labpipe.mechanics.wire.friction import Contacts
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Elastic, Material
+from labpipe.records.arrays import Floats
 
 Values = Mapping[str, Any]
 Bounds = tuple[float, float]

@@ -7,6 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
+from labpipe.mechanics.wire.calibration.fit import (
+    BOUNDS,
+    CalibrationFit,
+    Settings,
+    Wire,
+    find,
+    pose,
+)
+from labpipe.mechanics.wire.calibration.law_components import split_wire
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.cross_section import Layer, concentric
+from labpipe.mechanics.wire.friction import Contacts, insulated
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
@@ -17,19 +30,6 @@ from labpipe.records.wire_calibration import (
     Identifiability,
     ParameterChoice,
 )
-from labpipe.wire.calibration.calibrate_wire import calibrate
-from labpipe.wire.calibration.fit import (
-    BOUNDS,
-    CalibrationFit,
-    Settings,
-    Wire,
-    find,
-    pose,
-)
-from labpipe.wire.calibration.law_components import split_wire
-from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.cross_section import Layer, concentric
-from labpipe.wire.friction import Contacts, insulated
 from tests.approved import Approve
 from tests.builders.loading_tests import TRUTH, measured, section_of, wire_of
 from tests.builders.stranded_wires import tube
@@ -122,13 +122,13 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
     slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
-    monkeypatch.setattr("labpipe.wire.calibration.parameter_search._MAX_STEPS", 1)
+    monkeypatch.setattr("labpipe.mechanics.wire.calibration.parameter_search._MAX_STEPS", 1)
     choices = {"copper_scale": FIXED, "insulation_modulus": ParameterChoice(3e9)}
     assert "search_unsettled" in codes(calibrated(THREE[:1], Settings(choices, scatter=0.03)))
 
 
 def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labpipe.wire.calibration.measured_curves.DEEPEST", 0.95)
+    monkeypatch.setattr("labpipe.mechanics.wire.calibration.measured_curves.DEEPEST", 0.95)
     deep = replace(THREE[0], length=0.055, rig=None)
     failure = calibrate(WIRE, (deep,), Settings({"copper_scale": FIXED}))
     assert isinstance(failure, CalibrationFailure)

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.records.curve import Interval
-from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
-from labpipe.wire.calibration.fit import (
+from labpipe.mechanics.wire.calibration.fit import (
     FRICTION_NAMES,
     describe_parameter,
     friction_jacobian,
@@ -19,6 +17,8 @@ from labpipe.wire.calibration.fit import (
     verdict_of,
     weigh_prior,
 )
+from labpipe.records.curve import Interval
+from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
 from tests.approved import Approve
 from tests.builders.loading_tests import TRUTH, measured, wire_of
 

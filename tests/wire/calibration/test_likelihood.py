@@ -9,6 +9,20 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
+from labpipe.mechanics.wire.calibration.fit import CalibrationFit, Settings, find
+from labpipe.mechanics.wire.calibration.law_components import split_wire
+from labpipe.mechanics.wire.calibration.local_minima import _differences, find_minima, tube_quantile
+from labpipe.mechanics.wire.calibration.parameter_search import (
+    Fit,
+    Levels,
+    Point,
+    Problem,
+    normal_matrix,
+    search,
+)
+from labpipe.mechanics.wire.calibration.profile_likelihood import Trace, reach, traces, union
+from labpipe.mechanics.wire.calibration.variances import quantile, quantiles
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -18,20 +32,6 @@ from labpipe.records.wire_calibration import (
     ParameterChoice,
     ScatterMixture,
 )
-from labpipe.wire.calibration.calibrate_wire import calibrate
-from labpipe.wire.calibration.fit import CalibrationFit, Settings, find
-from labpipe.wire.calibration.law_components import split_wire
-from labpipe.wire.calibration.local_minima import _differences, find_minima, tube_quantile
-from labpipe.wire.calibration.parameter_search import (
-    Fit,
-    Levels,
-    Point,
-    Problem,
-    normal_matrix,
-    search,
-)
-from labpipe.wire.calibration.profile_likelihood import Trace, reach, traces, union
-from labpipe.wire.calibration.variances import quantile, quantiles
 from tests.builders.loading_tests import TRUTH, measured, wire_of
 
 WIRE = wire_of("A2")
@@ -162,7 +162,7 @@ def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> 
         return [replace(fit, objective=fit.objective - 1e-6)]
 
     monkeypatch.setattr(
-        "labpipe.wire.calibration.local_minima.find_local_minima", lower_by_rounding
+        "labpipe.mechanics.wire.calibration.local_minima.find_local_minima", lower_by_rounding
     )
     fits = find_minima(PROBLEM, np.log(TRUTH), ALL, scatter=None).fits
     assert len(fits) == 1

@@ -7,17 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import (
-    Calibration,
-    CalibrationFailure,
-    ExternalCurve,
-    NoiseLevels,
-    Prediction,
-    Solution,
-)
-from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.measured_curves import (
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
     agreement,
     compare_curves,
@@ -28,7 +19,16 @@ from labpipe.wire.calibration.measured_curves import (
     usable,
     whiten,
 )
-from labpipe.wire.calibration.prediction import predict
+from labpipe.mechanics.wire.calibration.prediction import predict
+from labpipe.records.arrays import Floats
+from labpipe.records.wire_calibration import (
+    Calibration,
+    CalibrationFailure,
+    ExternalCurve,
+    NoiseLevels,
+    Prediction,
+    Solution,
+)
 from tests.approved import Approve
 from tests.builders.loading_tests import exact_curve, measured, memory_noise, rig_of, wire_of
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
-from labpipe.wire.calibration.law_components import ModelForce, split_wire
-from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.calibration.parameter_search import Fit, Point, Problem
-from labpipe.wire.calibration.variances import (
+from labpipe.mechanics.wire.calibration.law_components import ModelForce, split_wire
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.parameter_search import Fit, Point, Problem
+from labpipe.mechanics.wire.calibration.variances import (
     correlation_of,
     estimate_levels,
     quantile,
     uncertainty,
 )
+from labpipe.records.arrays import Floats
 from tests.builders.loading_tests import TRUTH, memory_noise, wire_of
 
 WIRE = wire_of("A2")

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
-from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.calibration.law_components import (
+from labpipe.mechanics.wire.bending_law import moment_curvature
+from labpipe.mechanics.wire.calibration.law_components import (
     WireParts,
     gram,
     loading_curve,
@@ -19,12 +18,13 @@ from labpipe.wire.calibration.law_components import (
     model_forces,
     split_wire,
 )
-from labpipe.wire.calibration.measured_curves import shared_errors
-from labpipe.wire.cantilever import StringRig
-from labpipe.wire.cross_section import CrossSection, Layer, compressed, concentric
-from labpipe.wire.first_loading import force_at
-from labpipe.wire.friction import Contacts, insulated
-from labpipe.wire.materials import Elastic, StressTable
+from labpipe.mechanics.wire.calibration.measured_curves import shared_errors
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.cross_section import CrossSection, Layer, compressed, concentric
+from labpipe.mechanics.wire.first_loading import force_at
+from labpipe.mechanics.wire.friction import Contacts, insulated
+from labpipe.mechanics.wire.materials import Elastic, StressTable
+from labpipe.records.arrays import Floats
 from tests.builders.loading_tests import (
     TRUTH,
     exact_curve,

@@ -1,0 +1,1 @@
+"""How wires, bundles and harness lines bend: laws, models, calibration and texts for simulation."""

@@ -1,0 +1,107 @@
+"""Decks: the law of a wire as input of simulation programs, each with its range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+from labpipe.mechanics.decks.beam_sections import abaqus_deck, ansys_deck
+from labpipe.mechanics.decks.calculix import calculix_deck
+from labpipe.mechanics.decks.deck_law import file_stem
+from labpipe.mechanics.decks.lookup import lookup_csv, lookup_json, sliders_csv, sliders_json
+from labpipe.mechanics.decks.mujoco import mujoco_deck
+from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
+from labpipe.records.wire import WireTable
+
+FOLDER = "decks"
+"""Folder of the decks, below that of the results."""
+
+DECKS: Mapping[str, Callable[[WireTable], str]] = {
+    "csv": lookup_csv,
+    "json": lookup_json,
+    "abaqus.inp": abaqus_deck,
+    "ansys.inp": ansys_deck,
+    "calculix.inp": calculix_deck,
+    "mujoco.xml": mujoco_deck,
+    "mujoco-plane.xml": mujoco_plane_deck,
+    "mujoco-space.xml": mujoco_space_deck,
+    "sliders.csv": sliders_csv,
+    "sliders.json": sliders_json,
+}
+"""Ending of the file, and the function that returns its text."""
+
+
+def deck_texts(table: WireTable) -> tuple[str, ...]:
+    """Return the texts of the decks of a wire, in the order of `DECKS`.
+
+    Parameters
+    ----------
+    table : law of the wire
+
+    Raises
+    ------
+    ValueError
+        If the law cannot be put into a deck (see `thin`); the message names the deck.
+    """
+    return tuple(_text(table, ending) for ending in DECKS)
+
+
+def _text(table: WireTable, ending: str) -> str:
+    try:
+        return DECKS[ending](table)
+    except ValueError as error:
+        message = f"its deck {ending} cannot be made: {error}"
+        raise ValueError(message) from error
+
+
+def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
+    """Write every deck of every wire to ``decks/<wire>.<ending>``.
+
+    Parameters
+    ----------
+    tables : laws of the wires
+    folder : of the results, which must be there
+
+    Returns
+    -------
+    The files, wire by wire.
+
+    Raises
+    ------
+    ValueError
+        As `deck_texts`.
+    """
+    return write_texts({table.name: deck_texts(table) for table in tables}, folder)
+
+
+def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
+    """Write texts of decks to their files.
+
+    Parameters
+    ----------
+    texts : name of each wire -> `deck_texts`
+    folder : of the results, which must be there
+
+    Returns
+    -------
+    The files, wire by wire.
+    """
+    (folder / FOLDER).mkdir(exist_ok=True)
+    written = []
+    for name, of_wire in texts.items():
+        paths = deck_paths(name, folder)
+        for path, text in zip(paths, of_wire, strict=True):
+            path.write_text(text, encoding="utf-8", newline="\n")
+        written += paths
+    return written
+
+
+def deck_paths(name: str, folder: Path) -> list[Path]:
+    """Return the files of the decks of a wire, in the order of `DECKS`.
+
+    Parameters
+    ----------
+    name : of the wire
+    folder : of the results
+    """
+    return [folder / FOLDER / f"{file_stem(name)}.{ending}" for ending in DECKS]

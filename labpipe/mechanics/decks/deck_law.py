@@ -1,0 +1,373 @@
+"""Facts, range and names of a wire for the head of every deck."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+import unicodedata
+import zlib
+from dataclasses import asdict
+from functools import lru_cache
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.mechanics.law.loss_card import LossCard, TurnLoss, table_card, turn_loss
+from labpipe.mechanics.law.plays import require_positive
+from labpipe.records.arrays import Floats
+from labpipe.records.wire import WireTable
+
+FIRST_LOADING = "The law is that of the first loading of a wire that was never bent before."
+
+
+def facts(table: WireTable, name: str) -> tuple[str, ...]:
+    """Return the sentences at the head of every deck.
+
+    Parameters
+    ----------
+    table : law of the wire
+    name : of the wire, as the deck may write it
+    """
+    end = float(table.curvature[-1])
+    limit = table.doubtful_curvature
+    strain = 100.0 * table.spec.insulation_strain
+    doubt = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
+    return (
+        f"Wire {name}, made by labpipe {__version__}.",
+        "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2.",
+        f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
+        "The deck is not valid beyond this range.",
+        *((doubt,) if limit < end else ()),
+        FIRST_LOADING,
+    )
+
+
+def mass_of(table: WireTable) -> float:
+    """Return the mass per length of a wire, kg/m, for a deck that needs one.
+
+    Parameters
+    ----------
+    table : of the wire
+
+    Raises
+    ------
+    ValueError
+        If it is not a positive number.
+    """
+    require_positive("mass_per_length", table.mass_per_length)
+    return table.mass_per_length
+
+
+def first_frequency(stiffness: float, mass_per_length: float, length: float) -> float:
+    """Return the first angular frequency of a clamped wire, rad/s.
+
+    Parameters
+    ----------
+    stiffness : of bending, N m^2
+    mass_per_length, length : kg/m, m
+    """
+    first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
+    return float(first_root**2 * np.sqrt(stiffness / mass_per_length) / length**2)
+
+
+def xml_comment(line: str) -> str:
+    """Return an XML comment, in which two hyphens are not allowed."""
+    return f"  <!-- {line.replace('--', '- -')} -->"
+
+
+def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:
+    """Find the range of curvature in which a constant stiffness represents the law.
+
+    Parameters
+    ----------
+    table : law of the wire
+    stiffness : N m^2, of the linear law
+
+    Returns
+    -------
+    From and to, 1/m: the first stretch on which the two are within 5 % of the wire's moment of each
+    other. None if there is none within the table.
+
+    Notes
+    -----
+    Between two points the moment is on a straight line a + b kappa, so that stiffness kappa =
+    (1 -+ 0.05) (a + b kappa) is solved there.
+    """
+    max_moment_error = 0.05  # relative
+    limits = (1.0 - max_moment_error, 1.0 + max_moment_error)
+    crossings = [_crossings(table, stiffness, limit) for limit in limits]
+    knots = np.unique(np.concatenate([table.curvature, *crossings]))
+    middle = 0.5 * (knots[1:] + knots[:-1])
+    moment = np.interp(middle, table.curvature, table.moment)
+    inside = np.abs(stiffness * middle / moment - 1.0) <= max_moment_error
+    if not inside.any():
+        return None
+    first = int(np.argmax(inside))
+    leaves = np.flatnonzero(~inside[first:])
+    last = first + int(leaves[0]) if len(leaves) else len(inside)
+    return float(knots[first]), float(knots[last])
+
+
+def _crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
+    """Find curvatures between the points where linear moment over law moment is `ratio`."""
+    first, second = table.curvature[:-1], table.curvature[1:]
+    slope = np.diff(table.moment) / np.diff(table.curvature)
+    slope_difference = stiffness - ratio * slope
+    start = ratio * (table.moment[:-1] - slope * first)
+    crossing = start / np.where(slope_difference == 0.0, np.inf, slope_difference)
+    return crossing[(crossing > first) & (crossing < second)]
+
+
+def skew_bending_error(table: WireTable) -> float:
+    """Return how much too stiff skew bending is where the two axes are uncoupled.
+
+    Parameters
+    ----------
+    table : law of the wire
+
+    Returns
+    -------
+    The largest share, over the range, by which the moment of two laws at 45 degrees is above that
+    of one: sqrt(2) M(kappa / sqrt(2)) / M(kappa) - 1.
+    """
+    kappa = table.curvature[1:]
+    part = np.interp(kappa / np.sqrt(2.0), table.curvature, table.moment)
+    return float(np.max(np.sqrt(2.0) * part / table.moment[1:] - 1.0))
+
+
+def solid_area(table: WireTable) -> float:
+    """Return the area of strands and insulation across the wire, m^2."""
+    layout = table.layout
+    tube = np.pi * (layout.wire_radius**2 - layout.bore_radius**2)
+    return float(np.sum(np.pi / 4.0 * layout.diameter**2) + tube)
+
+
+def second_moment(table: WireTable) -> float:
+    """Return the second moment of that area, m^4: the mean over all axes through the centre."""
+    layout = table.layout
+    tube = np.pi / 4.0 * (layout.wire_radius**4 - layout.bore_radius**4)
+    area = np.pi / 4.0 * layout.diameter**2
+    arms = 0.5 * (layout.x**2 + layout.y**2)
+    return float(np.sum(np.pi / 64.0 * layout.diameter**4 + area * arms) + tube)
+
+
+def abaqus_label(name: str) -> str:
+    """Return the label of an element set: begins with a letter, then letters, digits, ``_``, ``-``.
+
+    Parameters
+    ----------
+    name : of the wire, any text
+
+    Returns
+    -------
+    The name if it is a label already. Otherwise its allowed characters with a checksum of the name,
+    so that different names have different labels.
+
+    Notes
+    -----
+    Abaqus ignores the case of labels without quotes: names of wires must differ in more than case.
+
+    Examples
+    --------
+    >>> abaqus_label("FLRY-B_0.35")
+    'FLRY-B_0_35_f1a89d0a'
+    """
+    return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
+
+
+def ansys_name(name: str) -> str:
+    """Return the name of a section: at most eight letters and digits, the first a letter.
+
+    Parameters
+    ----------
+    name : of the wire, any text
+
+    Returns
+    -------
+    The name if it is allowed, otherwise its allowed characters. Sections are identified by their
+    number, so that the name need not be unique.
+
+    Examples
+    --------
+    >>> ansys_name("FLRY-B 0.35")
+    'FLRYB035'
+    """
+    remainder = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
+    return (remainder if remainder[:1].isalpha() else f"W{remainder}")[:8]
+
+
+def file_stem(name: str) -> str:
+    """Return the name of a file without its ending, for every common file system.
+
+    Parameters
+    ----------
+    name : of the wire, any text
+
+    Returns
+    -------
+    The name if it is allowed, otherwise its allowed characters with a checksum of the name.
+
+    Examples
+    --------
+    >>> file_stem("A2")
+    'A2'
+    """
+    max_length = 100
+    stem = _allowed_text(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", max_length=max_length)
+    is_device = re.fullmatch(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", stem, flags=re.IGNORECASE)
+    return (
+        _with_checksum(name, stem, max_length) if is_device or stem != stem.rstrip(". ") else stem
+    )
+
+
+def on_one_line(name: str, max_length: int = 100) -> str:
+    """Convert a name for a comment: printable ASCII on one line, shortened with dots.
+
+    Parameters
+    ----------
+    name : of the wire, any text
+    max_length : characters, at least 4
+
+    Examples
+    --------
+    >>> on_one_line("a name that goes on and on", 12)
+    'a name th...'
+    """
+    line = re.sub(r"[^ -~]+", "?", _without_accents(" ".join(name.split())))
+    return line if len(line) <= max_length else line[: max_length - 3] + "..."
+
+
+def _allowed_text(name: str, *, allowed: str, first: str, max_length: int) -> str:
+    label = re.sub(rf"[^{allowed}]+", "_", _without_accents(name))
+    if not re.match(f"[{first}]", label):
+        label = f"W{label}"
+    return (
+        label
+        if label == name and len(label) <= max_length
+        else _with_checksum(name, label, max_length)
+    )
+
+
+def _with_checksum(name: str, label: str, max_length: int) -> str:
+    digits = 8  # hexadecimal
+    checksum = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{digits}x}"
+    return f"{label[: max_length - digits - 1].rstrip('. ')}_{checksum}"
+
+
+def _without_accents(name: str) -> str:
+    """Replace letters with accents by those without, where there are such."""
+    parts = unicodedata.normalize("NFKD", name)
+    return "".join(part for part in parts if not unicodedata.combining(part))
+
+
+def loss_text(card: LossCard) -> str:
+    """Describe in one line the errors of a law in forms that programs can represent.
+
+    Parameters
+    ----------
+    card : of the law
+    """
+    sliders = ", ".join(f"{number} sliders {percent(lost)}" for number, lost in card.sliders)
+    return (
+        f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
+        f"each form at its best: constant stiffness {percent(card.constant)}, Dahl "
+        f"{percent(card.dahl.error)}, {sliders}."
+    )
+
+
+def percent(share: float) -> str:
+    """Format a share in per cent with two digits; 100 % and more with all digits."""
+    min_share = 1e-6
+    if share >= 0.995:
+        return f"{round(100.0 * share):d} %"
+    return f"{100.0 * share:.2g} %" if share > min_share else "0 %"
+
+
+def deck_loss(first: float, way_back: float, turn: float, why: str) -> str:
+    """Describe in one line the error of the form of law of a deck.
+
+    Parameters
+    ----------
+    first : largest error on first loading, as a share of the moment
+    way_back : largest error on unloading, as a share of the moment at the reversal
+    turn : 1/m, curvature at that reversal
+    why : what the program does on unloading
+    """
+    return (
+        f"This deck: error on first loading up to {percent(first)} of the moment; on unloading "
+        f"from bends up to half of the range up to {percent(way_back)} of the moment at the "
+        f"reversal (from {turn:.2g} 1/m): {why}."
+    )
+
+
+def memoryless_loss(table: WireTable) -> str:
+    """Describe in one line the error of a curve without memory."""
+    turn = table_turn(table)
+    why = "a curve has no memory, a wire follows Masing's rule"
+    return deck_loss(0.0, turn.curve, turn.curve_at, why)
+
+
+def isotropic_loss(table: WireTable, first: float, why: str) -> str:
+    """Describe in one line the error of isotropic hardening.
+
+    Parameters
+    ----------
+    table : law of the wire
+    first : error of the deck's points on first loading, as a share of the moment
+    why : what the program does on unloading
+    """
+    turn = table_turn(table)
+    return deck_loss(first, turn.isotropic, turn.isotropic_at, why)
+
+
+def deck_losses(table: WireTable, loss: str, *, wide: int = 120) -> tuple[str, ...]:
+    """Return the loss card for the head of a deck: its own error, then those of other forms.
+
+    Parameters
+    ----------
+    table : law of the wire; without a fit by sliders, the reason instead
+    loss : error of the deck itself
+    wide : characters of a line
+    """
+    try:
+        other_forms = loss_text(table_card(table))
+    except ValueError as error:
+        other_forms = f"No loss card of other forms: {error}."
+    return tuple(
+        line.replace("~%", " %")  # keeps a number and its per cent sign on one line
+        for sentence in (loss, other_forms)
+        for line in textwrap.wrap(sentence.replace(" %", "~%"), wide)
+    )
+
+
+@lru_cache(maxsize=4)
+def table_turn(table: WireTable) -> TurnLoss:
+    """Return the errors on unloading of forms without the memory of a wire, over its table."""
+    return turn_loss(table.curvature, table.moment)
+
+
+def constant_loss(table: WireTable, stiffness: float) -> float:
+    """Return the largest error of the moment of a constant stiffness, N m^2, over a table."""
+    return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
+
+
+def card_numbers(table: WireTable) -> dict[str, object]:
+    """Return the loss card for a JSON deck.
+
+    Parameters
+    ----------
+    table : law of the wire; without a fit by sliders, the reason and the errors on unloading
+    """
+    way_back = asdict(table_turn(table))
+    try:
+        card = table_card(table)
+    except ValueError as error:
+        return {"reason": f"{error}", "way_back": way_back}
+    return {
+        "curvature": [card.first, card.last],
+        "constant": {"stiffness": card.stiffness, "error": card.constant},
+        "dahl": card.dahl.error,
+        "sliders": {str(number): lost for number, lost in card.sliders},
+        "directions": {str(number): lost for number, lost in card.directions},
+        "way_back": way_back,
+    }

@@ -1,0 +1,491 @@
+"""A moment-curvature law as sliders, with history, for simulation programs.
+
+Any concave first loading M(kappa) is a spring and Coulomb sliders side by side (PHYSICS 11), each a
+spring of stiffness K_j that slides once it is bent by kappa_j:
+
+    M(kappa) = EI_0 kappa + sum_j K_j stop_j(kappa)      on first loading: K_j min(kappa, kappa_j)
+
+It is the dual of `law.plays`, where curvature follows from moment. After a reversal a slider slides
+again after 2 kappa_j, so that loops follow Masing's rule and close. The history is the curvature
+a_j at which each slider carries no moment.
+
+In three dimensions curvature and moment are vectors across the wire, and a slider is a vector stop:
+it sticks while |kappa - a_j| <= kappa_j, else a_j follows (radial return), isotropically.
+Curvatures are in 1/m, moments in N m.
+
+Scalar sliders in a few directions in place of vector sliders, for programs without them.
+
+D directions across the wire, at 180 / D degrees from each other, each with the same spring and
+sliders on its component of the curvature. Such a spring is isotropic from D = 2 on, sliders are
+not: they slide earlier along one of the directions than in between. With one slider that slides at
+kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each direction carry K kappa_j on
+average once all slide (PHYSICS 11). Before that they carry less, so that several sliders are fitted
+together to the moment of the vector sliders.
+
+Nodes of a chain may have their directions turned from one to the next (`TURNS`): their
+errors cancel, and four of them together are nearly isotropic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from scipy.optimize import nnls
+
+from labpipe.mechanics.law.plays import (
+    PlayLaw,
+    polygon_law,
+    require,
+    require_not_negative,
+    require_positive,
+    require_rising,
+)
+from labpipe.mechanics.law.thinning import thin
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
+
+MAX_SLIDERS = 64
+"""Largest number of sliders of a law."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliderLaw(ArrayRecord):
+    """A spring and sliders side by side.
+
+    Parameters
+    ----------
+    stiffness : EI_0 of the spring, which never slides, N m^2; may be zero
+    stiffnesses : shape (sliders,), K_j, N m^2, positive
+    slip_curvatures : shape (sliders,), kappa_j, 1/m, positive and increasing
+    first, last : 1/m, between which the law was fitted; beyond the last it is linear
+    error : largest distance of the first loading from the law it was fitted to, between `first`
+        and `last`, as a share of the moment there; 0 where nothing was fitted
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+
+    stiffness: float
+    stiffnesses: Annotated[Floats, "sliders"]
+    slip_curvatures: Annotated[Floats, "sliders"]
+    first: float
+    last: float
+    error: float = 0.0
+
+    def __post_init__(self) -> None:
+        ArrayRecord.__post_init__(self)
+        require_not_negative("stiffness", self.stiffness)
+        are_valid = bool(np.all((self.stiffnesses > 0.0) & np.isfinite(self.stiffnesses)))
+        require("stiffnesses", self.stiffnesses.tolist(), "finite and > 0", holds=are_valid)
+        require_rising("slip_curvatures", self.slip_curvatures)
+        _require_range(self.first, self.last)
+
+    @property
+    def first_stiffness(self) -> float:
+        """Return the bending stiffness before sliding, and after every reversal, N m^2."""
+        return self.stiffness + float(np.sum(self.stiffnesses))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliderResponse:
+    """Response of sliders to a curvature at each station.
+
+    Parameters
+    ----------
+    moment : N m, shape (stations,), or (stations, 2) of vectors
+    stiffness : d(moment) / d(curvature), N m^2, shape (stations,), or (stations, 2, 2): consistent
+        with the step just made
+    rests : 1/m, shape (stations, sliders), or (stations, sliders, 2): the history after the step
+    """
+
+    moment: Floats
+    stiffness: Floats
+    rests: Floats
+
+
+def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
+    """Return the moment of first loading, N m.
+
+    Parameters
+    ----------
+    law : the law
+    curvature : any shape, 1/m, of either sign
+    """
+    held = np.clip(curvature[..., None], -law.slip_curvatures, law.slip_curvatures)
+    return np.asarray(law.stiffness * curvature + held @ law.stiffnesses)
+
+
+def unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
+    """Return the history of a wire that was never bent, 1/m: shape (n_stations, sliders[, 2])."""
+    return np.zeros((n_stations, len(law.stiffnesses), *((2,) if is_vector else ())))
+
+
+def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
+    """Compute moments at new curvatures in one plane, from the history.
+
+    Parameters
+    ----------
+    law : the law of every station
+    curvature : shape (stations,), 1/m; each is reached monotonically
+    rests : shape (stations, sliders), 1/m, before the step
+
+    Notes
+    -----
+    NaN in gives NaN out. The stiffness where a slider just begins to slide is that of one at rest.
+    """
+    bent = curvature[:, None] - rests
+    held = np.clip(bent, -law.slip_curvatures, law.slip_curvatures)
+    moment = law.stiffness * curvature + held @ law.stiffnesses
+    stiffness = law.stiffness + (held == bent) @ law.stiffnesses
+    return SliderResponse(moment, stiffness, curvature[:, None] - held)
+
+
+def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
+    """Compute moment vectors at new curvature vectors, from the history.
+
+    Parameters
+    ----------
+    law : the law of every station
+    curvature : shape (stations, 2), 1/m, across the wire; each is reached along a straight line
+    rests : shape (stations, sliders, 2), 1/m, before the step
+
+    Notes
+    -----
+    Radial return: a slider bent by b = kappa - a, |b| > kappa_j, carries K_j kappa_j b / |b|, and
+    d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that does not slide has
+    K_j 1. Exact for straight paths; a curved path needs small steps.
+    """
+    bent = curvature[:, None, :] - rests
+    size = np.sqrt(np.vecdot(bent, bent))
+    is_sliding = size > law.slip_curvatures
+    size = np.where(is_sliding, size, 1.0)
+    shrunk = np.where(is_sliding, law.slip_curvatures / size, 1.0)
+    held = bent * shrunk[..., None]
+    moment = law.stiffness * curvature + law.stiffnesses @ held
+    along = np.where(is_sliding, 1.0 / size, 0.0)[..., None] * bent
+    weights = law.stiffnesses * shrunk
+    stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
+    stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
+    return SliderResponse(moment, stiffness, curvature[:, None, :] - held)
+
+
+def as_plays(law: SliderLaw) -> PlayLaw:
+    """Return the law as plays, up to the end of its range.
+
+    Parameters
+    ----------
+    law : with at least one slider, or a stiffness
+
+    Notes
+    -----
+    Both have the same first loading and Masing's rule, and so the same loops.
+    """
+    corners = np.append(law.slip_curvatures[law.slip_curvatures < law.last], law.last)
+    corners = np.append(0.5 * corners[0], corners) if len(corners) == 1 else corners
+    return polygon_law(corners, slider_moment(law, corners))
+
+
+def fit_sliders(
+    curvature: Floats,
+    moment: Floats,
+    n_sliders: int,
+    *,
+    first: float = 0.0,
+    last: float = np.inf,
+) -> SliderLaw:
+    """Fit sliders to the points of a first loading, with the smallest largest error.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, from 0, increasing
+    moment : shape (n,), N m, from 0, increasing, concave
+    n_sliders : largest number; fewer where the law has fewer corners
+    first, last : 1/m, range in which the error counts; by default that of the points
+
+    Raises
+    ------
+    ValueError
+        If the range is empty or outside of the points; if the law softens, or stiffens by more than
+        1 % of its moment (the message states the curvature).
+
+    Notes
+    -----
+    Chords between the best points of the law (`thin`) lie below it by at most e; multiplied
+    by 1 + e / (2 - e) they are within e / (2 - e) of it, on both sides. Their slopes fall, so that
+    the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
+    grid of kappa_j, thinned out afterwards, has a larger error.
+    """
+    require(
+        "n_sliders",
+        n_sliders,
+        f"from 1 to {MAX_SLIDERS}",
+        holds=1 <= n_sliders <= MAX_SLIDERS,
+    )
+    return _fit(*within_range(curvature, moment, first, last), n_sliders)
+
+
+def _require_range(first: float, last: float) -> None:
+    require("range", (first, last), ">= 0 and increasing", holds=0.0 <= first < last < np.inf)
+
+
+def within_range(
+    curvature: Floats, moment: Floats, first: float, last: float
+) -> tuple[Floats, Floats, float]:
+    """Return the points of a law inside a range, with zero before them.
+
+    Parameters
+    ----------
+    curvature, moment, first, last : as for `fit_sliders`
+
+    Returns
+    -------
+    Curvatures, 1/m, and moments, N m: zero, the start of the range, the points inside, its end; and
+    the start of the range, 1/m.
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    if len(curvature) < 2 or len(curvature) != len(moment) or curvature[0] != 0.0:
+        message = (
+            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
+            "from zero"
+        )
+        raise ValueError(message)
+    end = float(min(last, curvature[-1]))
+    start = float(max(first, curvature[1]))
+    if np.isfinite(last) and last > curvature[-1] * (1.0 + 1e-9):
+        message = f"last={last:.6g} 1/m: the law ends at {curvature[-1]:.6g} 1/m"
+        raise ValueError(message)
+    _require_range(start, end)
+    inside = (curvature > start) & (curvature < end)
+    x = np.concatenate([[0.0, start], curvature[inside], [end]])
+    y = np.interp(x, curvature, moment)
+    _require_concave(x, y)
+    return x, y, start
+
+
+def _require_concave(x: Floats, y: Floats) -> None:
+    """Refuse a law that stiffens too much; `thin` refuses one that softens."""
+    max_bridged = 0.01  # of the moment, between the law and its concave hull
+    slopes = np.diff(y) / np.diff(x)
+    if np.all(slopes > 0.0) and np.any(np.diff(slopes) > 0.0):
+        hull = thin(x, y, max_points=len(x))
+        excess = np.interp(x[1:], hull.curvature, hull.moment) / y[1:] - 1.0
+        if np.max(excess) > max_bridged:
+            worst = int(np.argmax(excess)) + 1
+            message = (
+                f"the law stiffens at curvature={x[worst]:.6g} 1/m: its concave hull is "
+                f"{100.0 * excess[worst - 1]:.2g} % above it; expected at most "
+                f"{100.0 * max_bridged:.0f} %"
+            )
+            raise ValueError(message)
+
+
+def _fit(x: Floats, y: Floats, start: float, n_sliders: int) -> SliderLaw:
+    chords = thin(x, y, max_points=n_sliders + 2)
+    shares = np.interp(x[1:], chords.curvature, chords.moment) / y[1:]
+    scale = 2.0 / (float(shares.max()) + float(shares.min()))
+    slopes = scale * np.diff(chords.moment) / np.diff(chords.curvature)
+    return SliderLaw(
+        stiffness=float(slopes[-1]),
+        stiffnesses=-np.diff(slopes),
+        slip_curvatures=chords.curvature[1:-1],
+        first=start,
+        last=float(x[-1]),
+        error=float(np.max(np.abs(scale * shares - 1.0))),
+    )
+
+
+def linear_moment_law(stiffness: float, last: float) -> SliderLaw:
+    """Return a constant stiffness as a law without sliders.
+
+    Parameters
+    ----------
+    stiffness : N m^2
+    last : 1/m, end of its range
+    """
+    require_positive("stiffness", stiffness)
+    return SliderLaw(stiffness, np.zeros(0), np.zeros(0), 0.0, last)
+
+
+def slip_moments(law: SliderLaw) -> Vector:
+    """Return the moments at which the sliders slide, K_j kappa_j, N m."""
+    return np.asarray(law.stiffnesses * law.slip_curvatures)
+
+
+MAX_SCALAR_SLIDERS = 16
+"""Largest number in each direction."""
+TURNS = (0.0, 0.5, 0.25, 0.75)
+"""Turns of successive nodes, as shares of the angle between two directions."""
+
+_N_ANGLES = 13
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectionalLaw(ArrayRecord):
+    """The same spring and scalar sliders in each of a few directions across the wire.
+
+    Parameters
+    ----------
+    directions : D; the first is the first axis across the wire
+    stiffness : of the spring in each direction, N m^2
+    stiffnesses : shape (sliders,), N m^2, in each direction
+    slip_curvatures : shape (sliders,), 1/m, of the component in that direction
+    error : largest difference of the moment along the curvature from that of the vector sliders, on
+        first loading in any direction, as a share of it
+    sideways : largest moment across the curvature, as a share of that along it
+    """
+
+    directions: int
+    stiffness: float
+    stiffnesses: Annotated[Floats, "sliders"]
+    slip_curvatures: Annotated[Floats, "sliders"]
+    error: float
+    sideways: float
+
+    @property
+    def normals(self) -> Floats:
+        """Return the directions, unit vectors, shape (directions, 2)."""
+        return self.turned_normals(0.0)
+
+    def turned_normals(self, share: float) -> Floats:
+        """Return the directions, turned by a share of the angle between two of them."""
+        angle = np.pi * (np.arange(self.directions) + share) / self.directions
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+@lru_cache(maxsize=16)  # laws are hashed by identity
+def in_directions(
+    law: SliderLaw, directions: int, *, max_sliders: int = MAX_SCALAR_SLIDERS
+) -> DirectionalLaw:
+    """Fit scalar sliders in a few directions to vector sliders.
+
+    Parameters
+    ----------
+    law : vector sliders
+    directions : D, at least 2
+    max_sliders : largest number of sliders in each direction
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two directions, or no slider is allowed.
+
+    Notes
+    -----
+    Non-negative least squares of the moment along the curvature, relative to that of the vector
+    sliders and as a mean over all directions, on a grid of slip curvatures; then the nearest
+    ones are merged until few enough are left.
+    """
+    n_slips = 48  # slip curvatures to choose from
+    last_factor = 1.6  # vector sliders slide together, scalar ones only until there
+    require("directions", directions, ">= 2", holds=directions >= 2)
+    require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
+    size = _curvatures(law)
+    target = slider_moment(law, size)
+    if not law.stiffnesses.size:
+        slips, stiffnesses = np.zeros(0), np.array([law.stiffness])
+    else:
+        ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
+        slips = np.geomspace(*ends, n_slips)
+        stiffnesses = _fit_stiffnesses(size, target, slips, directions)
+        while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
+            slips = _fewer_slips(slips, stiffnesses[1:])
+            stiffnesses = _fit_stiffnesses(size, target, slips, directions)
+    springs = 2.0 * stiffnesses / directions
+    scalar_law = DirectionalLaw(directions, float(springs[0]), springs[1:], slips, 0.0, 0.0)
+    return _with_errors(law, scalar_law)
+
+
+def turned(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
+    """Return the mean of neighbouring nodes whose directions are turned by `TURNS`.
+
+    Parameters
+    ----------
+    law : vector sliders
+    few : scalar sliders of each node
+
+    Returns
+    -------
+    The mean of the nodes: four times the directions, each with a quarter of the stiffness.
+    """
+    count = len(TURNS)
+    mean = replace(
+        few,
+        directions=count * few.directions,
+        stiffness=few.stiffness / count,
+        stiffnesses=few.stiffnesses / count,
+    )
+    return _with_errors(law, mean)
+
+
+def _curvatures(law: SliderLaw) -> Floats:
+    n_sizes = 80
+    return np.geomspace(law.first, law.last, n_sizes)
+
+
+def _with_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
+    """Return the law with its largest errors."""
+    size = _curvatures(law)
+    target = slider_moment(law, size)
+    along, aside = _components(scalar_law, size)
+    return replace(
+        scalar_law,
+        error=float(np.max(np.abs(along / target[:, None] - 1.0))),
+        sideways=float(np.max(np.abs(aside / target[:, None]))),
+    )
+
+
+def _fit_stiffnesses(size: Floats, target: Floats, slips: Floats, directions: int) -> Floats:
+    """Fit the stiffness of the spring, then of the sliders, as vector sliders, N m^2."""
+    columns = np.column_stack([size, _mean_held(size, slips, directions)]) / target[:, None]
+    return np.asarray(nnls(columns, np.ones(len(size)))[0])
+
+
+def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
+    """Return the mean held curvature along the curvature, over all its directions, 1/m.
+
+    Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p
+    on: sorted by p, those that slide are the last ones.
+    """
+    turn = np.linspace(0.0, np.pi / directions, _N_ANGLES)[:-1]
+    parts = np.sort(
+        np.abs(np.cos(turn[:, None] - np.pi * np.arange(directions) / directions)).ravel()
+    )
+    at_rest = np.searchsorted(parts, slips / size[:, None])
+    squares = np.append(0.0, np.cumsum(parts**2))[at_rest]
+    sliding = np.append(np.cumsum(parts[::-1])[::-1], 0.0)[at_rest]
+    return 2.0 / directions / len(turn) * (squares * size[:, None] + sliding * slips)
+
+
+def _fewer_slips(slips: Floats, stiffnesses: Floats) -> Floats:
+    """Drop slip curvatures without stiffness; if there is none, merge the two nearest."""
+    loaded = slips[stiffnesses > 0.0]
+    if len(loaded) < len(slips):
+        return np.asarray(loaded)
+    near = int(np.argmin(np.diff(np.log(loaded))))
+    middle = np.sqrt(loaded[near] * loaded[near + 1])
+    return np.concatenate([loaded[:near], [middle], loaded[near + 2 :]])
+
+
+def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
+    """Return the moment along and across the curvature, N m, shape (curvatures, angles).
+
+    Angles go from a direction to the middle between two; the rest follows by symmetry.
+    """
+    turn = np.linspace(0.0, 0.5 * np.pi / law.directions, _N_ANGLES + 1)
+    towards = np.column_stack([np.cos(turn), np.sin(turn)])
+    parts = towards @ law.normals.T
+    corners = np.concatenate([[0.0], law.slip_curvatures, [2.0 * max(size[-1], 1.0)]])
+    held = np.minimum(corners[:, None], law.slip_curvatures) @ law.stiffnesses
+    bent = size[:, None, None] * parts
+    moment = np.sign(bent) * np.interp(np.abs(bent), corners, law.stiffness * corners + held)
+    along = np.sum((moment @ law.normals) * towards, axis=2)
+    aside = np.column_stack([-towards[:, 1], towards[:, 0]])
+    return along, np.sum((moment @ law.normals) * aside, axis=2)

@@ -1,0 +1,149 @@
+"""Thinning of a concave law to few points with the smallest error of linear interpolation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.mechanics.law.plays import require, require_rising
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Thinned(ArrayRecord):
+    """Points of a moment-curvature law with falling slopes between them.
+
+    Parameters
+    ----------
+    curvature : shape (points,), 1/m, from 0 to the end of the range
+    moment : shape (points,), N m
+    error : largest distance, at any curvature of the range, of the straight lines between these
+        points from those between the points that they were chosen from, as a share of the moment
+        there
+    """
+
+    curvature: Vector
+    moment: Vector
+    error: float
+
+
+def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
+    """Choose points of a law, including zero and the end.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, from 0, increasing; n >= 2
+    moment : shape (n,), N m, from 0, increasing
+    max_points : largest number of points, at least 2
+
+    Returns
+    -------
+    The points. Each slope is below the one before by at least a millionth: programs that take the
+    first slope as the elastic one require it.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two points are requested or given, a value is not finite, the law does not
+        begin at zero, or it softens (the message states the curvature).
+
+    Notes
+    -----
+    The error relative to the moment is a quotient of straight lines between neighbouring points of
+    the law, so that it is largest at one of these points.
+
+    The points are corners of the concave hull (Andrew's monotone chain). On a concave polygon the
+    error between two corners grows with their distance, so that a greedy choice within a tolerance
+    needs the fewest points (Imai and Iri 1986); the tolerance is found by bisection. For a concave
+    law no other choice has a smaller error; the error includes that of the hull.
+
+    References
+    ----------
+    H. Imai and M. Iri, Computational-geometric methods for polygonal approximations of a curve,
+    Computer Vision, Graphics, and Image Processing 36 (1986) 31-41.
+    A. M. Andrew, Another efficient algorithm for convex hulls in two dimensions, Information
+    Processing Letters 9 (1979) 216-219.
+    """
+    _require_law(curvature, moment, max_points)
+    corners = _hull(curvature.tolist(), moment.tolist())  # lists are faster for single numbers
+    x, y = curvature[corners], moment[corners]
+    chosen = np.arange(len(x)) if len(x) <= max_points else _fewest_error(x, y, max_points)
+    return Thinned(x[chosen], y[chosen], _largest_error(x[chosen], y[chosen], curvature, moment))
+
+
+def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
+    require("max_points", max_points, ">= 2", holds=max_points >= 2)
+    lengths = len(curvature), len(moment)
+    require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
+    holds = bool(curvature[0] == moment[0] == 0.0 and np.isfinite(moment).all())
+    first = float(curvature[0]), float(moment[0])
+    require("first point", first, "(0, 0), and all moments finite", holds=holds)
+    require_rising("curvature", curvature[1:])
+    if np.any(np.diff(moment) <= 0.0):
+        first_drop = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
+        message = f"the law softens before curvature={first_drop:.6g} 1/m: the moment must increase"
+        raise ValueError(message)
+
+
+def _hull(x: list[float], y: list[float]) -> Ints:
+    """Return the corners of the concave hull, including both ends."""
+    min_slope_drop = 1e-6  # share by which the slope falls at a corner
+    corners: list[int] = [0]
+    for new in range(1, len(x)):
+        while len(corners) > 1:
+            before, last = corners[-2], corners[-1]
+            arrives = (y[last] - y[before]) / (x[last] - x[before])
+            leaves = (y[new] - y[last]) / (x[new] - x[last])
+            if leaves < arrives * (1.0 - min_slope_drop):
+                break
+            corners.pop()
+        corners.append(new)
+    return np.array(corners, dtype=np.int64)
+
+
+def _fewest_error(x: Floats, y: Floats, max_points: int) -> Ints:
+    """Return the choice of at most `max_points` corners with the smallest error."""
+    end_share = 1e-6  # of the tolerance, at which halving ends
+    near_share = 0.03  # of the tolerance, below which errors are tried one by one
+    first_cut = 0.1  # of the tolerance, until one is too small
+    best = np.array([0, len(x) - 1])
+    low, high = 0.0, _largest_error(x[best], y[best], x, y)
+    plain_x, plain_y = x.tolist(), y.tolist()
+    is_probe = False
+    while high - low > end_share * high:
+        # possible errors are discrete: near the end, test whether there is one below the last
+        is_probe = not is_probe and high - low < near_share * high
+        middle = (1.0 - end_share) * high if is_probe else 0.5 * (low + high)
+        middle = middle if low > 0.0 else first_cut * high
+        choice = _skip_corners(plain_x, plain_y, middle, max_points)
+        if len(choice) > max_points:
+            low = middle
+        else:
+            best = np.array(choice)
+            high = min(middle, _largest_error(x[best], y[best], x, y))
+    return best
+
+
+def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: int) -> list[int]:
+    """Skip as many corners as the tolerance allows; stop with one too many."""
+    chosen, steepest, share = [0], -np.inf, 1.0 - tolerance
+    at_x, at_y = x[0], y[0]
+    for new in range(1, len(x)):
+        width, to = x[new] - at_x, y[new]
+        # a chord passes below the corners it skips: each of them limits its slope from below
+        if to - at_y < steepest * width:
+            chosen.append(new - 1)
+            if len(chosen) == max_points:
+                break
+            at_x, at_y, steepest = x[new - 1], y[new - 1], -np.inf
+            width = x[new] - at_x
+        slope = (share * to - at_y) / width
+        steepest = slope if slope > steepest else steepest  # faster than `max`
+    return [*chosen, len(x) - 1]
+
+
+def _largest_error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
+    """Return the largest error at the points of the law, as a share of the moment."""
+    lines = np.interp(curvature[1:], x, y)
+    return float(np.max(np.abs(lines / moment[1:] - 1.0)))

@@ -1,0 +1,555 @@
+"""Residual forces of a line, and their tangent, for Newton's method.
+
+With elements of length l from x_e to x_(e+1), their direction d, stretch eps and force f, cells
+(the half elements on both sides of a node) of length h with the energy W of bending and twist, and
+forces F at the nodes, equilibrium is where
+
+    sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
+
+is stationary: the first term is the stretch row, whose multiplier f is the force in the element.
+EA infinite keeps eps = 0. Frames turn in the body frame, by q exp(phi / 2), so that nothing
+depends on the frame of space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.mechanics.rod.banded import Band, Places, entries, places_of
+from labpipe.mechanics.rod.boundaries import Plane
+from labpipe.mechanics.rod.cells import BentCells, bend_cells
+from labpipe.mechanics.rod.contacts import (
+    ContactForces,
+    RingContact,
+    added_at,
+    pull_strings,
+    thread,
+    touch_plane,
+)
+from labpipe.mechanics.rod.line import Line
+from labpipe.mechanics.rod.rotations import (
+    conjugate,
+    cross,
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    rotation_vectors,
+    skew,
+    unit,
+)
+from labpipe.mechanics.rod.supports import Directions, Supports, clamp_directions, directions_of
+from labpipe.records.arrays import Flags, Floats, Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """Unknowns of Newton's method.
+
+    Parameters
+    ----------
+    positions : shape (n + 1, 3), m
+    frames : shape (n, 4)
+    stretches : shape (n,)
+    forces : shape (n, 3), N, in space
+    """
+
+    positions: Floats
+    frames: Floats
+    stretches: Floats
+    forces: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineMemory:
+    """History of the line and its supports.
+
+    Parameters
+    ----------
+    rests : shape (cells, sliders, 2), 1/m
+    contacts : shape (planes, n + 1, 3), m
+    places : shape (rings,), where the line passes through them, in nodes
+    """
+
+    rests: Floats
+    contacts: Floats
+    places: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Demands:
+    """Demands of the boundaries at a time.
+
+    Parameters
+    ----------
+    held : shape (grips, 3), m, positions of the held nodes
+    clamps : shape (clamps, 4), their frames
+    forces : shape (n + 1, 3), N, of constant direction, weight included
+    moments : shape (n, 3), N m, on the elements, of constant direction
+    anchors : shape (strings, 3), m
+    rings : shape (rings, 3), m
+    """
+
+    held: Floats
+    clamps: Floats
+    forces: Floats
+    moments: Floats
+    anchors: Floats
+    rings: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArtificialDrag:
+    """Artificial drag towards an earlier shape.
+
+    The cells resist bending and twist in proportion to their stiffness, as internal damping does:
+    each relaxes by its own moment, and none is bent by the motion of others. Motion without bending
+    is resisted by a drag that bends the line a hundred times less.
+
+    Parameters
+    ----------
+    size : share of the line's own stiffness
+    shape : the earlier one
+    turns : shape (cells, 3), rad, of its cells
+    """
+
+    size: float
+    shape: Shape
+    turns: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Balance:
+    """Residual and tangent of a shape.
+
+    Parameters
+    ----------
+    residual : shape (unknowns,): N of positions, N m of stretches and turns, m of forces
+    values : of the tangent, entry by entry
+    even : without the part without energy (friction that grows with pressure)
+    cells : of the line
+    directions : of the elements
+    memory : history after the step
+    touches : of the planes
+    tensions : shape (strings, 3), N
+    threads : of the rings
+    """
+
+    residual: Floats
+    values: Floats
+    even: Floats
+    cells: BentCells
+    directions: Directions
+    memory: LineMemory
+    touches: tuple[ContactForces, ...]
+    tensions: Floats
+    threads: tuple[RingContact, ...]
+
+
+class Assembly:
+    """Residual and tangent of a line with given supports.
+
+    Parameters
+    ----------
+    line : the line
+    supports : its cells and held nodes
+    planes : that it may touch
+    strings : nodes and lengths, m, of strings
+    n_rings : number of rings
+    force : N, size of the forces on the whole line
+
+    Attributes
+    ----------
+    rounding : N, rounding error of the forces of planes, strings and rings
+    drag : shape (unknowns,), N/m and N m, of a drag: `force` over the length
+    """
+
+    def __init__(
+        self,
+        line: Line,
+        supports: Supports,
+        planes: tuple[Plane, ...],
+        strings: tuple[Ints, Floats],
+        *,
+        n_rings: int,
+        force: float,
+    ) -> None:
+        # of an element, under the whole force; stiffer contacts would amplify rounding
+        contact_yield = 1e-6
+        position_rounding = 2e-15  # of the line's length
+        # of an element, in the tangent only: keeps it regular for a straight line between two
+        # supports
+        min_stretch = 1e-10
+        self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
+        self.n = len(line.lengths)
+        self._has_rings = n_rings > 0
+        self.places: Places = places_of(self.n)
+        section = line.section
+        self.is_rigid = not np.isfinite(section.axial_stiffness)
+        self._is_coupled = section.coupling != 0.0 and not self.is_rigid
+        self._free = supports.before >= 0, supports.behind >= 0
+        self._inner = np.flatnonzero(self._free[0] & self._free[1])
+        self._shares = self._coupling_shares()
+        self._shortest = float(np.min(line.lengths))
+        self._stiff = force / (contact_yield * self._shortest)
+        self.rounding = 0.0
+        if planes or len(strings[0]) or n_rings:
+            self.rounding = position_rounding * self._stiff * line.length
+        self.drag = self._drag_of(force)
+        self.pattern = self._pattern()
+        self.band = Band(*self.pattern, self._scale(), self._fixed())
+        p = self.places
+        self._at_positions, self._at_turns, self._at_forces = map(
+            _three_each, (p.positions, p.turns, p.forces)
+        )
+        ones = np.ones(3 * self.n)
+        give = np.repeat(-min_stretch / force * line.lengths, 3)
+        self._constants = np.concatenate([-ones, ones, -ones, ones, give])
+
+    def balance(
+        self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None = None
+    ) -> Balance:
+        """Compute residual and tangent.
+
+        Parameters
+        ----------
+        shape, demands : the line and its boundaries
+        memory : before the step
+        drag : artificial drag
+        """
+        min_drag = 1e-10  # tangent only: keeps it regular where a line is free to move
+        translation_drag = 1e-2  # share of the drag, beside that of bending
+        line, p = self.line, self.places
+        lengths = line.lengths * (1.0 + shape.stretches)
+        cells = self._cells(shape, demands, memory, drag)
+        rotations = matrices(shape.frames)
+        pulls = lengths[:, None] * shape.forces
+        directions = directions_of(
+            self.supports, rotations, clamp_directions(self.supports, demands.clamps), pulls
+        )
+        turns, by_turn = self._turns(cells, directions, rotations, demands)
+        node_residual, by_position, touches, tensions = self._at_nodes(shape, demands, memory)
+        threads = tuple(
+            thread(shape.positions, ring, float(place), self._stiff)
+            for ring, place in zip(demands.rings, memory.places, strict=True)
+        )
+        off_diagonal = self._threading(threads, node_residual, by_position)
+        gaps = np.diff(shape.positions, axis=0) - lengths[:, None] * directions.along
+        stretch, by_stretch = self._stretching(shape, directions, cells)
+        residual = np.empty(p.total)
+        residual[self._at_positions] = node_residual.ravel()
+        residual[p.stretches] = stretch
+        residual[self._at_turns] = turns.ravel()
+        residual[self._at_forces] = gaps.ravel()
+        drags = min_drag if drag is None else translation_drag * drag.size
+        by_turn[:, _AXES, _AXES] += drags * self.drag[self._at_turns].reshape(-1, 3)
+        by_position[:, _AXES, _AXES] += drags * self.drag[self._at_positions].reshape(-1, 3)
+        if drag is not None:
+            residual += drags * self.drag * self.moved(drag.shape, shape)
+        first = np.concatenate(
+            [
+                self._constants,
+                *(part.ravel() for part in by_stretch),
+                *_block_and_transpose(-lengths[:, None, None] * directions.by_turn),
+                *_block_and_transpose(
+                    (directions.pull / (1.0 + shape.stretches)[:, None])[:, None, :]
+                ),
+                by_turn.ravel(),
+                *_block_and_transpose(cells.across[self._inner]),
+                *self._coupled_values(cells),
+                *off_diagonal,
+            ]
+        )
+        values = even = np.append(first, by_position)
+        if any(plane.friction > 0.0 for plane in self.planes):
+            even = np.append(first, by_position - sum(touch.pressing for touch in touches))
+        return Balance(
+            residual,
+            values,
+            even,
+            cells,
+            directions,
+            LineMemory(
+                cells.rests,
+                np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
+                np.array([t.place for t in threads]),
+            ),
+            touches,
+            tensions,
+            threads,
+        )
+
+    def moved(self, before: Shape, behind: Shape) -> Floats:
+        """Return the changes of the unknowns between two shapes, without forces."""
+        p = self.places
+        out = np.zeros(p.total)
+        out[self._at_positions] = (behind.positions - before.positions).ravel()
+        turned = rotation_vectors(multiply(conjugate(before.frames), behind.frames))
+        out[self._at_turns] = turned.ravel()
+        return out
+
+    def changed(self, shape: Shape, change: Floats) -> Shape:
+        """Add a change of the unknowns to a shape."""
+        p = self.places
+        turns = change[self._at_turns].reshape(-1, 3)
+        return Shape(
+            shape.positions + change[self._at_positions].reshape(-1, 3),
+            unit(multiply(shape.frames, from_rotation_vectors(turns))),
+            shape.stretches + change[p.stretches],
+            shape.forces + change[self._at_forces].reshape(-1, 3),
+        )
+
+    def right_side(
+        self, balance: Balance, shape: Shape, demands: Demands, held: Floats, clamps: Floats
+    ) -> Floats:
+        """Return the right side of a Newton step in which held nodes and clamps move, too.
+
+        Parameters
+        ----------
+        balance, shape, demands : before they move
+        held : shape (grips, 3), m, moves of the held nodes
+        clamps : shape (clamps, 3), rad, turns of the clamps, in the body frame
+        """
+        p, s = self.places, self.supports
+        right = -balance.residual
+        right[_three_each(p.positions[s.held])] = held.ravel()
+        if self.is_rigid:
+            right[p.stretches] = -shape.stretches
+        if np.any(clamps):
+            across = balance.cells.across
+            self._push(right, s.behind, s.before, across, clamps)
+            self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamps)
+            row, clamp = s.lent.T
+            turns = np.matvec(matrices(demands.clamps), clamps)
+            tilted = np.zeros((len(s.ends), 3))
+            np.add.at(tilted, row, cross(turns[clamp], clamp_directions(s, demands.clamps)))
+            change = np.matvec(balance.directions.by_clamp, tilted)
+            lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
+            right[_three_each(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
+        return right
+
+    def _push(
+        self, right: Floats, elements: Ints, others: Ints, across: Floats, clamps: Floats
+    ) -> None:
+        """Subtract the effect of turning clamps on the elements joined to them."""
+        clamped = np.flatnonzero(others < 0)
+        push = np.matvec(across[clamped], clamps[-1 - others[clamped]])
+        np.subtract.at(right, _three_each(self.places.turns[elements[clamped]]), push.ravel())
+
+    def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
+        """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
+        s, cells = self.supports, balance.cells
+        at_places = _three_each(self.places.positions[s.held])
+        moments = added_at(s.lent[:, 1], balance.directions.lent_moments, len(s.clamps))
+        turned = matrices(demands.clamps)
+        for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
+            clamped = np.flatnonzero(elements < 0)
+            clamp = -1 - elements[clamped]
+            np.add.at(moments, clamp, np.matvec(turned[clamp], feel[clamped]))
+        return balance.residual[at_places].reshape(-1, 3), moments
+
+    def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
+        """Return the coupling energy of stretch and twist, J."""
+        stretches = np.sum(self._shares * shape.stretches[self._sides], axis=1)
+        return float(stretches @ cells.curvatures[:, 2])
+
+    def turns(self, shape: Shape, demands: Demands) -> Floats:
+        """Return rotation vectors from frames before to behind the cells, rad, (cells, 3)."""
+        before, behind = self._frames(shape, demands)
+        return rotation_vectors(multiply(conjugate(before), behind))
+
+    def _frames(self, shape: Shape, demands: Demands) -> tuple[Floats, Floats]:
+        frames = np.concatenate([shape.frames, demands.clamps[::-1]])
+        return frames[self.supports.before], frames[self.supports.behind]
+
+    def _cells(
+        self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None
+    ) -> BentCells:
+        s = self.supports
+        torques = np.zeros(len(s.nodes))
+        if self._is_coupled:
+            torques = np.sum(self._shares * shape.stretches[self._sides], axis=1) / s.lengths
+        return bend_cells(
+            self.line.section,
+            self._frames(shape, demands),
+            s.lengths,
+            s.rest_curvature,
+            rests=memory.rests,
+            torques=torques,
+            drag=None if drag is None else (drag.size, drag.turns),
+        )
+
+    def _turns(
+        self, cells: BentCells, way: Directions, turned: Floats, demands: Demands
+    ) -> tuple[Floats, Floats]:
+        """Return the residuals of the turns, and their diagonal tangents."""
+        s, (free_a, free_b) = self.supports, self._free
+        pushed = np.vecmat(demands.moments, turned)
+        residual = way.pull - pushed
+        tangent = way.stiff - 0.5 * skew(pushed)
+        # no element is twice on the same side of a cell, so that plain indexing suffices
+        residual[s.before[free_a]] += cells.before[free_a]
+        tangent[s.before[free_a]] += cells.by_before[free_a]
+        residual[s.behind[free_b]] += cells.behind[free_b]
+        tangent[s.behind[free_b]] += cells.by_behind[free_b]
+        return residual, tangent
+
+    def _at_nodes(
+        self, shape: Shape, demands: Demands, memory: LineMemory
+    ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
+        """Return the residuals of the positions, diagonal tangents, planes and strings."""
+        touch_share = 1e-9  # of an element's length
+        residual = -demands.forces
+        residual[:-1] -= shape.forces
+        residual[1:] += shape.forces
+        tangent = np.zeros((self.n + 1, 3, 3))
+        touches = tuple(
+            touch_plane(
+                plane, self._stiff, shape.positions, contacts, close=touch_share * self._shortest
+            )
+            for plane, contacts in zip(self.planes, memory.contacts, strict=True)
+        )
+        for touch in touches:
+            residual -= touch.forces
+            tangent += touch.stiffness
+        nodes, lengths = self.strings
+        tensions = np.zeros((len(nodes), 3))
+        if len(nodes):
+            tensions, stiffness = pull_strings(
+                demands.anchors, lengths, self._stiff, shape.positions[nodes]
+            )
+            np.subtract.at(residual, nodes, tensions)
+            np.add.at(tangent, nodes, stiffness)
+        return residual, tangent, touches, tensions
+
+    def _threading(
+        self, threads: tuple[RingContact, ...], residual: Floats, tangent: Floats
+    ) -> list[Floats]:
+        """Add the forces of rings to the nodes; return the tangents between different nodes."""
+        if not self._has_rings:
+            return []
+        beside = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
+        for threaded in threads:
+            places = slice(threaded.first, threaded.first + 3)
+            residual[places] -= threaded.weights[:, None] * threaded.force
+            for i in range(3):
+                tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
+                for step in range(1, 3 - i):
+                    beside[step - 1][threaded.first + i] += threaded.stiffness[i, :, i + step, :]
+        return [entry for blocks in beside for entry in _block_and_transpose(blocks)]
+
+    def _stretching(
+        self, shape: Shape, way: Directions, cells: BentCells
+    ) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
+        """Return the residuals of the stretches, and their tangents by stretch and force."""
+        lengths = self.line.lengths
+        if self.is_rigid:
+            zeros = np.zeros((self.n, 3))
+            return np.zeros(self.n), (np.zeros(self.n), zeros, zeros)
+        stiffness = self.line.section.axial_stiffness * lengths
+        residual = stiffness * shape.stretches
+        residual -= lengths * np.vecdot(shape.forces, way.along)
+        if self._is_coupled:
+            for side, free in enumerate(self._free):
+                places = self._sides[free, side]
+                residual[places] += self._shares[free, side] * cells.curvatures[free, 2]
+        by_force = -lengths[:, None] * way.along
+        return residual, (stiffness, by_force, by_force)
+
+    def _coupled_values(self, cells: BentCells) -> list[Floats]:
+        values: list[Floats] = []
+        for stretch, turn, coupled in self._coupled:
+            rows = cells.tangents[coupled, 2, :] if turn else -cells.tangents[coupled, :, 2]
+            rows = rows * (self._shares[coupled, stretch] / self.supports.lengths[coupled])[:, None]
+            values += [rows.ravel(), rows.ravel()]
+        return values
+
+    # ---- where the unknowns are, and their sizes ----------------------------------------------
+
+    def _pattern(self) -> tuple[Ints, Ints]:
+        p, s = self.places, self.supports
+        a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
+        blocks = [
+            _identity_entries(p.positions[:-1], p.forces),
+            _identity_entries(p.positions[1:], p.forces),
+            _identity_entries(p.forces, p.positions[:-1]),
+            _identity_entries(p.forces, p.positions[1:]),
+            _identity_entries(p.forces, p.forces),
+            entries(p.stretches, 1, p.stretches, 1),
+            entries(p.stretches, 1, p.forces, 3),
+            entries(p.forces, 3, p.stretches, 1),
+            entries(p.forces, 3, p.turns, 3),
+            entries(p.turns, 3, p.forces, 3),
+            entries(p.stretches, 1, p.turns, 3),
+            entries(p.turns, 3, p.stretches, 1),
+            entries(p.turns, 3, p.turns, 3),
+            entries(b, 3, a, 3),
+            entries(a, 3, b, 3),
+        ]
+        for stretch, turn, coupled in self._coupled:
+            first = p.stretches[self._sides[coupled, stretch]]
+            second = p.turns[self._sides[coupled, turn]]
+            blocks += [entries(first, 1, second, 3), entries(second, 3, first, 1)]
+        for step in (1, 2) if self._has_rings else ():
+            first, second = p.positions[:-step], p.positions[step:]
+            blocks += [entries(first, 3, second, 3), entries(second, 3, first, 3)]
+        blocks.append(entries(p.positions, 3, p.positions, 3))
+        rows, columns = zip(*blocks, strict=True)
+        return np.concatenate(rows), np.concatenate(columns)
+
+    def _scale(self) -> Floats:
+        mean = float(np.mean(self.line.lengths))
+        stiffness = self.line.section.law.first_stiffness
+        scale = np.ones(self.places.total)
+        scale[_three_each(self.places.positions)] = mean
+        scale[_three_each(self.places.forces)] = stiffness / mean**2
+        return np.asarray(scale * np.sqrt(mean / stiffness))
+
+    def _fixed(self) -> Flags:
+        fixed = np.zeros(self.places.total, dtype=np.bool_)
+        fixed[_three_each(self.places.positions[self.supports.held])] = True
+        if self.is_rigid:
+            fixed[self.places.stretches] = True
+        return fixed
+
+    def _drag_of(self, force: float) -> Floats:
+        line, p = self.line, self.places
+        shares = line.lengths / line.length
+        at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
+        drag = np.zeros(p.total)
+        drag[_three_each(p.positions)] = np.repeat(at_nodes * force / line.length, 3)
+        drag[_three_each(p.turns)] = np.repeat(shares * force * line.length, 3)
+        return drag
+
+    def _coupling_shares(self) -> Floats:
+        """Return the coupling of each cell's twist to adjacent stretches: (cells, 2), N m^2."""
+        s, (free_a, free_b) = self.supports, self._free
+        self._sides = np.stack([np.where(free_a, s.before, 0), np.where(free_b, s.behind, 0)], 1)
+        self._coupled: list[tuple[int, int, Ints]] = []
+        if not self._is_coupled:
+            return np.zeros((len(s.nodes), 2))
+        for stretch in (0, 1):
+            for turn in (0, 1):
+                coupled = np.flatnonzero(self._free[stretch] & self._free[turn])
+                self._coupled.append((stretch, turn, coupled))
+        count = added_at(s.before[free_a], np.ones(int(free_a.sum())), self.n)
+        count += added_at(s.behind[free_b], np.ones(int(free_b.sum())), self.n)
+        coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)
+        return np.where(np.stack(self._free, axis=1), coupling[self._sides], 0.0)
+
+
+_AXES = np.arange(3)
+
+
+def _three_each(first: Ints) -> Ints:
+    """Return the indices of three unknowns each."""
+    return np.asarray((first[:, None] + _AXES).ravel())
+
+
+def _identity_entries(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
+    return _three_each(rows), _three_each(columns)
+
+
+def _block_and_transpose(blocks: Floats) -> tuple[Floats, Floats]:
+    return blocks.ravel(), np.swapaxes(blocks, 1, 2).ravel()

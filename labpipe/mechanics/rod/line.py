@@ -1,0 +1,219 @@
+"""Line before it is laid: section, elements, start shape and shape at rest.
+
+n elements join n + 1 nodes. Each element is straight and carries a frame whose third axis d3 points
+along it; the first two are material directions across. The law of bending acts at the nodes, over
+the half elements on both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.rod.rotations import (
+    conjugate,
+    frame_from_axes,
+    from_rotation_vectors,
+    multiply,
+    rotation_vectors,
+    shortest_turns,
+    unit,
+)
+from labpipe.records.arrays import ArrayRecord, Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Section of a line, constant along it.
+
+    Parameters
+    ----------
+    law : moment against curvature with its sliders, isotropic
+    torsional_stiffness : GJ at fixed length, N m^2
+    axial_stiffness : EA at fixed twist, N; infinite for an inextensible line
+    coupling : stretch-twist coupling C, N m, positive for a positive lay (PHYSICS 9); has no effect
+        on an inextensible line
+    mass_per_length : kg/m
+    diameter : outer, m; 0 if unknown
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the line has no stiffness.
+    """
+
+    law: SliderLaw
+    torsional_stiffness: float
+    axial_stiffness: float = np.inf
+    coupling: float = 0.0
+    mass_per_length: float = 0.0
+    diameter: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.law.first_stiffness > 0.0:
+            message = (
+                "law: found neither a stiffness nor sliders; expected a line that resists bending"
+            )
+            raise ValueError(message)
+        _require("torsional_stiffness", self.torsional_stiffness, self.torsional_stiffness > 0.0)
+        if not self.axial_stiffness > 0.0:
+            message = f"axial_stiffness={self.axial_stiffness!r}: must be > 0"
+            raise ValueError(message)
+        _require("mass_per_length", self.mass_per_length, self.mass_per_length >= 0.0)
+        _require("diameter", self.diameter, self.diameter >= 0.0)
+        max_coupling = np.sqrt(self.axial_stiffness * self.torsional_stiffness)
+        _require("coupling", self.coupling, abs(self.coupling) < max_coupling)
+
+
+def _require(name: str, value: float, is_allowed: bool) -> None:
+    if not (np.isfinite(value) and is_allowed):
+        bounds = {
+            "torsional_stiffness": "> 0",
+            "coupling": "of magnitude below sqrt(axial_stiffness * torsional_stiffness)",
+        }
+        message = f"{name}={value!r}: must be finite and {bounds.get(name, '>= 0')}"
+        raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line(ArrayRecord):
+    """A line of n elements before it is laid.
+
+    Parameters
+    ----------
+    lengths : shape (n,), m, of the elements at rest
+    section : of the line
+    positions : shape (n + 1, 3), m, of the nodes to start from
+    frames : shape (n, 4), unit quaternions (w, x, y, z) to start from; d3 is the direction
+    rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bendings and the twist, in the
+        mean of the frames on both sides
+
+    Raises
+    ------
+    ValueError
+        If there is no element, a length is not positive, a number not finite, or a frame not of
+        length one.
+    """
+
+    lengths: Annotated[Floats, "elements"]
+    section: Section
+    positions: Annotated[Floats, "nodes", 3]
+    frames: Annotated[Floats, "elements", 4]
+    rest_curvature: Annotated[Floats, "joints", 3]
+
+    def __post_init__(self) -> None:
+        ArrayRecord.__post_init__(self)
+        n = len(self.lengths)
+        if n < 1 or len(self.positions) != n + 1 or len(self.rest_curvature) != n - 1:
+            message = (
+                f"{n} elements, {len(self.positions)} nodes, {len(self.rest_curvature)} rest "
+                "curvatures: expected n >= 1 elements, n + 1 nodes and n - 1 curvatures"
+            )
+            raise ValueError(message)
+        for name in ("lengths", "positions", "frames", "rest_curvature"):
+            if not np.all(np.isfinite(getattr(self, name))):
+                message = f"{name}: must be finite"
+                raise ValueError(message)
+        if not np.all(self.lengths > 0.0):
+            message = f"lengths={self.lengths.tolist()}: must be > 0"
+            raise ValueError(message)
+        if np.max(np.abs(np.linalg.norm(self.frames, axis=1) - 1.0)) > 1e-6:
+            message = "frames: must be unit quaternions"
+            raise ValueError(message)
+
+    @property
+    def length(self) -> float:
+        """Return the length at rest, m."""
+        return float(np.sum(self.lengths))
+
+    @property
+    def rest_curvature_at_nodes(self) -> Floats:
+        """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3); ends as neighbours."""
+        if not len(self.rest_curvature):
+            return np.zeros((len(self.positions), 3))
+        return np.concatenate(
+            [self.rest_curvature[:1], self.rest_curvature, self.rest_curvature[-1:]]
+        )
+
+    def frame_at(self, node: int) -> Floats:
+        """Return the frame, shape (4,), of a clamp at a node that leaves the line undeformed.
+
+        Parameters
+        ----------
+        node : from 0, or negative from the end
+        """
+        n = len(self.lengths)
+        index = node % (n + 1)
+        if index == 0:
+            backward_rotation = -0.5 * self.lengths[0] * self.rest_curvature_at_nodes[0]
+            return multiply(self.frames[0], from_rotation_vectors(backward_rotation))
+        half_length = 0.5 * self.lengths[index - 1]
+        if index == n:
+            rotation = half_length * self.rest_curvature_at_nodes[n]
+        else:
+            centre_distance = half_length + 0.5 * self.lengths[index]
+            frame_rotation = rotation_vectors(
+                multiply(conjugate(self.frames[index - 1]), self.frames[index])
+            )
+            rotation = half_length / centre_distance * frame_rotation
+        return multiply(self.frames[index - 1], from_rotation_vectors(rotation))
+
+    @property
+    def stations(self) -> Floats:
+        """Return the arc length of the nodes at rest, m, shape (n + 1,)."""
+        return np.concatenate([[0.0], np.cumsum(self.lengths)])
+
+
+def line_along(
+    positions: Floats,
+    section: Section,
+    *,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    is_formed: bool = False,
+) -> Line:
+    """Return a line through points, its nodes, without twist.
+
+    Parameters
+    ----------
+    positions : shape (n + 1, 3), m
+    section : of the line
+    up : direction to which d1 of the first frame is as close as possible
+    is_formed : True if the points are the shape at rest, as for a line with spool set; False for a
+        line that is straight at rest and is bent to these points
+
+    Raises
+    ------
+    ValueError
+        As `Line`; if successive points coincide, or `up` is along the first element.
+
+    Notes
+    -----
+    Each frame follows from the one before by the smallest rotation. On a closed curve in
+    space, d1 of the last frame therefore differs from d1 of the first by the holonomy angle
+    of the curve.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:
+        message = f"positions of shape {points.shape}: expected (n + 1, 3) with n >= 1"
+        raise ValueError(message)
+    steps = np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    if not np.all(lengths > 0.0):
+        index = int(np.argmin(lengths > 0.0))
+        message = f"positions {index} and {index + 1} coincide: successive points must differ"
+        raise ValueError(message)
+    directions = steps / lengths[:, None]
+    turns = shortest_turns(directions[:-1], directions[1:])
+    frames = [frame_from_axes(directions[0], np.asarray(up))]
+    for turn in turns:
+        frames.append(unit(multiply(turn, frames[-1])))
+    quaternions = np.array(frames)
+    rest_curvature = np.zeros((len(lengths) - 1, 3))
+    if is_formed:
+        centre_distances = 0.5 * (lengths[1:] + lengths[:-1])
+        frame_rotations = multiply(conjugate(quaternions[:-1]), quaternions[1:])
+        rest_curvature = rotation_vectors(frame_rotations) / centre_distances[:, None]
+    return Line(lengths, section, points, quaternions, rest_curvature)

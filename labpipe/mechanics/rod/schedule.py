@@ -1,0 +1,240 @@
+"""Demands of the boundaries of a line at every time.
+
+Time counts steps: k is step k, k - 1/2 halfway to it. From -1 to 0 the line is laid: held
+nodes move to row 0 of their paths, and weight and loads grow to row 0 of theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from labpipe.mechanics.rod.assembly import Demands, Shape
+from labpipe.mechanics.rod.boundaries import (
+    Boundary,
+    Gravity,
+    Held,
+    Load,
+    Moment,
+    Plane,
+    Ring,
+    String,
+)
+from labpipe.mechanics.rod.contacts import nearest_place, point_at
+from labpipe.mechanics.rod.line import Line
+from labpipe.mechanics.rod.rotations import (
+    conjugate,
+    from_rotation_vectors,
+    multiply,
+    rotation_vectors,
+)
+from labpipe.records.arrays import Floats
+
+T = TypeVar("T")
+
+
+class Schedule:
+    """The boundaries of a line over time.
+
+    Parameters
+    ----------
+    line : the line
+    boundaries : in the order of the caller
+    steps : number
+    start : shape before
+
+    Raises
+    ------
+    ValueError
+        If a node is not on the line, a path has another number of rows, or two boundaries hold one
+        node at the same time.
+    """
+
+    def __init__(
+        self, line: Line, boundaries: tuple[Boundary, ...], steps: int, start: Shape
+    ) -> None:
+        self.line, self.boundaries, self.steps, self.start = line, boundaries, steps, start
+        self.n = len(line.lengths)
+        _require_rows(boundaries, steps)
+        self.held = self._of(Held)
+        self.strings = self._of(String)
+        self.planes = self._of(Plane)
+        self.rings = self._of(Ring)
+        self.held_nodes = {k: self.node(boundaries[k]) for k in self.held}
+        self.string_nodes = np.array([self.node(boundaries[k]) for k in self.strings], dtype=int)
+        for k in (*self._of(Load), *self._of(Moment)):
+            self.node(boundaries[k])
+        self.start_places = np.array([self._ring_start(self._get(Ring, k)) for k in self.rings])
+        self._require_one_each()
+        start_line = replace(line, positions=start.positions, frames=start.frames)
+        self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
+        halves = 0.5 * line.section.mass_per_length * line.lengths
+        self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
+
+    def _of(self, boundary_type: type) -> tuple[int, ...]:
+        return tuple(
+            k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, boundary_type)
+        )
+
+    def node(self, boundary: Boundary) -> int:
+        """Return the node of a boundary, from 0."""
+        node = boundary.node  # type: ignore[union-attr]
+        if not -self.n - 1 <= node <= self.n:
+            message = (
+                f"{boundary_name(self.boundaries, boundary)}: node={node}: "
+                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
+            )
+            raise ValueError(message)
+        return int(node % (self.n + 1))
+
+    def _ring_start(self, ring: Ring) -> float:
+        """Return the place, in nodes, where the line passes through a ring at the start."""
+        if self.n < 2:
+            message = (
+                f"{boundary_name(self.boundaries, ring)}: expected a line of at least two elements"
+            )
+            raise ValueError(message)
+        if ring.near is None:
+            distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
+            return nearest_place(self.start.positions, ring.position[0], float(np.argmin(distance)))
+        if not -self.n - 1 <= ring.near <= self.n:
+            message = (
+                f"{boundary_name(self.boundaries, ring)}: near={ring.near}: "
+                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
+            )
+            raise ValueError(message)
+        return nearest_place(
+            self.start.positions, ring.position[0], float(ring.near % (self.n + 1))
+        )
+
+    def _require_one_each(self) -> None:
+        for step in range(self.steps + 1):
+            nodes = [self.held_nodes[k] for k in self.grips(step)]
+            held_twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
+            if held_twice:
+                message = f"step {step}: node {held_twice[0]} is held twice; once is allowed"
+                raise ValueError(message)
+
+    def grips(self, step: int) -> tuple[int, ...]:
+        """Return the indices of the boundaries that hold a node in a step."""
+        releases = ((k, self._get(Held, k).release) for k in self.held)
+        return tuple(k for k, release in releases if release is None or step < release)
+
+    def force_scale(self) -> float:
+        """Return the size of the forces on the whole line, N."""
+        line = self.line
+        size = line.section.law.first_stiffness / line.length**2
+        for boundary in self.boundaries:
+            if isinstance(boundary, Gravity):
+                size += float(np.sum(self._masses)) * _largest(boundary.vector)
+            elif isinstance(boundary, Load):
+                size += _largest(boundary.force)
+            elif isinstance(boundary, Moment):
+                size += _largest(boundary.moment) / line.length
+        return size
+
+    def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
+        """Return the demands at a time.
+
+        Parameters
+        ----------
+        time : in steps, from -1
+        grips : boundaries that hold
+        """
+        share = min(1.0, time + 1.0)
+        forces, moments = self._loads(time, share)
+        held, clamps = self._places(time, share, grips)
+        anchors = np.array([_row_at(self._get(String, k).anchor, time) for k in self.strings])
+        rings = self._ring_places(time, share)
+        return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3), rings)
+
+    def _ring_places(self, time: float, share: float) -> Floats:
+        """Return the positions of the rings, which move from the line to their paths at first."""
+        places = [_row_at(self._get(Ring, k).position, time) for k in self.rings]
+        goal = np.array(places).reshape(-1, 3)
+        if share < 1.0:
+            starts = [point_at(self.start.positions, u) for u in self.start_places]
+            goal = share * goal + (1.0 - share) * np.array(starts).reshape(-1, 3)
+        return goal
+
+    def _loads(self, time: float, share: float) -> tuple[Floats, Floats]:
+        forces = np.zeros((self.n + 1, 3))
+        moments = np.zeros((self.n, 3))
+        for boundary in self.boundaries:
+            if isinstance(boundary, Gravity):
+                forces += share * self._masses[:, None] * _row_at(boundary.vector, time)
+            elif isinstance(boundary, Load):
+                forces[self.node(boundary)] += share * _row_at(boundary.force, time)
+            elif isinstance(boundary, Moment):
+                self._turn(moments, self.node(boundary), share * _row_at(boundary.moment, time))
+        return forces, moments
+
+    def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
+        held = np.zeros((len(grips), 3))
+        clamps = []
+        for row, k in enumerate(grips):
+            grip, node = self._get(Held, k), self.held_nodes[k]
+            goal = _row_at(grip.position, time)
+            held[row] = share * goal + (1.0 - share) * self.start.positions[node]
+            if grip.frame is not None:
+                frame = _frame_at(grip.frame, time)
+                if share < 1.0:
+                    frame = _interpolate_frames(self._start_frames[k], frame, share)
+                clamps.append(frame)
+        return held, np.array(clamps).reshape(-1, 4)
+
+    def _get(self, boundary_type: type[T], k: int) -> T:
+        boundary = self.boundaries[k]
+        assert isinstance(boundary, boundary_type)
+        return boundary
+
+    def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
+        """Add a moment to the elements at a node."""
+        elements = [k for k in (node - 1, node) if 0 <= k < self.n]
+        moments[elements] += moment / len(elements)
+
+
+def boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
+    """Return the name of a boundary for messages."""
+    k = next(i for i, candidate in enumerate(boundaries) if candidate is boundary)
+    return boundary.name or f"boundary {k} ({type(boundary).__name__})"
+
+
+def _largest(path: Floats) -> float:
+    return float(np.max(np.linalg.norm(path, axis=1)))
+
+
+def _row_at(path: Floats, time: float) -> Floats:
+    """Interpolate a path at a time."""
+    if len(path) == 1 or time <= 0.0:
+        return np.asarray(path[0])
+    k = min(int(time), len(path) - 2)
+    return np.asarray(path[k] + (time - k) * (path[k + 1] - path[k]))
+
+
+def _frame_at(path: Floats, time: float) -> Floats:
+    if len(path) == 1 or time <= 0.0:
+        return np.asarray(path[0])
+    k = min(int(time), len(path) - 2)
+    return _interpolate_frames(path[k], path[k + 1], time - k)
+
+
+def _interpolate_frames(first: Floats, second: Floats, share: float) -> Floats:
+    turn = rotation_vectors(multiply(conjugate(first), second))
+    return multiply(first, from_rotation_vectors(share * turn))
+
+
+def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
+    names = ("position", "frame", "anchor", "force", "moment", "vector")
+    for boundary in boundaries:
+        for name in names:
+            path = getattr(boundary, name, None)
+            if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
+                continue
+            message = (
+                f"{boundary_name(boundaries, boundary)}: {name} has {len(path)} rows; "
+                f"expected 1 or steps + 1 = {steps + 1}"
+            )
+            raise ValueError(message)

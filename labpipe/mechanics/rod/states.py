@@ -1,0 +1,177 @@
+"""State of a followed line by nodes, its stored and lost energy, and the work on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.boundaries import Load
+from labpipe.mechanics.rod.path import RodState
+from labpipe.mechanics.rod.rotations import conjugate, matrices, multiply, rotation_vectors
+from labpipe.mechanics.rod.schedule import Schedule
+from labpipe.mechanics.rod.supports import END_SHARE, Supports
+from labpipe.records.arrays import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkState:
+    """A shape in balance under its demands, with the history before and behind."""
+
+    time: float
+    shape: Shape
+    balance: Balance
+    demands: Demands
+    memory: LineMemory
+    earlier: LineMemory | None
+
+
+def merge_rests(supports: Supports, rests: Floats) -> Floats:
+    """Return the rests of cells, shape (cells, sliders, 2), from those before and behind the nodes.
+
+    Without a clamp both sides form one cell with the mean of their rests, which is admissible.
+    """
+    return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
+
+
+def split_sides(supports: Supports, values: Floats) -> Floats:
+    """Return values before and behind the nodes, shape (n + 1, 2, ...), from those of cells."""
+    out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
+    for side in (0, 1):
+        is_held = supports.sides[:, side] > 0.0
+        out[supports.nodes[is_held], side] = values[is_held]
+    return out
+
+
+def state_of(
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: WalkState, step: int
+) -> RodState:
+    """Return the state of a step, with all forces and moments in space."""
+    supports, cells = assembly.supports, now.balance.cells
+    n_nodes = assembly.n + 1
+    forces, clamp_moments = assembly.reactions(now.balance, now.demands)
+    moments = split_sides(supports, _moments_in_space(assembly, now))
+    reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
+    reaction_forces[list(grips)] = forces
+    for k, load in enumerate(schedule.boundaries):
+        if isinstance(load, Load):
+            reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
+    clamped = [grips[int(row)] for row in supports.clamps]
+    reaction_moments[clamped] = clamp_moments
+    for k, touch in zip(schedule.planes, now.balance.touches, strict=True):
+        reaction_forces[k] = touch.forces.sum(axis=0)
+    reaction_forces[list(schedule.strings)] = now.balance.tensions
+    slid = np.full(len(schedule.boundaries), np.nan)
+    stations = assembly.line.stations
+    for k, thread in zip(schedule.rings, now.balance.threads, strict=True):
+        reaction_forces[k] = thread.force
+        slid[k] = np.interp(thread.place, np.arange(n_nodes), stations)
+    touched = np.array([touch.forces for touch in now.balance.touches]).reshape(-1, n_nodes, 3)
+    return RodState(
+        positions=now.shape.positions,
+        frames=now.shape.frames,
+        stretches=now.shape.stretches,
+        forces=now.shape.forces,
+        moments=moments,
+        curvatures=split_sides(supports, cells.curvatures),
+        node_curvatures=split_sides(supports, _to_clamps(supports, cells.curvatures)),
+        rests=split_sides(supports, now.balance.memory.rests),
+        reaction_forces=reaction_forces,
+        reaction_moments=reaction_moments,
+        contacts=now.balance.memory.contacts,
+        contact_forces=touched,
+        slid=slid,
+    )
+
+
+def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
+    """Return the curvatures of the cells, shape (cells, 3), extrapolated to clamps.
+
+    Along the straight line to the next cell: a half cell bends as the line does at a share
+    `END_SHARE` of its element.
+    """
+    clamps, lengths = curvatures.copy(), supports.lengths
+    for end, side in ((supports.behind, -1), (supports.before, 1)):
+        nodes = np.flatnonzero(end < 0)
+        nodes = nodes[(nodes + side >= 0) & (nodes + side < len(end))]
+        place = END_SHARE * 2.0 * lengths[nodes]
+        share = place / (lengths[nodes] + 0.5 * lengths[nodes + side] - place)
+        clamps[nodes] += share[:, None] * (curvatures[nodes] - curvatures[nodes + side])
+    return clamps
+
+
+def _moments_in_space(assembly: Assembly, now: WalkState) -> Floats:
+    """Return the moments of the cells, by the part behind on the part before, N m, (cells, 3).
+
+    At a clamp it is the moment at the node, which exceeds that of the half cell.
+    """
+    supports, cells = assembly.supports, now.balance.cells
+    frames = np.concatenate([now.shape.frames, now.demands.clamps[::-1]])
+    turned = matrices(frames[supports.behind])
+    moments = np.einsum("nxy,ny->nx", turned, cells.behind)
+    for (row, clamp), lent in zip(supports.lent, now.balance.directions.lent_moments, strict=True):
+        element, mark = supports.ends[row], -1 - clamp
+        moments[(supports.before == mark) & (supports.behind == element)] -= lent
+        moments[(supports.behind == mark) & (supports.before == element)] += lent
+    return np.asarray(moments)
+
+
+def stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
+    """Return the elastic energy of bending, twist and stretch, J."""
+    section, cells = assembly.line.section, balance.cells
+    law = section.law
+    slider_strain = cells.curvatures[:, None, :2] - balance.memory.rests
+    of_sliders = np.einsum("nj,j->n", np.sum(slider_strain**2, axis=2), law.stiffnesses)
+    of_spring = law.stiffness * np.sum(cells.curvatures[:, :2] ** 2, axis=1)
+    of_twist = section.torsional_stiffness * cells.curvatures[:, 2] ** 2
+    energy = 0.5 * float(assembly.supports.lengths @ (of_sliders + of_spring + of_twist))
+    if not assembly.is_rigid:
+        energy += 0.5 * section.axial_stiffness * float(assembly.line.lengths @ shape.stretches**2)
+        energy += assembly.coupled_energy(shape, cells)
+    return energy
+
+
+def lost_energy(assembly: Assembly, before: Floats, behind: Floats) -> float:
+    """Return the energy lost in the sliders in a step, J, from the rests of cells around it.
+
+    A sliding slider carries K_j kappa_j over the path of its rest.
+    """
+    law = assembly.line.section.law
+    ways = np.linalg.norm(behind - before, axis=2)
+    return float(assembly.supports.lengths @ ways @ (law.stiffnesses * law.slip_curvatures))
+
+
+def work_done(
+    assembly: Assembly,
+    demands: tuple[Demands, Demands],
+    shapes: tuple[Shape, Shape],
+    balances: tuple[Balance, Balance],
+) -> float:
+    """Return the work of grips, loads, weight and strings on the line within a step, J.
+
+    By the mean of the forces at both ends of the step: exact for constant forces, else of third
+    order in the step.
+    """
+    (old, new), (first, last) = demands, shapes
+    pulls = [assembly.reactions(b, d) for b, d in zip(balances, demands, strict=True)]
+    moved = last.positions - first.positions
+    work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
+    work += 0.5 * float(np.sum((old.forces + new.forces) * moved))
+    work += 0.5 * float(np.sum((pulls[0][1] + pulls[1][1]) * _turns(old.clamps, new.clamps)))
+    if np.any(old.moments) or np.any(new.moments):
+        turned = _turns(first.frames, last.frames)
+        work += 0.5 * float(np.sum((old.moments + new.moments) * turned))
+    if len(new.anchors):
+        tensions = balances[0].tensions + balances[1].tensions
+        work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))
+    if len(new.rings):
+        pulls_of = [np.array([thread.force for thread in b.threads]) for b in balances]
+        work += 0.5 * float(np.sum((pulls_of[0] + pulls_of[1]) * (new.rings - old.rings)))
+    return work
+
+
+def _turns(before: Floats, behind: Floats) -> Floats:
+    """Return rotation vectors in space, rad, between frames."""
+    rotation = rotation_vectors(multiply(conjugate(before), behind))
+    return np.asarray(np.einsum("nxy,ny->nx", matrices(before), rotation))

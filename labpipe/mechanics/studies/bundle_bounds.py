@@ -1,0 +1,497 @@
+"""Bounds of the bending stiffness of a bundle, and the place of tests between them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.errors import ProcessingError, UsageError, error_text
+from labpipe.mechanics.studies.study_json import entries
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet, wire_error
+from labpipe.mechanics.wire.bundle_friction import fit_friction
+from labpipe.mechanics.wire.bundle_model import bundle_model, share_of_bounds
+from labpipe.mechanics.wire.bundle_packing import (
+    WANTED_FRACTION,
+    bore_for,
+    choose_bore,
+    fits,
+    packing_fraction,
+)
+from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.process.output_paths import RESULT_FILE
+from labpipe.protocol.load import load_test_sheet, parse_protocol
+from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
+from labpipe.records.arrays import Ints
+from labpipe.records.curve import Curve, Interval
+from labpipe.records.group import BundlePlace, Group, Sample
+from labpipe.records.harness_bundle import (
+    ARRANGEMENTS,
+    PACKED,
+    Bundle,
+    BundleLoop,
+    BundleModel,
+    FrictionFit,
+)
+from labpipe.records.quality import Reason
+from labpipe.records.result import TestResult
+from labpipe.records.wire import WireSpec, WireTable
+from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, bundle_figure, loop_figure
+from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.store.read import read_outcome
+from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.units import GRAVITY
+
+STIFFNESS = "bending_stiffness"
+_Bounds = BundleModel | tuple[Reason, ...]
+"""Model of a bundle, or the reasons why there is none."""
+
+
+def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[BundlePlace]:
+    """Place the samples and the mean of each group of bundles between slipping and sticking.
+
+    Parameters
+    ----------
+    groups : of the report; those without a bundle have no place
+    wires : of the wire sheet
+
+    Yields
+    ------
+    Group by group: its samples, then its mean. The mean has bounds where those of all samples are
+    the same. A place without bounds or without a stiffness has the reason.
+
+    Notes
+    -----
+    The share is 0 where every wire slips on its neighbours and its strands slip too, 1 where
+    nothing slips: see `share_of_bounds`.
+    """
+    with_bundles = [group for group in groups if _bundles(group)]
+    bundles = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
+    bounds = _bounds_by_bundle(list(bundles), {wire.name: wire for wire in wires})
+    for group in with_bundles:
+        for sample in group.samples:
+            yield _sample_place(group, sample, bounds)
+        yield _mean_place(group, bounds)
+
+
+def _bundles(group: Group) -> list[Bundle]:
+    return [bundle for sample in group.samples if (bundle := _bare_bundle(sample)) is not None]
+
+
+def _bare_bundle(sample: Sample) -> Bundle | None:
+    """Return the wires and their layout, on which bounds depend, without conduit and tape."""
+    bundle = sample.specimen.bundle
+    return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
+
+
+def _bounds_by_bundle(
+    bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]
+) -> dict[Bundle, _Bounds]:
+    tables: dict[str, WireTable] = {}
+    refused: dict[str, Reason] = {}
+    for name in dict.fromkeys(wire.type for bundle in bundles for wire in bundle.wires):
+        if name not in wires:
+            refused[name] = Reason("not_in_sheet", f"no bounds: the sheet has no {name}")
+            continue
+        try:
+            tables[name] = wire_table(wires[name])
+        except ValueError as error:
+            message = f"no bounds: {name} of the sheet cannot be modelled: {error}"
+            refused[name] = Reason("no_law", message)
+    return {bundle: _bounds(bundle, tables, refused) for bundle in bundles}
+
+
+def _bounds(
+    bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, Reason]
+) -> _Bounds:
+    reasons = tuple(refused[wire.type] for wire in bundle.wires if wire.type in refused)
+    if reasons:
+        return reasons
+    try:
+        return bundle_model(bundle, tables)
+    except ValueError as error:
+        return (Reason("no_model", f"no bounds: {error}"),)
+
+
+def _sample_place(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+    result = next((result for result in sample.results if result.name == STIFFNESS), None)
+    value = None if result is None else result.value
+    interval = None if result is None else result.interval
+    reasons: tuple[Reason, ...] = (Reason("no_result", f"the test has no {STIFFNESS}"),)
+    if result is not None:
+        reasons = result.reasons if value is None else ()
+    place = BundlePlace(group.name, sample.test, value, interval, reasons=reasons)
+    bundle = _bare_bundle(sample)
+    if bundle is None:
+        return _with_reason(place, "no_bundle", "no bounds: its test sheet has no bundle")
+    return _with_share(place, bounds[bundle])
+
+
+def _with_reason(place: BundlePlace, code: str, message: str) -> BundlePlace:
+    return replace(place, reasons=(Reason(code, message),))
+
+
+def _mean_place(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+    number = next((number for number in group.numbers if number.name == STIFFNESS), None)
+    mean = None if number is None or number.mean is None else number.mean.chosen
+    value = None if mean is None else mean.mean
+    place = BundlePlace(group.name, "", value, mean.interval if mean else None)
+    if mean is None:
+        place = _with_reason(place, "no_result", f"no sample has a {STIFFNESS}")
+    shared = list(dict.fromkeys(map(_bare_bundle, group.samples)))
+    if len(shared) > 1 or shared[0] is None:
+        return _with_reason(
+            place, "bundles_differ", "no bounds: its samples have different bundles"
+        )
+    return _with_share(place, bounds[shared[0]])
+
+
+def _with_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
+    if isinstance(model, tuple):
+        return replace(place, reasons=model)
+    numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
+    place = replace(place, **numbers)
+    if place.value is None:
+        return place
+    if not model.high > model.low:
+        return _with_reason(place, "one_bound", "no share: the two bounds are the same")
+    share = partial(share_of_bounds, low=model.low, high=model.high)
+    interval = place.interval
+    if interval is not None:
+        interval = Interval(share(interval.lower), share(interval.upper), interval.level)
+    return replace(place, share=share(place.value), share_interval=interval)
+
+
+BUNDLE_FILE = "bundle.json"
+FIGURES_FOLDER = "figures"
+SCHEMA = 1
+
+_UNSAFE_CHARACTERS = re.compile(r"[^\w.-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Conduit:
+    """A conduit to choose from.
+
+    Parameters
+    ----------
+    bore : inner diameter, m
+    packing_fraction : of the wires in it
+    holds : whether they fit in their layout
+    """
+
+    bore: float
+    packing_fraction: float
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelledBundle:
+    """A bundle with its model and files.
+
+    Parameters
+    ----------
+    name : composition of the bundle, or name of its test
+    model : bounds of its bending
+    conduits : to choose from, in that order
+    wanted_bore : m, of a conduit with a packing fraction of 0.7
+    folder : of the results
+    files : that were written
+    friction : fitted to the cycles of a processed test; None for anything else
+    no_friction : reason why a processed test has none
+    """
+
+    name: str
+    model: BundleModel
+    conduits: tuple[Conduit, ...]
+    wanted_bore: float
+    folder: Path
+    files: tuple[Path, ...] = ()
+    friction: FrictionFit | None = None
+    no_friction: str = ""
+
+
+def model_bundle(
+    what: str,
+    *,
+    wires: Path,
+    arrangement: str | None = None,
+    bores: Sequence[float] = (),
+    out: Path | None = None,
+    figures: bool = True,
+    png: bool = False,
+) -> ModelledBundle:
+    """Model a bundle and write the results.
+
+    Parameters
+    ----------
+    what : a processed test (its folder or ``result.h5``), a test sheet, the folder of one, or text
+        such as ``10 B1 + 9 B2``
+    wires : wire sheet that has the types of the bundle as its wires
+    arrangement : overrides that of the test sheet
+    bores : m, inner diameters of conduits to choose from; override that of the test sheet
+    out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
+    figures : whether to draw
+    png : figures as PNG, too; without it those of an earlier run are removed
+
+    Returns
+    -------
+    The model in the best conduit of those to choose from; of a processed test, with the friction
+    fitted to its first cycle and the prediction of the other cycles.
+
+    Raises
+    ------
+    LabpipeError
+        If the text, the test sheet or the wire sheet has faults, a wire is not in the sheet, or
+        the bundle fits no conduit; earlier results are then unchanged.
+    """
+    if arrangement not in (None, *ARRANGEMENTS):
+        message = error_text(
+            "--arrangement",
+            "",
+            expected=f"one of {', '.join(ARRANGEMENTS)}",
+            found=repr(arrangement),
+            remedy="Choose one, or leave it out.",
+        )
+        raise UsageError(message)
+    test = processed_test(what)
+    name, bundle = _read_bundle(what, test, arrangement)
+    tables = _read_tables(bundle, wires)
+    offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
+    try:
+        model = _in_best_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
+    except ValueError as error:
+        message = error_text(
+            what,
+            "",
+            expected="a bundle of wires that do not overlap and fit in its conduit",
+            found=f"this: {error}",
+            remedy="Check the wires, their positions and the bore.",
+        )
+        raise ProcessingError(message) from error
+    folder = Path("processed/bundles") / _UNSAFE_CHARACTERS.sub("-", name) if out is None else out
+    diameters = model.layout.diameter
+    conduits = [
+        Conduit(bore, packing_fraction(diameters, bore), fits(model.smallest_bore, bore))
+        for bore in offered
+    ]
+    modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
+    if test is not None:
+        laws = [tables[wire.type] for wire in bundle.wires]
+        try:
+            modelled = replace(modelled, friction=fit_friction(model, laws, bundle_loop(test)))
+        except ValueError as error:
+            modelled = replace(modelled, no_friction=str(error))
+    return _write(modelled, figures=figures, png=png)
+
+
+def _read_bundle(what: str, test: TestResult | None, arrangement: str | None) -> tuple[str, Bundle]:
+    """Return name and composition, of a processed test, a test sheet or text."""
+    path = Path(what)
+    with suppress(OSError):  # text that is too long for a file name
+        path = path / SHEET_NAME if path.is_dir() else path
+    if test is not None:
+        name, bundle = test.test, test.specimen.bundle
+    elif path.suffix in (".yaml", ".yml"):
+        sheet = load_test_sheet(path)
+        name, bundle = sheet.test, sheet.specimen.record.bundle
+    else:
+        bundle = bundle_in_words(what, arrangement=arrangement or PACKED)
+        name = bundle.composition.replace(" + ", " ")
+        return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
+    if bundle is None:
+        message = error_text(
+            path if test is None else what,
+            "specimen",
+            expected="a bundle",
+            found="none",
+            remedy="State the wires of the bundle, such as 'bundle: {wires: {B1: 7}}'.",
+        )
+        raise UsageError(message)
+    return name, replace(bundle, arrangement=arrangement or bundle.arrangement)
+
+
+def _read_tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
+    """Compute the laws of the wires of a bundle."""
+    specs = {spec.name: spec for spec in read_wire_sheet(wires)}
+    missing = [wire.type for wire in bundle.wires if wire.type not in specs]
+    if missing:
+        message = error_text(
+            wires,
+            "",
+            expected=f"a row for each wire of the bundle, {', '.join(missing)} too",
+            found=f"rows for {', '.join(specs)}",
+            remedy="Add the row, or name another wire sheet with --wire.",
+        )
+        raise UsageError(message)
+    tables = {}
+    for name in dict.fromkeys(wire.type for wire in bundle.wires):
+        try:
+            tables[name] = wire_table(specs[name])
+        except ValueError as error:
+            raise wire_error(wires, specs[name], "a wire that can be modelled", error) from error
+    return tables
+
+
+def _in_best_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
+    """Return the model inside the best of the conduits to choose from."""
+    if not offered:
+        return model
+    diameters = model.layout.diameter
+    bore = choose_bore(diameters, offered, smallest=model.smallest_bore)
+    bundle = replace(model.bundle, conduit_bore=bore)
+    return replace(model, bundle=bundle, packing_fraction=packing_fraction(diameters, bore))
+
+
+def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBundle:
+    folder = modelled.folder
+    names = (FIGURE, LOOP_FIGURE) if figures else ()
+    owned = [f"{FIGURES_FOLDER}/{name}.png" for name in names]
+    with locked(folder), replacing_together(folder, owned=owned) as stage:
+        with storing(folder):
+            (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
+        written = [stage / BUNDLE_FILE]
+        if figures:
+            pages = [FigureToSave(FIGURE, partial(bundle_figure, modelled.model))]
+            if modelled.friction is not None:
+                loop = partial(loop_figure, modelled.name, modelled.friction)
+                pages.append(FigureToSave(LOOP_FIGURE, loop))
+            written += save_pages(pages, stage / FIGURES_FOLDER, png=png)
+        files = tuple(folder / path.relative_to(stage) for path in written)
+    return replace(modelled, files=files)
+
+
+_NUMBERS = (
+    *("low", "free", "high", "principal", "principal_angle", "neutral", "tensor"),
+    *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
+    *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
+)
+
+
+def as_json(modelled: ModelledBundle) -> dict[str, object]:
+    """Return the content of ``labpipe bundle --json``: lists and numbers in SI units.
+
+    Parameters
+    ----------
+    modelled : a bundle
+    """
+    model, friction = modelled.model, modelled.friction
+    slip, stick = model.is_doubtful, model.is_doubtful_stick
+    return {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        **entries(modelled, "name", "wanted_bore", "conduits", "no_friction"),
+        "bundle": asdict(model.bundle),
+        "wanted_packing_fraction": WANTED_FRACTION,
+        **entries(model, *_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
+        "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
+        "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
+        "friction": friction and friction_as_json(friction),
+    }
+
+
+def processed_test(what: str) -> TestResult | None:
+    """Read a processed test; return None for anything else.
+
+    Parameters
+    ----------
+    what : a folder with a ``result.h5``, that file, or anything else
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be read.
+    """
+    path = Path(what)
+    with suppress(OSError):  # text that is too long for a file name
+        path = path / RESULT_FILE if path.is_dir() and (path / RESULT_FILE).exists() else path
+    return read_outcome(path) if path.suffix == ".h5" else None
+
+
+def bundle_loop(test: TestResult) -> BundleLoop:
+    """Return the cycles of a processed test as those of a cantilever.
+
+    Parameters
+    ----------
+    test : of a bundle, with the specimen's `length` (a cantilever) or `span` (bent between two
+        supports)
+
+    Returns
+    -------
+    The loop; of a cantilever with the weight of its test sheet. A span rests on both supports.
+
+    Raises
+    ------
+    ValueError
+        If the test has no curve, neither length nor span, or no kink.
+    """
+    # of the length; smaller deflections are within the error of the zero.
+    min_deflection_share = 1e-3
+    curve, dimensions = test.curve, test.specimen.dimensions
+    values = {result.name: result.value for result in test.results}
+    kink = values.get("kink_displacement"), values.get("kink_force")
+    if curve is None or not curve.branches:
+        message = "the test has no curve with branches"
+        raise ValueError(message)
+    if kink[0] is None or kink[1] is None:
+        message = "the test has no kink (kink_displacement, kink_force), where its wires slip"
+        raise ValueError(message)
+    if "length" not in dimensions and "span" not in dimensions:
+        message = "the test sheet has neither length nor span"
+        raise ValueError(message)
+    length = dimensions.get("length", dimensions.get("span", 0.0) / 2.0)
+    share = 1.0 if "length" in dimensions else 0.5  # two halves carry the force between supports
+    rows, branch = _thin_branches(curve, min_deflection_share * length)
+    slide = values.get("plateau_displacement")
+    self_weight = 0.0
+    if "length" in dimensions:
+        specimen = parse_protocol(test.protocol_yaml, test.test).specimen
+        self_weight = GRAVITY * (specimen.mass_per_length or 0.0)
+    return BundleLoop(
+        length=length,
+        deflection=curve.displacement[rows],
+        force=share * curve.force[rows],
+        branch=branch,
+        kink=(kink[0], share * kink[1]),
+        slide=np.inf if slide is None else slide,
+        self_weight=self_weight,
+    )
+
+
+def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
+    """Return the rows of evenly spaced points of all branches, and the number of their branch."""
+    points_per_branch = 30
+    rows, branches = [], []
+    for number, branch in enumerate(curve.branches):
+        inside = np.arange(branch.start, branch.stop)
+        inside = inside[
+            (curve.displacement[inside] > min_deflection) & np.isfinite(curve.force[inside])
+        ]
+        evenly = np.linspace(0.0, len(inside) - 1.0, min(points_per_branch, len(inside)))
+        rows.append(inside[np.round(evenly).astype(np.int64)])
+        branches.append(np.full(len(evenly), number, dtype=np.int64))
+    return np.concatenate(rows), np.concatenate(branches)
+
+
+_FRICTION = (
+    *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
+    *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
+)
+
+
+def friction_as_json(fit: FrictionFit) -> dict[str, object]:
+    """Return the friction of a bundle as lists and numbers, SI units.
+
+    Parameters
+    ----------
+    fit : of a processed test; a `slide_curvature` that is infinite becomes None
+    """
+    return entries(fit, *_FRICTION) | entries(fit.loop, "length", "deflection", "force", "branch")

@@ -1,0 +1,226 @@
+"""Calibrations in ``calibration.json``: written with all numbers, read for later predictions."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.errors import ProcessingError, error_text
+from labpipe.mechanics.studies.study_json import entries, plain
+from labpipe.records.arrays import Floats
+from labpipe.records.wire_calibration import (
+    PARAMETERS,
+    CalibratedParameter,
+    Calibration,
+    CurveErrors,
+    CurveMatch,
+    ExternalCurveComparison,
+    ScatterMixture,
+    Separability,
+    Solution,
+)
+from labpipe.report.calibration_summary import ValidationGroup
+from labpipe.store.summaries import finite_or_none
+
+SCHEMA = 2
+
+
+def calibration_json(
+    calibration: Calibration,
+    groups: Sequence[ValidationGroup],
+    left_out: Mapping[str, str],
+    tested: float = math.nan,
+) -> dict[str, object]:
+    """Return a calibration as lists and SI numbers; None where there is no number.
+
+    Parameters
+    ----------
+    calibration : of one wire
+    groups : tests that it is compared with
+    left_out : by file, why a test was not used
+    tested : 1/m, largest curvature in the tests
+    """
+    friction = calibration.friction_separability
+    numbers = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
+    return {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        **entries(calibration, "wire", "method", *numbers, quality="notes"),
+        "parameters": [_parameter_json(parameter) for parameter in calibration.parameters],
+        "solutions": [_solution_json(solution) for solution in calibration.solutions],
+        "tested_curvature": finite_or_none(tested),
+        "correlations": {"names": list(PARAMETERS), "values": plain(calibration.correlations)},
+        "separability": _separability_json(calibration.separability),
+        "friction_separability": None if friction is None else _separability_json(friction),
+        "curves": [
+            entries(
+                *(curve, "test", "sample", "length", "sample_factor"),
+                *("sse", "rmse", "rmse_share", "runs_p"),
+                lag_one="lag_one_correlation",
+            )
+            for curve in calibration.curves
+        ],
+        "groups": [_group_json(group) for group in groups],
+        "left_out": dict(left_out),
+    }
+
+
+def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
+    interval, conflict = parameter.interval, parameter.conflict
+    ends = [[plain(part.lower), plain(part.upper)] for part in parameter.intervals]
+    if ends and parameter.is_open_below:
+        ends[0][0] = None
+    if ends and parameter.is_open_above:
+        ends[-1][1] = None
+    names = ("factor", "source", "size", "contradicts", "message")
+    prior = conflict and entries(conflict, *names, value="centre", without="alone")
+    return {
+        **entries(
+            parameter, "name", "value", "unit", "verdict", "profiles", "source", words="explanation"
+        ),
+        "lower": ends[0][0] if ends else None,
+        "upper": ends[-1][1] if ends else None,
+        "level": interval and interval.level,
+        "intervals": ends,
+        "prior": prior,
+    }
+
+
+def _solution_json(solution: Solution) -> dict[str, object]:
+    names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
+    values = zip(PARAMETERS, plain(solution.values), strict=True)
+    return dict(values) | entries(solution, *names, in_95_percent_set="is_allowed")
+
+
+def _separability_json(separability: Separability) -> dict[str, object]:
+    names = ("names", "singular_values", "combinations")
+    return entries(separability, *names, words="explanation", identified="are_identified")
+
+
+def _group_json(group: ValidationGroup) -> dict[str, object]:
+    errors, prediction = group.errors, group.prediction
+    curves = ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
+    return {
+        **entries(group, "wire", "length", calibrating="is_calibrated"),
+        "tests": list(group.samples),
+        "n": errors and errors.n,
+        "sse": errors and finite_or_none(errors.sse),
+        **_errors_json(errors),
+        "reasons": [] if group.reason is None else [plain(group.reason)],
+        "prediction": prediction and entries(prediction, *curves),
+    }
+
+
+def _errors_json(errors: CurveErrors | None) -> dict[str, float | None]:
+    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
+    return dict.fromkeys(names) if errors is None else entries(errors, **names)
+
+
+def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
+    """Return a comparison as lists and SI numbers; None where there is no number.
+
+    Parameters
+    ----------
+    comparison : of an external curve
+    """
+    curve = comparison.curve
+    return {
+        **entries(curve, "name", "file", "source", "wire", "length", "deflection", "force"),
+        "load": "normal" if curve.is_normal else "as tested",
+        "tests": comparison.tests and _match_json(comparison.tests),
+        "model": _match_json(comparison.model),
+        "quality": plain(comparison.notes),
+    }
+
+
+def _match_json(match: CurveMatch) -> dict[str, object]:
+    count = 0 if match.errors is None else match.errors.n
+    numbers = entries(match, "left_out", force="reference", reason="explanation")
+    return {"n": count, **numbers, **_errors_json(match.errors)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedFile:
+    """A calibration as predictions need it.
+
+    Parameters
+    ----------
+    wire : name
+    solutions : the best first
+    widening : of quantiles
+    tested_curvature : 1/m, largest that the tests reached
+    """
+
+    wire: str
+    solutions: tuple[Solution, ...]
+    widening: float
+    tested_curvature: float
+
+    def values(self, number: int = 0) -> dict[str, float]:
+        """Return values of `PARAMETERS` of a solution by name; NaN where the wire has none."""
+        return dict(zip(PARAMETERS, self.solutions[number].values.tolist(), strict=True))
+
+
+def read_calibrated(path: Path) -> CalibratedFile:
+    """Read a file of ``labpipe calibrate``.
+
+    Parameters
+    ----------
+    path : calibration.json
+
+    Raises
+    ------
+    ProcessingError
+        If it cannot be read, or its version has not all that predictions need.
+    """
+    try:
+        return _parse_file(json.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        fault = error.strerror or "no file"
+    except (ValueError, LookupError, TypeError) as error:
+        fault = f"something else ({type(error).__name__}: {error})"
+    expected = "a calibration.json with solutions, their mixtures and the tested curvature"
+    remedy = "Calibrate again with this version of labpipe: labpipe calibrate."
+    message = error_text(path, "calibration", expected=expected, found=fault, remedy=remedy)
+    raise ProcessingError(message)
+
+
+def _parse_file(content: dict[str, Any]) -> CalibratedFile:
+    solutions = tuple(_parse_solution(entry) for entry in content["solutions"])
+    if not solutions:
+        message = "no solution"
+        raise ValueError(message)
+    return CalibratedFile(
+        str(content["wire"]),
+        solutions,
+        float(content["widening"]),
+        float(_floats(content["tested_curvature"])),
+    )
+
+
+def _parse_solution(entry: dict[str, Any]) -> Solution:
+    mixture = {name: _floats(entry["mixture"][name]) for name in _MIXTURE}
+    freedom = entry["mixture"]["freedom"]
+    return Solution(
+        values=_floats([entry[name] for name in PARAMETERS]),
+        rise=float(entry["rise"]),
+        rmse=float(entry["rmse"]),
+        covariance=_floats(entry["covariance"]),
+        mixture=ScatterMixture(**mixture, freedom=np.inf if freedom is None else float(freedom)),
+        limit=float(entry["limit"]),
+    )
+
+
+_MIXTURE = ("chance", "scatter", "shift", "covariance")
+
+
+def _floats(values: object) -> Floats:
+    """Return numbers as an array; NaN for None."""
+    return np.array(values, dtype=np.float64)

@@ -1,0 +1,253 @@
+"""Rod and boundaries of a harness YAML: nodes, rest shape, and paths of all boundaries.
+
+Paths have a row per step and one for the start, where all boundaries are at the places of the
+line at rest, bent by its weight alone. Every place that the file names is a node. Boundaries move
+straight from one pose to the next; their direction turns about the axis across both, and their turn
+about the line is added. A ring starts at the nearest place of the line, and the anchor of a string
+that is too short at the start as near to it as the string allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.mechanics.rod import boundaries as rod
+from labpipe.mechanics.rod.contacts import nearest_place, point_at
+from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.rotations import (
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    rotation_vectors,
+    shortest_turns,
+    unit,
+)
+from labpipe.protocol.harness_file import (
+    HELD,
+    Clip,
+    Grip,
+    HarnessFile,
+    Held,
+    Load,
+    Pin,
+    Plane,
+    Ring,
+    Spool,
+    String,
+    Vector3,
+    Waypoint,
+    first_anchor,
+    legs_of,
+    start_of,
+)
+from labpipe.records.arrays import Floats
+
+LENGTH_FACTOR = "length_factor"
+"""Logarithm of the factor on the length of the line."""
+FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
+"""Additions to the rest curvature, 1/m: towards the side of the spool, and across it."""
+Inputs = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedLine:
+    """A line with all its boundaries, ready to be solved.
+
+    Parameters
+    ----------
+    line : at the start
+    boundaries : in the order of the file; the weight, if any, last
+    nodes : by name of a boundary; rings and planes have none
+    """
+
+    line: Line
+    boundaries: tuple[rod.Boundary, ...]
+    nodes: Mapping[str, int]
+
+
+def prepare_line(
+    harness: HarnessFile, section: Section, inputs: Inputs, *, length: float | None = None
+) -> PreparedLine:
+    """Prepare the line of a harness.
+
+    Parameters
+    ----------
+    harness : as read
+    section : of the line
+    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 for a missing one; others are ignored
+    length : m, of a sweep; None for that of the file
+
+    Raises
+    ------
+    ValueError
+        If length or section is out of its range.
+    """
+    stations = _stations(harness, harness.line.length if length is None else length)
+    places = {
+        boundary.name: int(np.argmin(np.abs(stations - min(boundary.at, stations[-1]))))
+        for boundary in harness.boundaries
+        if not isinstance(boundary, Ring | Plane)
+    }
+    stations = stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0)))
+    line = _line(harness, section, stations)
+    free = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
+    if np.any(free):
+        rest_curvature = line.rest_curvature.copy()
+        rest_curvature[:, :2] += free @ _bend_axes(line, harness.line.spool)
+        line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
+    return PreparedLine(line, tuple(_boundaries(harness, line, places)), places)
+
+
+def _bend_axes(line: Line, spool: Spool | None) -> Floats:
+    """Return bendings about d1 and d2 of a curl to the side of the spool and across it, (2, 2).
+
+    A line curls to a side t when it turns about d3 x t. Without a spool the side is that of d1.
+    """
+    axes = matrices(line.frames[0])
+    side = np.array([1.0, 0.0])
+    if spool is not None:
+        side = (_towards(spool, axes[:, 2]) @ axes)[:2]
+    return np.array([[-side[1], side[0]], [-side[0], -side[1]]])
+
+
+def _stations(harness: HarnessFile, length: float) -> Floats:
+    """Return the nodes, m: elements of equal length between any two named places."""
+    named = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
+    marks = sorted({0.0, length, *(min(place, length) for place in named)})
+    count = harness.line.elements
+    parts = [
+        np.linspace(low, high, 1 + max(1, round(count * (high - low) / length)))[1:]
+        for low, high in pairwise(marks)
+    ]
+    return np.concatenate([[0.0], *parts])
+
+
+def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
+    begin, direction = (np.array(vector) for vector in start_of(harness))
+    spool = harness.line.spool
+    if spool is None:
+        positions = begin + stations[:, None] * direction
+        is_steep = abs(direction[2]) > 0.9
+        up = (1.0, 0.0, 0.0) if is_steep else (0.0, 0.0, 1.0)
+        return line_along(positions, section, up=up)
+    towards = _towards(spool, direction)
+    middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
+    steps = np.cos(middles)[:, None] * direction + np.sin(middles)[:, None] * towards
+    positions = begin + np.vstack(
+        [np.zeros(3), np.cumsum(np.diff(stations)[:, None] * steps, axis=0)]
+    )
+    return line_along(positions, section, up=_as_tuple(towards), is_formed=True)
+
+
+def _towards(spool: Spool, direction: Floats) -> Floats:
+    """Return the unit vector across a direction to the side of a spool."""
+    towards = np.array(spool.towards)
+    across = towards - (towards @ direction) * direction
+    if np.linalg.norm(across) < 1e-6:
+        message = f"towards={spool.towards}: must be a side of the line, not its direction"
+        raise ValueError(message)
+    return np.asarray(unit(across))
+
+
+def _as_tuple(vector: Floats) -> Vector3:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def _boundaries(
+    harness: HarnessFile, line: Line, nodes: Mapping[str, int]
+) -> Iterator[rod.Boundary]:
+    steps = harness.steps
+    for boundary in harness.boundaries:
+        match boundary:
+            case Clip() | Pin() | Grip():
+                yield _held_boundary(boundary, line, nodes[boundary.name], steps)
+            case Ring():
+                path = _straight_path(
+                    _nearest_point(line, boundary), boundary.position, boundary.by or steps, steps
+                )
+                yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
+            case String():
+                node = nodes[boundary.name]
+                first = first_anchor(boundary, _as_tuple(line.positions[node]))
+                path = _straight_path(np.array(first), boundary.anchor, boundary.by or steps, steps)
+                yield rod.String(node, path, boundary.length, name=boundary.name)
+            case Load():
+                force = _ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
+                yield rod.Load(nodes[boundary.name], force, name=boundary.name)
+            case Plane():
+                table = np.array(boundary.point), np.array(boundary.normal)
+                yield rod.Plane(*table, boundary.friction, name=boundary.name)
+    if any(harness.gravity) and line.section.mass_per_length > 0.0:
+        yield rod.Gravity(_gravity_path(harness), name="weight")
+
+
+def _nearest_point(line: Line, ring: Ring) -> Floats:
+    """Return the place of the line that is nearest to a ring."""
+    goal = np.array(ring.position)
+    near = int(np.argmin(np.linalg.norm(line.positions - goal, axis=1)))
+    return point_at(line.positions, nearest_place(line.positions, goal, float(near)))
+
+
+def _straight_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
+    """Return the straight path from the start to a goal, (steps + 1, 3); (3,) if it is there.
+
+    The latter is exactly constant: rounding errors would look like corners of a path.
+    """
+    min_distance = 1e-9  # m
+    displacement = np.array(goal) - begin
+    if np.linalg.norm(displacement) < min_distance:
+        return np.array(goal)
+    return np.asarray(begin + _ramp(by, steps)[:, None] * displacement)
+
+
+def _gravity_path(harness: HarnessFile) -> Floats:
+    """Return the acceleration, step by step where the line starts taut between two places.
+
+    Weight cannot give an inextensible taut line its tension at once.
+    """
+    full = np.array(harness.gravity)
+    if sum(isinstance(boundary, HELD) for boundary in harness.boundaries) < 2:
+        return full
+    share = _ramp(max(1, harness.steps // 5), harness.steps)
+    return np.asarray(share[:, None] * full)
+
+
+def _ramp(by: int, steps: int) -> Floats:
+    """Return a ramp from 0 at the start to 1 at a step, then constant: shape (steps + 1,)."""
+    return np.minimum(1.0, np.arange(steps + 1) / by)
+
+
+def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
+    legs = legs_of(boundary, line.positions[node].tolist(), steps)
+    leg_steps, rows = [leg.step for leg in legs], np.arange(steps + 1)
+    corners = np.array([leg.position for leg in legs])
+    position = np.column_stack([np.interp(rows, leg_steps, axis) for axis in corners.T])
+    frame = None
+    if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
+        frame = _frames(boundary, line.frame_at(node), steps)
+    return rod.Held(node, position, frame, boundary.release, boundary.name)
+
+
+def _frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
+    """Return the frames of a path: from direction to direction without twist, then the turns."""
+    frames, turns = [start], {0: 0.0}
+    points = boundary.path if isinstance(boundary, Grip) else (boundary,)
+    for point in points:
+        step = point.step if isinstance(point, Waypoint) else point.by or steps
+        span = step - len(frames) + 1
+        start_direction = matrices(frames[-1])[:, 2]
+        direction = start_direction if point.direction is None else np.array(point.direction)
+        full = rotation_vectors(shortest_turns(start_direction, direction))
+        shares = np.arange(1, span + 1) / span
+        moved = from_rotation_vectors(shares[:, None] * full)
+        frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))
+        turns[step] = turns[step - span] if point.turn is None else point.turn
+    frames += [frames[-1]] * (steps + 1 - len(frames))
+    about = np.zeros((steps + 1, 3))
+    about[:, 2] = np.interp(np.arange(steps + 1), list(turns), list(turns.values()))
+    return np.asarray(multiply(np.array(frames), from_rotation_vectors(about)))

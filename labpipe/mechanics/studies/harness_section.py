@@ -1,0 +1,302 @@
+"""Material of the line of a harness: sections as functions of uncertain inputs, and their range."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.errors import ReadError, UsageError, error_text, nearest
+from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.rod.input_distributions import (
+    InputDistribution,
+    calibrated_distributions,
+    join_distributions,
+    stated_distribution,
+)
+from labpipe.mechanics.rod.line import Section
+from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
+from labpipe.mechanics.studies.harness_line import FREE_CURVATURES
+from labpipe.mechanics.studies.wire_sheets import read_wire_sheet, wire_error
+from labpipe.mechanics.wire.law_family import (
+    LAW_FACTOR,
+    MASS_FACTOR,
+    TORSION_FACTOR,
+    LawFamily,
+    family_of,
+    with_values,
+)
+from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
+from labpipe.records.quality import QualityNote
+from labpipe.records.result import InputFile
+from labpipe.records.wire import WireSpec
+
+FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
+"""Inputs: logarithms of factors on moments, torsional stiffness and mass."""
+DEFAULT_SHEET = "wires.xlsx"
+_INSULATION_LIMIT = "the straight line of its insulation"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Material:
+    """Material of a line.
+
+    Parameters
+    ----------
+    name : of the wire, or a description
+    sections : functions of named inputs, such as ``law_factor``, with 0 for a missing one; one for
+        each solution of a calibration, the best first
+    limit : 1/m, largest curvature for which the law is supported
+    limit_source : of this limit
+    stretch_limit : largest strain along the line for which its axial stiffness is supported
+    files : that it was read from
+    notes : quality notes of the law
+    distributions : of the inputs, one for each solution of a calibration; empty without any
+        information on the uncertainty of the law
+    """
+
+    name: str
+    sections: tuple[Callable[[Mapping[str, float]], Section], ...]
+    limit: float
+    limit_source: str
+    files: tuple[InputFile, ...] = ()
+    notes: tuple[QualityNote, ...] = ()
+    distributions: tuple[InputDistribution, ...] = ()
+    stretch_limit: float = np.inf
+
+    @property
+    def diameter(self) -> float:
+        """Return the outer diameter, m."""
+        return self.sections[0](self.best).diameter
+
+    @property
+    def best(self) -> Mapping[str, float]:
+        """Return the best inputs."""
+        return self.distributions[0].inputs() if self.distributions else {}
+
+
+def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
+    """Read the material of the line of a harness.
+
+    Parameters
+    ----------
+    harness : as read
+    file : its YAML; other files are relative to its folder
+    wires : wire sheet instead of that in the file
+
+    Raises
+    ------
+    LabpipeError
+        If a file cannot be used, or has no such wire.
+    """
+    block = harness.line.section
+    if block.wire is not None:
+        material = _wire_material(block, file, wires)
+    elif block.sliders is not None:
+        material = _deck_material(block, file_beside(block.sliders, file))
+    else:
+        material = _stiffness_material(block)
+    return replace(material, distributions=_add_stated(material.distributions, harness))
+
+
+def _add_stated(
+    distributions: tuple[InputDistribution, ...], harness: HarnessFile
+) -> tuple[InputDistribution, ...]:
+    """Join the distributions of a calibration with those that the file states."""
+    inputs = {
+        LAW_FACTOR: (harness.line.section.stiffness_uncertainty or 0.0, "stiffness as stated")
+    }
+    if harness.line.spool is not None:
+        inputs |= dict.fromkeys(FREE_CURVATURES, (harness.line.spool.spread, "curl of the spool"))
+    stated = [
+        stated_distribution(name, deviation, cause=cause)
+        for name, (deviation, cause) in inputs.items()
+        if deviation > 0.0
+    ]
+    if not stated:
+        return distributions
+    if not distributions:
+        return (join_distributions(stated),)
+    return tuple(join_distributions([calibrated, *stated]) for calibrated in distributions)
+
+
+def input_file(role: str, path: Path) -> InputFile:
+    """Return a file with its hash, for the record.
+
+    Parameters
+    ----------
+    role : of the file
+    path : of the file
+    """
+    content = path.read_bytes()
+    return InputFile(role, path.name, hashlib.sha256(content).hexdigest(), len(content))
+
+
+def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
+    """Find a wire in a sheet.
+
+    Parameters
+    ----------
+    name : of the wire
+    sheet : of wires
+    where : place that names the wire, for the message
+
+    Raises
+    ------
+    LabpipeError
+        If the sheet has faults, or no such wire.
+    """
+    specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
+    if name in specs:
+        return specs[name]
+    near = ", ".join(nearest(name, list(specs)))
+    message = error_text(
+        *(where, ""),
+        expected=f"a wire of {sheet}, such as {near}",
+        found=repr(name),
+        remedy="Add its row to the sheet, or name another sheet.",
+    )
+    raise UsageError(message)
+
+
+def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
+    sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
+    spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
+    files = [input_file("wires", sheet)]
+    calibrated = None
+    if block.calibration is not None:
+        path = file_beside(block.calibration, file)
+        calibrated = read_calibrated(path)
+        files.append(input_file("calibration", path))
+    specs = _solution_specs(spec, calibrated)
+    try:
+        table, families = wire_table(specs[0]), [family_of(spec) for spec in specs]
+    except ValueError as error:
+        expected = "a wire whose law can be fitted by sliders"
+        raise wire_error(sheet, spec, expected, error) from error
+    limits = {"its table": float(table.curvature[-1]), _INSULATION_LIMIT: table.doubtful_curvature}
+    if calibrated is not None and np.isfinite(calibrated.tested_curvature):
+        limits["the tests of its calibration"] = calibrated.tested_curvature
+    source = min(limits, key=lambda limit: limits[limit])
+    name = spec.name
+    if calibrated is not None and calibrated.wire != name:
+        name = f"{name} (calibrated as {calibrated.wire})"
+    return Material(
+        name,
+        tuple(partial(_family_section, family, spec.wire_diameter) for family in families),
+        *(limits[source], source),
+        files=tuple(files),
+        notes=table.notes,
+        distributions=()
+        if calibrated is None
+        else calibrated_distributions(
+            calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
+        ),
+        stretch_limit=1e-3,  # copper yields beyond it
+    )
+
+
+def _solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
+    """Return the wire with the parameters of each allowed solution of a calibration, if any."""
+    if calibrated is None:
+        return [spec]
+    return [
+        with_values(spec, calibrated.values(number))
+        for number, solution in enumerate(calibrated.solutions)
+        if solution.is_allowed
+    ]
+
+
+def _family_section(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
+    member = family.at(inputs)
+    return Section(
+        *(member.law, member.torsional_stiffness, member.axial_stiffness, member.coupling),
+        mass_per_length=member.mass_per_length,
+        diameter=diameter,
+    )
+
+
+def _scaled_section(section: Section, inputs: Mapping[str, float]) -> Section:
+    """Multiply moments, torsion and mass of a section by the factors of the inputs."""
+    bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
+    law = section.law
+    return replace(
+        section,
+        law=replace(law, stiffness=bending * law.stiffness, stiffnesses=bending * law.stiffnesses),
+        torsional_stiffness=torsion * section.torsional_stiffness,
+        mass_per_length=mass * section.mass_per_length,
+    )
+
+
+def _stiffness_material(block: SectionBlock) -> Material:
+    stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
+    section = Section(
+        linear_moment_law(stiffness, limit),
+        block.torsional_stiffness or 0.0,
+        block.axial_stiffness or np.inf,
+        mass_per_length=block.mass_per_length or 0.0,
+        diameter=block.diameter or 0.0,
+    )
+    name = f"stiffness {1e6 * stiffness:.6g} N mm^2"
+    source = "'largest_curvature' of the file"
+    return Material(name, (partial(_scaled_section, section),), limit, source)
+
+
+def _deck_material(block: SectionBlock, path: Path) -> Material:
+    deck = _read_deck(path)
+    try:
+        first, last = map(float, deck["range"]["curvature"])
+        doubtful = float(deck.get("doubtful_beyond") or np.inf)
+        law = SliderLaw(
+            float(deck["stiffness"]),
+            np.array(deck["stiffnesses"], dtype=np.float64),
+            np.array(deck["slip_curvatures"], dtype=np.float64),
+            first,
+            last,
+            float(deck.get("error", 0.0)),
+        )
+        section = Section(
+            law,
+            float(deck["torsional_stiffness"]),
+            block.axial_stiffness or np.inf,
+            mass_per_length=float(deck.get("mass_per_length") or 0.0),
+            diameter=block.diameter or 0.0,
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        fault = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
+        raise _deck_error(path, "the law of a wire with its range", fault) from error
+    limits = {"the range of the deck": law.last, _INSULATION_LIMIT: doubtful}
+    source = min(limits, key=lambda limit: limits[limit])
+    return Material(
+        *(str(deck.get("wire", path.stem)), (partial(_scaled_section, section),)),
+        *(limits[source], source),
+        files=(input_file("sliders", path),),
+    )
+
+
+def _read_deck(path: Path) -> dict[str, Any]:
+    max_bytes = 1 << 26
+    try:
+        deck = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None
+    except (OSError, ValueError, RecursionError) as error:
+        raise _deck_error(path, "a deck of labpipe", f"a damaged one ({error})") from error
+    if not isinstance(deck, dict):
+        raise _deck_error(path, "a deck of labpipe", "something else")
+    if "reason" in deck:
+        raise _deck_error(
+            path, "the law of a wire as sliders", f"the reason why there is none: {deck['reason']}"
+        )
+    return deck
+
+
+def _deck_error(path: Path, expected: str, fault: str) -> ReadError:
+    remedy = "`labpipe model` writes <wire>.sliders.json."
+    return ReadError(error_text(path, "", expected=expected, found=fault, remedy=remedy))

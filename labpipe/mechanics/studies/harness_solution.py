@@ -1,0 +1,502 @@
+"""Solution of a harness: its path, its numbers with their bands, and the lengths of its sweep."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, error_text
+from labpipe.mechanics.rod.bands import LineBands, StateBands, bands_of
+from labpipe.mechanics.rod.input_distributions import InputDistribution
+from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.rod.response import Band, Fields, Response, band_of, respond, sizes
+from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.studies.harness_convergence import (
+    coarse_doubt,
+    depends_on_history,
+    few_elements_doubt,
+    walk_with_other_steps,
+)
+from labpipe.mechanics.studies.harness_line import Inputs, PreparedLine, prepare_line
+from labpipe.mechanics.studies.harness_numbers import (
+    Bend,
+    BendLimit,
+    Doubt,
+    bend_limit,
+    element_doubt,
+    jump_doubt,
+    numbers_of,
+    reasons_of,
+    reference_size,
+    results_of,
+    sharpest,
+    unloading_doubt,
+)
+from labpipe.mechanics.studies.harness_responses import (
+    LOWEST_POINT,
+    POSITIONS,
+    RADIUS,
+    RADIUS_ON_PATH,
+    evaluate_number,
+    fields_of,
+    number_names,
+)
+from labpipe.mechanics.studies.harness_section import Material
+from labpipe.protocol.harness_file import HarnessFile
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
+
+FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepRun:
+    """One length of a sweep.
+
+    Parameters
+    ----------
+    length : m
+    path : of the line
+    prepared : line and boundaries
+    reasons : why its bend is doubtful or missing
+    bands : of the last step, if any
+    """
+
+    length: float
+    path: RodPath
+    prepared: PreparedLine
+    reasons: tuple[Reason, ...] = ()
+    bands: HarnessBands | None = None
+
+    @property
+    def status(self) -> str:
+        """Return `ok`, `doubtful` or `failed`."""
+        return self.path.status if self.path.status == FAILED or not self.reasons else "doubtful"
+
+    @property
+    def bend(self) -> Bend:
+        """Return the sharpest bend at the last step; NaN for a failed line."""
+        return self._sharpest([len(self.path.states) - 1])
+
+    @property
+    def bend_on_path(self) -> Bend:
+        """Return the sharpest bend of all steps; NaN for a failed line."""
+        return self._sharpest(range(len(self.path.states)))
+
+    def _sharpest(self, steps: Sequence[int]) -> Bend:
+        if self.path.status == FAILED:
+            return Bend(math.nan, -1, math.nan)
+        return sharpest(self.path, self.prepared.line, steps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedHarness:
+    """A harness with its solution.
+
+    Parameters
+    ----------
+    file : its YAML
+    harness : as read
+    material : of its line
+    prepared : line and boundaries
+    path : of the line
+    status : ``failed`` where the line cannot be solved to the last step; then only the reason is
+        written
+    reasons : why it is doubtful or failed
+    results : numbers; none of a failed one
+    limit : allowed bend radius
+    folder : of the results
+    files : that were written
+    sweep : other lengths
+    bands : of the steps that are shown; None without information on the uncertainty of the line
+    """
+
+    file: Path
+    harness: HarnessFile
+    material: Material
+    prepared: PreparedLine
+    path: RodPath
+    status: Status
+    reasons: tuple[Reason, ...]
+    results: tuple[Result, ...]
+    limit: BendLimit
+    folder: Path
+    files: tuple[Path, ...] = ()
+    sweep: tuple[SweepRun, ...] = ()
+    bands: HarnessBands | None = None
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Return the steps that are shown: those of the file, and the last."""
+        return shown_steps(self.harness)
+
+    @property
+    def bands_by_step(self) -> Mapping[int, StateBands]:
+        """Return the bands of the steps that are shown."""
+        states = () if self.bands is None else self.bands.line.states
+        return {state.step: state for state in states}
+
+    @property
+    def sharpest(self) -> Bend:
+        """Return the sharpest bend of all steps."""
+        return sharpest(self.path, self.prepared.line, range(len(self.path.states)))
+
+    @property
+    def is_bend_doubtful(self) -> bool:
+        """Return whether the sharpest bend of all steps is doubtful."""
+        numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
+        return any(result.status is Status.DOUBTFUL for result in numbers)
+
+
+def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
+    """Return the steps of the file that are shown, and the last.
+
+    Parameters
+    ----------
+    harness : as read
+    """
+    return tuple(sorted({*harness.show, harness.steps}))
+
+
+def solve_harness(
+    harness: HarnessFile,
+    file: Path,
+    material: Material,
+    folder: Path,
+    on_step: Callable[[], object] = lambda: None,
+    *,
+    length: float | None = None,
+) -> FollowedHarness:
+    """Solve a harness, without its sweep.
+
+    Parameters
+    ----------
+    harness : as read
+    file : its YAML
+    material : of its line
+    folder : of the results; nothing is written
+    on_step : called after each step of the line
+    length : m, of a sweep, which shows the last step only; None for that of the file
+
+    Raises
+    ------
+    ProcessingError
+        If the line does not fit its boundaries.
+    """
+    steps = shown_steps(harness) if length is None else (harness.steps,)
+    path, prepared, bands = _follow_with_bands(
+        harness, file, material, steps, length, on_step=on_step
+    )
+    reasons = _all_reasons(path, prepared, material, bands)
+    is_whole = path.status != FAILED
+    status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
+    results: tuple[Result, ...] = ()
+    if is_whole:
+        intervals = {} if bands is None else bands.intervals
+        line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
+        coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
+        half = prepare_line(coarse, section(material.best), material.best, length=length)
+        doubts = _doubts(path, prepared, half, intervals)
+        results = results_of(numbers_of(path, prepared), reasons, intervals, doubts)
+    limit = bend_limit(harness, material)
+    return FollowedHarness(
+        *(file, harness, material, prepared, path, status, reasons, results, limit, folder),
+        bands=bands,
+    )
+
+
+def _doubts(
+    path: RodPath, prepared: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
+) -> list[Doubt]:
+    """Return the doubts about some numbers of a complete path."""
+    doubts = [
+        element_doubt(path, prepared.line),
+        few_elements_doubt(path, prepared, half, intervals),
+        jump_doubt(path, prepared),
+        unloading_doubt(path, prepared),
+    ]
+    if depends_on_history(prepared):
+        other = walk_with_other_steps(prepared, len(path.states) - 1)
+        doubts.append(coarse_doubt(path, prepared, other, intervals))
+    return [doubt for doubt in doubts if doubt is not None]
+
+
+def _all_reasons(
+    path: RodPath, prepared: PreparedLine, material: Material, bands: HarnessBands | None
+) -> tuple[Reason, ...]:
+    """Return the reasons why all numbers are doubtful or missing, with those of the bands."""
+    reasons = reasons_of(path, prepared.line, material)
+    if bands is None:
+        return reasons
+    codes = {reason.code for reason in reasons} | {"beyond_tested"}
+    notes = [Reason(note.code, note.message) for note in bands.line.notes]
+    notes += [] if bands.doubt is None else [bands.doubt]
+    return reasons + tuple(note for note in notes if note.code not in codes)
+
+
+def solve_sweep_length(
+    stated: FollowedHarness, length: float, on_step: Callable[[], object] = lambda: None
+) -> SweepRun:
+    """Solve a harness with another length of its line.
+
+    Parameters
+    ----------
+    stated : the harness with its own length, which is not solved again
+    length : m
+    on_step : called after each step of the line
+
+    Raises
+    ------
+    ProcessingError
+        As `solve_harness`.
+    """
+    other = stated
+    if length != stated.harness.line.length:
+        inputs = stated.harness, stated.file, stated.material, stated.folder
+        other = solve_harness(*inputs, on_step, length=length)
+    reasons = other.reasons
+    if other.status is not Status.FAILED:
+        listed = [
+            result.reasons
+            for result in other.results
+            if result.name in (RADIUS, RADIUS_ON_PATH, LOWEST_POINT) and result.value is not None
+        ]
+        reasons = tuple(dict.fromkeys(reason for result in listed for reason in result))
+    return SweepRun(length, other.path, other.prepared, reasons, other.bands)
+
+
+def _follow_with_bands(
+    harness: HarnessFile,
+    file: Path,
+    material: Material,
+    steps: Sequence[int],
+    length: float | None = None,
+    *,
+    on_step: Callable[[], object],
+) -> tuple[RodPath, PreparedLine, HarnessBands | None]:
+    """Solve a line at its best inputs, and at others where these have distributions."""
+    solutions: list[Followed] = []
+
+    def follow_line(number: int, inputs: Inputs) -> Followed:
+        prepared = prepare_line(harness, material.sections[number](inputs), inputs, length=length)
+        with np.errstate(over="ignore", invalid="ignore"):  # it then has the status failed
+            path = follow(prepared.line, prepared.boundaries, steps=harness.steps, on_step=on_step)
+        solutions.append((path, prepared))
+        return solutions[-1]
+
+    try:
+        bands = harness_bands(follow_line, material, steps)
+        path, prepared = solutions[0] if solutions else follow_line(0, material.best)
+    except ValueError as error:
+        message = error_text(
+            *(file, "line"),
+            expected="a line that fits its boundaries",
+            found=f"this: {error}",
+            remedy="Check the line and its boundaries.",
+        )
+        raise ProcessingError(message) from error
+    return path, prepared, bands
+
+
+Followed = tuple[RodPath, PreparedLine]
+FollowLine = Callable[[int, Inputs], Followed]
+"""Prepare and solve a line: number of the distribution, and inputs."""
+_ROUNDING = 1e-6
+"""Rounding error of the solver, over a number or its `reference_size`."""
+_SHAPE = "shape"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HarnessBands:
+    """Bands of the shapes and of the numbers of a harness.
+
+    Parameters
+    ----------
+    line : pointwise bands of the steps that are shown
+    intervals : of the numbers of the last step, by name
+    doubt : reason why they are doubtful; None where the causes of a draw add up
+    """
+
+    line: LineBands
+    intervals: Mapping[str, Interval]
+    doubt: Reason | None = None
+
+
+def harness_bands(
+    follow_line: FollowLine, material: Material, steps: Sequence[int]
+) -> HarnessBands | None:
+    """Predict a harness with pointwise 95 % bands.
+
+    Parameters
+    ----------
+    follow_line : solves the line for inputs
+    material : of the line, with the distributions of its inputs
+    steps : with bands of the shape
+
+    Returns
+    -------
+    None without distributions, or if the line cannot be solved at the best inputs.
+    """
+    solves = [_Solver(follow_line, number) for number in range(len(material.distributions))]
+    if not solves:
+        return None
+    limit = material.limit
+    line = bands_of(
+        [solve.path for solve in solves],
+        material.distributions,
+        steps=steps,
+        tested_curvature=limit,
+    )
+    if line is None:
+        return None
+    pairs = zip(solves, material.distributions, strict=True)
+    draws = [_DrawnNumbers(solve, respond(solve.fields, belief)) for solve, belief in pairs]
+    bands = {name: _band(draws, name) for name in draws[0].value}
+    intervals = {name: _interval(name, band) for name, band in bands.items() if name != _SHAPE}
+    return HarnessBands(line, intervals, _doubt(draws, bands))
+
+
+def _band(draws: Sequence[_DrawnNumbers], name: str) -> Band:
+    by_response = {draw.response: draw for draw in draws}
+    return band_of(
+        list(by_response),
+        lambda response: (by_response[response].value[name], by_response[response].drawn[name]),
+    )
+
+
+def _interval(name: str, band: Band) -> Interval:
+    """Return the interval of a number; of a radius, from that of its curvature."""
+    level = 0.95
+    lower, upper = float(band.lower), float(band.upper)
+    if name in (RADIUS, RADIUS_ON_PATH):
+        ends = [1.0 / end if end > 0.0 else math.inf for end in (upper, lower)]
+        return Interval(ends[0], ends[1], level)
+    return Interval(lower, upper, level)
+
+
+class _Solver:
+    """Solves a line for inputs of one distribution, each of them once."""
+
+    def __init__(self, follow_line: FollowLine, number: int) -> None:
+        self.follow_line, self.number = follow_line, number
+        self.solutions: dict[tuple[tuple[str, float], ...], Followed] = {}
+
+    def solve(self, inputs: Inputs) -> Followed:
+        """Path and line."""
+        key = tuple(sorted(inputs.items()))
+        if key not in self.solutions:
+            self.solutions[key] = self.follow_line(self.number, inputs)
+        return self.solutions[key]
+
+    @property
+    def first(self) -> Followed:
+        """Path and line at the best inputs, which are solved first."""
+        return next(iter(self.solutions.values()))
+
+    def path(self, inputs: Inputs) -> RodPath:
+        """Path alone."""
+        return self.solve(inputs)[0]
+
+    def fields(self, inputs: Inputs) -> Fields | None:
+        """Fields of all numbers; None of a line that cannot be solved."""
+        path, prepared = self.solve(inputs)
+        return None if path.status == "failed" else fields_of(path, prepared)
+
+
+class _DrawnNumbers:
+    """Numbers at the best inputs of a distribution, and in its draws; radii as curvatures.
+
+    The shape is one of them: positions of the nodes, shape (n + 1, 3).
+    """
+
+    def __init__(self, solve: _Solver, response: Response | None) -> None:
+        assert response is not None, "the line was solved at the best inputs before"
+        self.solve, self.response = solve, response
+        self.names = number_names(response.value)
+        self.value = self.numbers(response.value.__getitem__)
+        self.drawn = self.numbers(response.drawn)
+
+    def numbers(self, field: Callable[[str], Floats]) -> dict[str, Floats]:
+        """All numbers of fields, and the shape."""
+        path, prepared = self.solve.first
+        steps = len(path.states) - 1
+        numbers = {name: evaluate_number(name, field, prepared, steps) for name in self.names}
+        return numbers | {_SHAPE: field(POSITIONS)}
+
+    def solved_draws(self) -> Iterator[tuple[int, dict[str, Floats] | None]]:
+        """Solve draws with all their causes at once; None for one without equilibrium."""
+        belief = self.response.distribution
+        for row in check_draws(belief):
+            fields = self.solve.fields(belief.inputs(belief.amounts[row]))
+            yield row, None if fields is None else self.numbers(fields.__getitem__)
+
+
+def check_draws(belief: InputDistribution) -> tuple[int, ...]:
+    """Return rows of draws of different sizes; none for a single cause, where nothing is added.
+
+    Parameters
+    ----------
+    belief : that is drawn from
+    """
+    # by size of the draw: large draws show best whether causes add up
+    rank_shares = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
+    amounts = belief.amounts
+    if amounts.shape[1] < 2:
+        return ()
+    order = np.argsort(sizes(amounts / np.std(amounts, axis=0)), kind="stable")
+    return tuple(int(order[int(rank * len(order))]) for rank in rank_shares)
+
+
+def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason | None:
+    """Return the reason why bands are doubtful; None where the causes add up."""
+    max_cause_error = 0.5  # of half the width of a band
+    path, prepared = draws[0].solve.first
+    scales = _scales(path, prepared)
+    squares: dict[str, list[float]] = {}
+    count = lost = 0
+    for draw in draws:
+        for row, numbers in draw.solved_draws():
+            count += 1
+            lost += numbers is None
+            for name, number in (numbers or {}).items():
+                times = _relative_error(number, draw.drawn[name], row, bands[name], scales[name])
+                squares.setdefault(name, []).append(times**2)
+    off = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
+    most = max(off, key=lambda name: off[name], default=_SHAPE)
+    if not lost and off.get(most, 0.0) <= max_cause_error:
+        return None
+    faults = [f"{lost} have no equilibrium"] if lost else []
+    if off.get(most, 0.0) > max_cause_error:
+        faults.append(
+            f"{most} differs by {off[most]:.2g} times half the width of its band, "
+            f"root mean square (allowed is {max_cause_error:g})"
+        )
+    message = (
+        f"the causes of the bands do not add up: of {count} draws with all causes "
+        f"at once, {' and '.join(faults)}; bands may be too narrow or shifted"
+    )
+    return Reason("causes_do_not_add", message)
+
+
+def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:
+    """Return the rounding error of each number and of the shape."""
+    units = {number.name: number.unit for number in numbers_of(path, prepared)} | {_SHAPE: "m"}
+    units |= dict.fromkeys((RADIUS, RADIUS_ON_PATH), "1/m")
+    return {name: _ROUNDING * reference_size(unit, prepared.line) for name, unit in units.items()}
+
+
+def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
+    """Return the error of a draw over the distance from the median to the end of its band.
+
+    Of the shape, both are the largest along the line.
+    """
+    middle = np.median(drawn, axis=0)
+    distances = np.where(number > middle, band.upper - middle, middle - band.lower)
+    least = scale + _ROUNDING * float(np.max(np.abs(number)))
+    return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(distances)), least))

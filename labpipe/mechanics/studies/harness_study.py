@@ -1,0 +1,558 @@
+"""Files of a solved harness: shape, forces, summary, deck and figures."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from labpipe import __version__
+from labpipe.mechanics.decks.mujoco_line import line_deck
+from labpipe.mechanics.rod import boundaries as rod
+from labpipe.mechanics.rod.bands import StateBands
+from labpipe.mechanics.rod.line import Line
+from labpipe.mechanics.rod.path import RodPath, RodState
+from labpipe.mechanics.rod.rotations import matrices
+from labpipe.mechanics.studies.harness_line import PreparedLine
+from labpipe.mechanics.studies.harness_numbers import curvature_of, radius_of
+from labpipe.mechanics.studies.harness_responses import (
+    RADIUS,
+    RADIUS_ON_PATH,
+    heights_of,
+    residual_curvature,
+)
+from labpipe.mechanics.studies.harness_section import input_file, material_of
+from labpipe.mechanics.studies.harness_solution import (
+    FAILED,
+    FollowedHarness,
+    SweepRun,
+    solve_harness,
+    solve_sweep_length,
+)
+from labpipe.mechanics.studies.study_json import entries, plain
+from labpipe.protocol.load import load_harness
+from labpipe.records.arrays import Floats
+from labpipe.records.result import Status
+from labpipe.report.harness_figure import (
+    FIGURE,
+    SWEEP_FIGURE,
+    DrawnHarness,
+    DrawnMark,
+    DrawnShape,
+    DrawnSweep,
+    harness_drawings,
+)
+from labpipe.report.saving import save_pages
+from labpipe.store.replace import locked, replacing, replacing_together, storing
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, finite_or_none, result_entry
+
+SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
+VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
+FIGURES_FOLDER = "figures"
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Watcher:
+    """Callbacks for progress.
+
+    Parameters
+    ----------
+    begin : called with the number of lines and of the steps of each
+    line : called with the name of each line before it is solved
+    step : called after each step
+    """
+
+    begin: Callable[[int, int], object] = lambda _lines, _steps: None
+    line: Callable[[str], object] = lambda _: None
+    step: Callable[[], object] = lambda: None
+
+
+def follow_harness(
+    file: Path,
+    *,
+    wires: Path | None = None,
+    out: Path | None = None,
+    figures: bool = True,
+    png: bool = False,
+    watcher: Watcher | None = None,
+) -> FollowedHarness:
+    """Solve the line of a harness and write the results.
+
+    Parameters
+    ----------
+    file : harness YAML
+    wires : wire sheet instead of that in the file
+    out : folder of the results; None for ``processed/harness/<name of the file>`` in the working
+        folder
+    figures : whether to draw
+    png : figures as PNG, too; without it those of an earlier run are removed
+    watcher : of the progress
+
+    Returns
+    -------
+    The harness with its numbers and files. If the line cannot be solved to the last step, only
+    ``failure.json`` is written; earlier results are then unchanged.
+
+    Raises
+    ------
+    LabpipeError
+        If the file or one that it names has faults; earlier results are then unchanged.
+    """
+    harness = load_harness(file)
+    material = material_of(harness, file, wires)
+    folder = Path("processed/harness") / file.stem if out is None else out
+    lengths = harness.sweep.length if harness.sweep else ()
+    watcher = watcher or Watcher()
+    others = [length for length in lengths if length != harness.line.length]
+    watcher.begin(len(others) + 1, harness.steps + 1)
+    watcher.line("as stated")
+    solution = solve_harness(harness, file, material, folder, watcher.step)
+    if solution.status is Status.FAILED:
+        _write_failure(solution)
+        return solution
+    sweep = []
+    for length in lengths:
+        if length in others:
+            watcher.line(f"length {1e3 * length:.6g} mm")
+        sweep.append(solve_sweep_length(solution, length, watcher.step))
+    return _write(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
+
+
+def _write_failure(solution: FollowedHarness) -> None:
+    """Write the reason beside earlier results, which are unchanged."""
+    states = solution.path.states
+    reached = states[-1].positions if states else solution.prepared.line.positions
+    content = {
+        **_json_head(solution),
+        **entries(solution.reasons[0], "code", reason="message"),
+        **entries(solution, "reasons"),
+        "reached": {"step": len(states) - 1, "positions": plain(reached)},
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False)
+    with locked(solution.folder), replacing(solution.folder / FAILURE_FILE) as temporary:
+        temporary.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+
+
+def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarness:
+    folder, rod_path, prepared = solution.folder, solution.path, solution.prepared
+    title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
+    texts = {
+        SHAPE_FILE: shape_csv(rod_path, prepared.line, solution.steps, _shape_bands(solution)),
+        FORCES_FILE: forces_csv(rod_path, prepared, _force_bands(solution)),
+        VTK_FILE: shape_vtk(rod_path, prepared.line, solution.steps, title),
+        DECK_FILE: line_deck(prepared.line, prepared.boundaries, title=title),
+        SUMMARY_FILE: json.dumps(as_json(solution), indent=1, ensure_ascii=False) + "\n",
+    }
+    if solution.sweep:
+        texts[SWEEP_FILE] = _csv([_sweep_row(run) for run in solution.sweep])
+    names = (FIGURE, SWEEP_FIGURE) if figures else ()
+    owned = [SWEEP_FILE, FAILURE_FILE, *(f"{FIGURES_FOLDER}/{name}.png" for name in names)]
+    owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.svg"] if figures else []
+    with locked(folder), replacing_together(folder, owned=owned) as stage:
+        with storing(folder):
+            for name, text in texts.items():
+                (stage / name).write_text(text, encoding="utf-8", newline="\n")
+        written = [stage / name for name in texts]
+        if figures:
+            drawn = drawn_harness(solution)
+            into = stage / FIGURES_FOLDER
+            written += save_pages(harness_drawings(drawn, drawn_sweep(solution)), into, png=png)
+        files = tuple(folder / path.relative_to(stage) for path in written)
+    return replace(solution, files=files)
+
+
+def _shape_bands(solution: FollowedHarness) -> Bands:
+    return {
+        step: (
+            np.column_stack([state.positions.lower, state.curvature.lower]),
+            np.column_stack([state.positions.upper, state.curvature.upper]),
+        )
+        for step, state in solution.bands_by_step.items()
+    }
+
+
+def _force_bands(solution: FollowedHarness) -> Bands:
+    return {
+        step: (state.reaction_forces.lower, state.reaction_forces.upper)
+        for step, state in solution.bands_by_step.items()
+    }
+
+
+def _sweep_row(run: SweepRun) -> dict[str, object]:
+    names = (
+        *("smallest_bend_radius [m]", "lower [m]", "upper [m]", "place [m]"),
+        *(f"{RADIUS_ON_PATH} [m]", "step", "lowest_point [m]"),
+    )
+    row: dict[str, object] = {"length [m]": run.length, **dict.fromkeys(names)}
+    if run.path.status != FAILED:
+        bend, on_path = run.bend, run.bend_on_path
+        lowest = float(heights_of(run.path.last.positions, run.prepared).min())
+        values = (bend.radius, *_band_ends(run).values(), bend.place)
+        row |= zip(names, (*values, on_path.radius, str(on_path.step), lowest), strict=True)
+    reason = run.reasons[0] if run.reasons else None
+    code, message = (reason.code, reason.message) if reason else ("", "")
+    return row | {"status": run.status, "code": code, "reason": message}
+
+
+def _json_head(solution: FollowedHarness) -> dict[str, object]:
+    files = (input_file("harness", solution.file), *solution.material.files)
+    fingerprints = "".join([__version__, *(file.sha256 for file in files)])
+    return {
+        "schema": SCHEMA,
+        "harness": solution.file.stem,
+        "about": solution.harness.about,
+        "labpipe": __version__,
+        "run": hashlib.sha256(fingerprints.encode()).hexdigest(),
+        "inputs": [entries(file, "role", "file", "sha256") for file in files],
+        "status": str(solution.status),
+    }
+
+
+def as_json(solution: FollowedHarness) -> dict[str, object]:
+    """Return the content of ``summary.json``: SI numbers; None for one that is not available.
+
+    Parameters
+    ----------
+    solution : of a harness
+    """
+    line, material = solution.prepared.line, solution.material
+    section, bend, limit = line.section, solution.sharpest, solution.limit
+    section_numbers = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
+    allowed = entries(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
+    return {
+        **_json_head(solution),
+        **entries(solution, "reasons"),
+        "line": {
+            "of": material.name,
+            "length": line.length,
+            "elements": len(line.lengths),
+            **entries(section, *section_numbers),
+            "first_bending_stiffness": section.law.first_stiffness,
+            "sliders": len(section.law.stiffnesses),
+            **entries(material, backed_curvature="limit", backed_by="limit_source"),
+        },
+        "bend_radius": {
+            **allowed,
+            **entries(bend, "step", "place", smallest="radius"),
+            "kept": bend.radius >= limit.radius,
+            "doubtful": solution.is_bend_doubtful,
+        },
+        "results": [result_entry(result) for result in solution.results],
+        "sweep": [
+            {
+                **entries(run, "length", "status"),
+                "smallest_bend_radius": finite_or_none(run.bend.radius),
+                **_band_ends(run),
+                "smallest_bend_radius_on_the_way": finite_or_none(run.bend_on_path.radius),
+            }
+            for run in solution.sweep
+        ],
+        "bands": _bands_json(solution),
+        "quality": [entries(note, "code", "severity", "message") for note in material.notes],
+        "units": dict(_UNITS),
+    }
+
+
+def _band_ends(run: SweepRun) -> dict[str, float | None]:
+    """Return the ends of the band of the smallest bend radius; None without one."""
+    if run.bands is None:
+        return {"lower": None, "upper": None}
+    return entries(run.bands.intervals[RADIUS], "lower", "upper")
+
+
+def _bands_json(solution: FollowedHarness) -> dict[str, object]:
+    """Return the kind of the bands and the share of each cause, or why there are none."""
+    if solution.bands is None:
+        reason = "the uncertainty of the law is unknown: name a calibration or an uncertainty"
+        return {"kind": None, "reason": reason}
+    return {"kind": "pointwise 95 %", "shares": plain(solution.bands.line.states[-1].shares)}
+
+
+_UNITS: Mapping[str, str] = {
+    "length": "m",
+    "diameter": "m",
+    "place": "m",
+    "bend_radius": "m",
+    "curvature": "1/m",
+    "mass_per_length": "kg/m",
+    "stiffness": "N*m^2",
+    "axial_stiffness": "N",
+}
+
+
+def _csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
+    """Write rows with nine digits; empty for NaN, ``inf`` for a straight line."""
+    frame = pd.DataFrame(table)
+    text: str = frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return text
+
+
+BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
+"""Columns of the shape that have bands where there are any."""
+Bands = Mapping[int, tuple[Floats, Floats]]
+"""By step: lower and upper ends; of the columns `BANDED` shape (n + 1, 4) each."""
+_AXES = "xyz"
+
+
+def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
+    """Return the columns of all nodes of a state; each of shape (n + 1,).
+
+    Parameters
+    ----------
+    state : of the line
+    line : in this state
+
+    Notes
+    -----
+    Tension and torque are those of elements, at a node the mean of both sides.
+    """
+    curvature = curvature_of(state, line)
+    axes = matrices(state.frames)[:, :, 2]
+    tension = np.einsum("nk,nk->n", state.forces, axes)
+    before, behind = np.insert(tension, 0, tension[0]), np.append(tension, tension[-1])
+    moments = state.moments
+    both = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
+    torque = np.einsum("nsk,nsk->ns", moments, np.stack(both, axis=1))
+    bending = np.sqrt(np.maximum(np.sum(moments**2, axis=2) - torque**2, 0.0))
+    places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXES)}
+    return {
+        "along [m]": line.stations,
+        **places,
+        "curvature [1/m]": curvature,
+        "bend_radius [m]": radius_of(curvature),
+        "kept_curvature [1/m]": residual_curvature(state, line.section.law),
+        "tension [N]": 0.5 * (before + behind),
+        "bending_moment [N*m]": bending.max(axis=1),
+        "torque [N*m]": np.where(np.abs(torque[:, 0]) > np.abs(torque[:, 1]), *torque.T),
+    }
+
+
+def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> str:
+    """Write the nodes of some steps.
+
+    Parameters
+    ----------
+    path : of the line
+    line : of the path
+    steps : one after the other
+    bands : of some steps; others have empty cells
+    """
+    nothing = (np.full((len(line.stations), len(BANDED)), np.nan),) * 2
+    tables = []
+    for step in steps:
+        columns: dict[str, object] = {"step": step, "node": np.arange(len(line.stations))}
+        columns |= shape_columns(path.states[step], line)
+        if bands:
+            columns |= _band_columns(BANDED, bands.get(step, nothing))
+        tables.append(pd.DataFrame(columns))
+    return _csv(pd.concat(tables))
+
+
+def _band_columns(names: Sequence[str], band: Sequence[Floats]) -> dict[str, Floats]:
+    """Return the columns of a band, lower and upper in turn."""
+    return {
+        name.replace(" ", f"_{end} "): values.T[number]
+        for number, name in enumerate(names)
+        for end, values in zip(("lower", "upper"), band, strict=True)
+    }
+
+
+def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
+    """Write forces and moments of each boundary on the line in every step.
+
+    Parameters
+    ----------
+    path : of the line
+    prepared : line and boundaries
+    bands : by step, lower and upper ends of the forces, shape (boundaries, 3) each; other steps
+        have empty cells
+
+    Notes
+    -----
+    The weight is left out: in each step it is minus the sum of the others.
+    """
+    nothing = (np.full((len(prepared.boundaries), 3), np.nan),) * 2
+    force_names = [f"f{axis} [N]" for axis in _AXES]
+    moment_names = [f"m{axis} [N*m]" for axis in _AXES]
+    rows = []
+    for step, state in enumerate(path.states):
+        for number, boundary in enumerate(prepared.boundaries):
+            if isinstance(boundary, rod.Gravity):
+                continue
+            force, moment = state.reaction_forces[number], state.reaction_moments[number]
+            kind = type(boundary).__name__.lower()
+            row: dict[str, object] = {"step": step, "boundary": boundary.name, "kind": kind}
+            row |= {"force [N]": np.linalg.norm(force), "moment [N*m]": np.linalg.norm(moment)}
+            row |= zip([*force_names, *moment_names], [*force, *moment], strict=True)
+            if bands:
+                band = [end[number] for end in bands.get(step, nothing)]
+                row |= _band_columns(force_names, band)
+            rows.append(row)
+    return _csv(rows)
+
+
+def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> str:
+    """Write the shapes of some steps for ParaView, PyVista or meshio: legacy VTK, polygonal lines.
+
+    Parameters
+    ----------
+    path : of the line
+    line : of the path
+    steps : one line for each
+    title : of one line
+
+    Notes
+    -----
+    Infinite bend radii of a straight line are written as 0: legacy VTK has no infinity that all
+    readers accept.
+    """
+    states = [path.states[step] for step in steps]
+    count = len(line.stations)
+    points = np.vstack([state.positions for state in states])
+    nodes_of_lines = np.arange(len(points)).reshape(len(states), count).tolist()
+    lines = [
+        "# vtk DataFile Version 3.0",
+        title.encode("ascii", "replace").decode()[:255],
+        "ASCII",
+        "DATASET POLYDATA",
+        f"POINTS {len(points)} double",
+        *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
+        f"LINES {len(states)} {len(states) * (count + 1)}",
+        *(" ".join(map(str, [count, *nodes])) for nodes in nodes_of_lines),
+        f"CELL_DATA {len(states)}",
+        *_scalars("step", [float(step) for step in steps]),
+        f"POINT_DATA {len(points)}",
+        *_point_data([shape_columns(state, line) for state in states]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:
+    for name in columns[0]:
+        if name[:2] in ("x ", "y ", "z "):
+            continue
+        values = np.concatenate([column[name] for column in columns])
+        yield from _scalars(name.split()[0], np.where(np.isfinite(values), values, 0.0).tolist())
+
+
+def _scalars(name: str, values: Iterable[float]) -> Iterator[str]:
+    yield f"SCALARS {name} double 1"
+    yield "LOOKUP_TABLE default"
+    yield from (f"{value:.9g}" for value in values)
+
+
+def drawn_harness(solution: FollowedHarness) -> DrawnHarness:
+    """Return the data of the figure of a harness.
+
+    Parameters
+    ----------
+    solution : of a harness
+    """
+    line, states = solution.prepared.line, solution.path.states
+    bands = solution.bands_by_step
+    shapes = tuple(_shape(step, states[step], line, bands.get(step)) for step in solution.steps)
+    planes = [
+        boundary for boundary in solution.prepared.boundaries if isinstance(boundary, rod.Plane)
+    ]
+    return DrawnHarness(
+        name=solution.file.stem,
+        note=_caption(solution),
+        along=line.stations,
+        shapes=shapes,
+        marks=_marks(solution),
+        planes=tuple((plane.point, plane.normal) for plane in planes),
+        allowed=solution.limit.radius,
+    )
+
+
+def _shape(step: int, state: RodState, line: Line, bands: StateBands | None) -> DrawnShape:
+    shape = DrawnShape(step, state.positions, radius_of(curvature_of(state, line)))
+    if bands is None:
+        return shape
+    places, bent = bands.positions, bands.curvature
+    return replace(
+        shape,
+        band=(places.lower, places.upper),
+        radius_band=(radius_of(bent.upper), radius_of(bent.lower)),
+    )
+
+
+def _caption(solution: FollowedHarness) -> str:
+    limit = f"Allowed bend radius {1e3 * solution.limit.radius:.3g} mm, {solution.limit.source}."
+    about = solution.harness.about.strip()
+    sentences = [about if about[-1] in ".?!" else f"{about}."] if about else []
+    line = f"Line of {solution.material.name}, {len(solution.prepared.line.lengths)} elements."
+    doubts = [f"Doubtful: {solution.reasons[0].message}."] if solution.reasons else []
+    return " ".join([*sentences, line, limit, *doubts])
+
+
+def _marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
+    """Return the symbols of clips, grips and other boundaries at the last step."""
+    marks = []
+    last, steps = solution.path.last, solution.harness.steps
+    pairs = zip(solution.harness.boundaries, solution.prepared.boundaries, strict=False)
+    for stated, boundary in pairs:  # the weight, which comes last, has no symbol
+        path, direction, holds = np.zeros((0, 3)), None, True
+        match boundary:
+            case rod.Held():
+                holds = boundary.release is None or boundary.release > steps
+                removed = boundary.position[: boundary.release]
+                place: Floats = last.positions[boundary.node] if not holds else removed[-1]
+                if stated.kind == "grip":  # the path of a clip is of no interest
+                    path = removed
+                if boundary.frame is not None and holds:
+                    direction = matrices(boundary.frame[-1])[:, 2]
+            case rod.Ring():
+                place, direction = boundary.position[-1], boundary.direction
+            case rod.String():
+                place, path = boundary.anchor[-1], last.positions[[boundary.node]]
+                path = np.vstack([path, boundary.anchor[-1:]])
+            case rod.Load():
+                place = last.positions[boundary.node]
+            case _:
+                continue
+        marks.append(DrawnMark(stated.name, stated.kind, place, path, direction, holds))
+    return tuple(marks)
+
+
+def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
+    """Return the data of the figure of a sweep; None without one.
+
+    Parameters
+    ----------
+    solution : of a harness
+    """
+    if not solution.sweep:
+        return None
+    sweep = sorted(solution.sweep, key=lambda run: run.length)
+    return DrawnSweep(
+        name=solution.file.stem,
+        note=_caption(solution),
+        length=np.array([run.length for run in sweep]),
+        radius=np.array([run.bend.radius for run in sweep]),
+        way=np.array([run.bend_on_path.radius for run in sweep]),
+        radius_band=_radius_band(sweep),
+        shapes=tuple(
+            np.empty((0, 3)) if run.path.status == FAILED else run.path.last.positions
+            for run in sweep
+        ),
+        allowed=solution.limit.radius,
+        is_doubtful=np.array([run.status == "doubtful" for run in sweep]),
+    )
+
+
+def _radius_band(sweep: Sequence[SweepRun]) -> tuple[Floats, Floats] | None:
+    """Return the bands of the smallest bend radius by length; None where no length has one."""
+    intervals = [None if run.bands is None else run.bands.intervals[RADIUS] for run in sweep]
+    if not any(intervals):
+        return None
+    lower = [math.nan if interval is None else interval.lower for interval in intervals]
+    upper = [math.nan if interval is None else interval.upper for interval in intervals]
+    return np.array(lower), np.array(upper)

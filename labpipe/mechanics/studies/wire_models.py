@@ -1,0 +1,296 @@
+"""Laws of the wires of a wire sheet: tables, simulation decks, figures, a workbook."""
+
+from __future__ import annotations
+
+import gc
+import json
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+from labpipe import __version__
+from labpipe.errors import ProcessingError, UsageError, error_text
+from labpipe.mechanics.decks import deck_paths, deck_texts, write_texts
+from labpipe.mechanics.studies.study_json import entries
+from labpipe.mechanics.studies.wire_sheets import (
+    StatedCurve,
+    describe_stress_tables,
+    read_wires,
+    wire_error,
+)
+from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.records.wire import WireSpec, WireTable
+from labpipe.report.saving import pngs_of, save_pages
+from labpipe.report.wire_figures import figure_names, wire_drawings
+from labpipe.report.wire_workbook import save_wire_workbook
+from labpipe.store.replace import locked, replacing_together, storing
+
+WORKBOOK_FILE = "wires.xlsx"
+MODEL_FILE = "model.json"
+FIGURES_FOLDER = "figures"
+SCHEMA = 1
+
+_MIN_PARALLEL_WIRES = 24
+"""Number of wires above which a second process saves time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelledWires:
+    """The modelled wires of a sheet.
+
+    Parameters
+    ----------
+    sheet, folder : wire sheet, folder of the results
+    tables : of the wires that could be modelled, in the order of the sheet
+    refused : name -> reason, of the other wires
+    files : all that were written, the workbook first
+    removed : wires of an earlier run that are no longer in the sheet; their files were removed
+    curves : wire -> column of the sheet -> the stress table that it names there
+    """
+
+    sheet: Path
+    folder: Path
+    tables: tuple[WireTable, ...]
+    refused: Mapping[str, str]
+    files: tuple[Path, ...]
+    removed: tuple[str, ...] = ()
+    curves: Mapping[str, Mapping[str, StatedCurve]] = field(default_factory=dict)
+
+
+def model_wires(
+    sheet: Path,
+    *,
+    out: Path | None = None,
+    figures: bool = True,
+    png: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> ModelledWires:
+    """Model every wire of a sheet and write the results.
+
+    Parameters
+    ----------
+    sheet : xlsx or csv, one row per wire
+    out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
+    figures : whether to draw; otherwise those of an earlier run are kept
+    png : figures as PNG, too; without it those of an earlier run are removed
+    say : called with the name of each wire when it is done, then with each stage
+
+    Returns
+    -------
+    Tables, refusals and files. The files of a wire that is refused or no longer in the sheet are
+    removed.
+
+    Raises
+    ------
+    LabpipeError
+        If the sheet has faults (all are reported at once), no wire can be modelled, or the results
+        cannot be written; earlier results are then unchanged.
+    """
+    folder = Path("processed") / sheet.stem if out is None else out
+    _refuse_overwriting(sheet, folder)
+    read = read_wires(sheet)
+    specs = read.specs
+    with _worker_pool(len(specs), sheet) as pool:
+        modelled_wires, refused = make_tables(specs, sheet, say, pool)
+        if not modelled_wires:
+            raise ProcessingError("\n".join(refused.values()))
+        tables = tuple(wire.table for wire in modelled_wires)
+        removed = _removed_wires(folder, [spec.name for spec in specs])
+        modelled = ModelledWires(sheet, folder, tables, refused, (), removed, read.curves)
+        owned = _wire_files((*refused, *removed))
+        if figures:
+            owned += pngs_of(wire_drawings(tables), FIGURES_FOLDER)
+        with locked(folder), replacing_together(folder, owned=owned) as stage:
+            say("tables and decks")
+            with storing(folder):
+                written = _write(modelled, [wire.decks for wire in modelled_wires], stage, pool)
+            if figures:
+                drawings = wire_drawings(tables)
+                written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
+            files = tuple(folder / path.relative_to(stage) for path in written)
+    return replace(modelled, files=files)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelledWire:
+    """A wire that could be modelled.
+
+    Parameters
+    ----------
+    table : its law
+    decks : texts for simulation programs, see `labpipe.mechanics.decks.deck_texts`
+    """
+
+    table: WireTable
+    decks: tuple[str, ...]
+
+
+def make_tables(
+    specs: Sequence[WireSpec],
+    sheet: Path,
+    say: Callable[[str], None] = lambda _: None,
+    pool: Executor | None = None,
+) -> tuple[tuple[ModelledWire, ...], dict[str, str]]:
+    """Model wires and compute the texts of their decks.
+
+    Parameters
+    ----------
+    specs : rows of the sheet
+    sheet : of the wires, for messages
+    say : called with the name of each wire when it is done
+    pool : of processes; None for this process alone
+
+    Returns
+    -------
+    The wires in the order of the sheet, and by name why a wire could not be modelled.
+    """
+    modelled_wires: list[ModelledWire] = []
+    refused: dict[str, str] = {}
+    outcomes = pool.map(_model_wire, specs, chunksize=4) if pool else map(_model_wire, specs)
+    for spec, outcome in zip(specs, outcomes, strict=True):
+        say(spec.name)
+        if isinstance(outcome, ModelledWire):
+            modelled_wires.append(outcome)
+        else:
+            error = wire_error(sheet, spec, "a wire that can be built and bent", outcome)
+            refused[spec.name] = str(error)
+    return tuple(modelled_wires), refused
+
+
+@contextmanager
+def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
+    """Start two processes for many wires, none for a few; report one that is killed."""
+    if count <= _MIN_PARALLEL_WIRES:
+        yield None
+        return
+    pool = ProcessPoolExecutor(2, initializer=_init_worker)
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        message = error_text(
+            sheet,
+            "",
+            expected="processes that run to the end",
+            found="one that was killed, perhaps out of memory",
+            remedy="Close other programs, or split the sheet, and run the model again.",
+        )
+        raise ProcessingError(message) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _init_worker() -> None:
+    """Leave interrupts to the parent process, and avoid work on memory.
+
+    The model of a wire has no reference cycles, so that garbage collection is not needed. After a
+    large block was freed, the C library reuses blocks up to this size; otherwise it would return
+    them to the system twenty times for each wire.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.disable()
+    bytearray(30_000_000)
+
+
+def _model_wire(spec: WireSpec) -> ModelledWire | str:
+    """Return a wire with its decks, or the reason why it cannot be modelled."""
+    try:
+        table = wire_table(spec)
+        return ModelledWire(table, deck_texts(table))
+    except ValueError as error:
+        return str(error)
+
+
+def _write(
+    modelled: ModelledWires, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
+) -> list[Path]:
+    """Write workbook, model and decks, the workbook in another process if there is one."""
+    workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
+    stated = {name: describe_stress_tables(curves) for name, curves in modelled.curves.items()}
+    save = partial(
+        save_wire_workbook, modelled.tables, workbook, refused=modelled.refused, stated=stated
+    )
+    saving = pool.submit(save) if pool else None
+    model.write_text(json.dumps(as_json(modelled)), encoding="utf-8")
+    names = [table.name for table in modelled.tables]
+    written = write_texts(dict(zip(names, decks, strict=True)), stage)
+    if saving:
+        saving.result()
+    else:
+        save()
+    return [workbook, model, *written]
+
+
+def _refuse_overwriting(sheet: Path, folder: Path) -> None:
+    """Refuse to overwrite the wire sheet."""
+    for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
+        if file.resolve() == sheet.resolve():
+            message = error_text(
+                sheet,
+                "",
+                expected="a folder of the results without this sheet",
+                found=f"{file}, which would overwrite it",
+                remedy="Choose another folder with --out.",
+            )
+            raise UsageError(message)
+
+
+def _removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the wires of an earlier model in a folder that are not among the names."""
+    try:
+        earlier = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
+        return tuple(name for name in earlier if name not in names)
+    except (OSError, ValueError, KeyError, TypeError):
+        return ()  # no model, or not one of labpipe
+
+
+def _wire_files(names: Iterable[str]) -> list[str]:
+    """Return the files of wires below the folder, to be removed for a refused wire."""
+    files: list[str] = []
+    for name in names:
+        files += [path.as_posix() for path in deck_paths(name, Path())]
+        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in figure_names(name)]
+        files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
+    return files
+
+
+def as_json(modelled: ModelledWires) -> dict[str, object]:
+    """Return the content of ``labpipe model --json``: lists and numbers in SI units.
+
+    Parameters
+    ----------
+    modelled : wires of a sheet
+    """
+    return {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "sheet": modelled.sheet.name,
+        "wires": {
+            table.name: _wire(table, modelled.curves.get(table.name, {}))
+            for table in modelled.tables
+        },
+        "refused": dict(modelled.refused),
+    }
+
+
+_NUMBERS = (
+    *("stick_stiffness", "slip_stiffness", "axial_stiffness", "torsional_stiffness"),
+    *("free_torsional_stiffness", "stretch_twist_coupling", "mass_per_length"),
+    *("curvature", "moment", "secant_stiffness", "tangent_stiffness"),
+    *("stick", "slip", "bending", "plastic", "insulation", "insulation_share"),
+    *("lowest_moment", "highest_moment", "slip_onsets", "layout", "notes"),
+)
+
+
+def _wire(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
+    cantilever = entries(table, "tip_deflection", "doubtful_deflection", "rest", force="tip_force")
+    return {
+        **entries(table, *_NUMBERS),
+        "doubtful_curvature": table.doubtful_curvature if table.is_doubtful.any() else None,
+        "cantilever": {"length": table.spec.length, **cantilever},
+        "stress_tables": {column: curve.as_json() for column, curve in curves.items()},
+    }

@@ -1,0 +1,491 @@
+"""Wire sheets and their stress tables: checked cells, faults with their places.
+
+Strain rate and temperature of the measurement are optional.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Annotated, TypeAlias, TypeVar
+
+import numpy as np
+
+from labpipe.errors import Fault, ProcessingError, ReadError, error_text, nearest
+from labpipe.mechanics.law.thinning import thin
+from labpipe.mechanics.wire.materials import RambergOsgood
+from labpipe.protocol.grammar import Block
+from labpipe.protocol.wire_rows import (
+    COLUMNS,
+    FIRST_SLOPES,
+    Column,
+    Curve,
+    StressPoint,
+    WireRow,
+    column_name,
+    curve_fault,
+    curve_of,
+    heading_faults,
+    parse_row,
+    wire_spec,
+)
+from labpipe.readers.sheet_cells import Cell, Table, as_table, csv_cells, sheets_of, workbook_cells
+from labpipe.readers.workbooks import is_workbook
+from labpipe.records.wire import WireSpec
+
+PROOF_STRAIN = 0.002
+"""Plastic strain at the proof stress."""
+_MEGA = 1e6
+_CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
+PlacedFault: TypeAlias = tuple[str, Fault]
+"""A fault with the place of its cell."""
+_B = TypeVar("_B", bound=Block)
+
+
+class ProofStress(Block):
+    """Strain = s / E + 0.002 (s / Rp0.2)^n, with its range; in the units of the columns."""
+
+    modulus_mpa: Annotated[float, Column("MPa", 0.1, 1e6)]
+    proof_stress_mpa: Annotated[float, Column("MPa", 1e-3, 1e5)]
+    exponent: Annotated[float, Column("", 1.1, 100.0)]
+    largest_strain: Annotated[float, Column("", 1e-4, 0.6)]
+
+
+class Conditions(Block):
+    """Conditions of a measurement."""
+
+    strain_rate_per_s: Annotated[float | None, Column("1/s", 1e-9, 1e4)] = None
+    temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
+
+
+_POINT, _PROOF, _CONDITIONS = (list(kind.keys()) for kind in (StressPoint, ProofStress, Conditions))
+_NAME_COLUMNS = (
+    f"Name the columns {' and '.join(_POINT)}; or, for one row of numbers, {', '.join(_PROOF)}."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StatedCurve:
+    """A stress-strain curve as a table states it.
+
+    Parameters
+    ----------
+    table : name of the sheet, or of the csv
+    curve : strains and stresses, Pa
+    numbers : of Ramberg and Osgood, in the units of the columns; None for a table of points
+    conditions : strain rate, 1/s, and temperature, degrees Celsius, where stated
+    """
+
+    table: str
+    curve: Curve
+    numbers: ProofStress | None
+    conditions: Conditions
+
+    @property
+    def description(self) -> str:
+        """Return the origin of the curve, in one line."""
+        strains, _ = self.curve
+        numbers, conditions = self.numbers, self.conditions
+        form = f"{len(strains)} point{'s' * (len(strains) > 1)}"
+        if numbers is not None:
+            form = (
+                f"Ramberg-Osgood, modulus {numbers.modulus_mpa:.6g} MPa, proof stress "
+                f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
+            )
+        stated = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
+        values = [f"{value:.6g} {unit}" for value, unit in stated if value is not None]
+        measured = f", at {' and '.join(values)}" if values else ", rate and temperature not stated"
+        return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
+
+    def as_json(self) -> dict[str, object]:
+        """Return the content of the table in SI units; None for what it does not state."""
+        numbers, celsius = self.numbers, self.conditions.temperature_c
+        return {
+            "table": self.table,
+            "strain": list(self.curve[0]),
+            "stress": list(self.curve[1]),
+            "modulus": None if numbers is None else numbers.modulus_mpa * _MEGA,
+            "proof_stress": None if numbers is None else numbers.proof_stress_mpa * _MEGA,
+            "exponent": None if numbers is None else numbers.exponent,
+            "strain_rate": self.conditions.strain_rate_per_s,
+            "temperature": None if celsius is None else celsius + 273.15,
+        }
+
+
+def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
+    """Describe the stress tables of a wire in one line.
+
+    Parameters
+    ----------
+    curves : by column of the wire sheet
+    """
+    return "; ".join(f"{column} {curve.description}" for column, curve in curves.items())
+
+
+def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
+    """Compute a stress table from the numbers of Ramberg and Osgood.
+
+    Parameters
+    ----------
+    numbers : of the curve
+
+    Returns
+    -------
+    Strains, the last of them `largest_strain`, and stresses, Pa: at most 60 points. Straight lines
+    between them are below the curve, by less than 0.1 % of the stress for exponents to 5 and by
+    less for others; so is the first slope, the modulus of the table.
+
+    Notes
+    -----
+    strain = s / E + 0.002 (s / Rp0.2)^n is the form of data sheets and codes (Ramberg and Osgood,
+    NACA TN 902, 1943, with the offset of Hill, NACA TN 927, 1944; EN 1999-1-1, annex E). It is the
+    curve of `wire.materials.RambergOsgood` with K = Rp0.2 / 0.002^(1 / n), whose exponent is 1 / n.
+    """
+    table_points, dense_points = 60, 4000
+    plastic_share = 1e-4  # of the strain, at the first point beyond zero
+    modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
+    power, last = numbers.exponent, numbers.largest_strain
+    law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
+    end = float(law.stress(np.array([last]))[0])
+    ratio = plastic_share * proof / (PROOF_STRAIN * modulus)
+    yields = proof * ratio ** (1.0 / (power - 1.0))
+    stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, dense_points)])
+    strain = law.strain(stress)
+    strain[-1] = last
+    chosen = thin(strain, stress, max_points=table_points + 1)
+    return tuple(chosen.curvature[1:].tolist()), tuple(chosen.moment[1:].tolist())
+
+
+def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
+    """Read the curve that a cell of a wire sheet names.
+
+    Parameters
+    ----------
+    column : of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
+    name : the cell: another sheet of the workbook, or a csv beside the csv
+    path : of the wire sheet
+
+    Raises
+    ------
+    ReadError
+        If there is no such table or it has faults: all of them, each with its cell.
+    """
+    table, file = _table(column, name, path)
+    names = [column_name(cell.text) for cell in table.heading]
+    rows = [dict(zip(names, row, strict=True)) for row in table.rows]
+    raise_faults(file, _heading_faults(table.heading, names))
+    conditions = _conditions(rows, file)
+    if set(names) & set(_PROOF):
+        numbers = _numbers(rows, column, file)
+        return StatedCurve(name.text, ramberg_osgood_curve(numbers), numbers, conditions)
+    points = _blocks(StressPoint, rows, file)
+    if curve_error := curve_fault(points, column):
+        number, fault = curve_error
+        before = points[number - 1].strain if number else 0.0
+        wrong = "strain" if points[number].strain <= before else "stress_mpa"
+        raise_faults(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
+    return StatedCurve(name.text, curve_of(points), None, conditions)
+
+
+def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
+    """Find missing, repeated, contradicting and misspelt columns."""
+    numbers, points = ([name for name in names if name in columns] for columns in (_PROOF, _POINT))
+    needed = _PROOF if numbers else _POINT
+    for column in needed:
+        if column not in names:
+            actual = ", ".join(repr(cell.text) for cell in heading)
+            yield heading[0].place, Fault((), f"a column {column!r}", actual, _NAME_COLUMNS)
+    if numbers and points:
+        expected = f"either points or numbers, so no column {points[0]!r} beside {numbers[0]!r}"
+        place = heading[names.index(points[0])].place
+        yield place, Fault((), expected, "both", _NAME_COLUMNS)
+    for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
+        if name in (*needed, *_CONDITIONS) and name in names[:number]:
+            yield cell.place, Fault((), "each column once", f"{name!r} again", "Remove one.")
+        if name not in _CONDITIONS and (condition := _CONDITION.match(name)):
+            column = _CONDITIONS[1] if condition["temperature"] else _CONDITIONS[0]
+            remedy = "Give it in the unit of that column."
+            yield cell.place, Fault((), f"a column {column!r}", repr(cell.text), remedy)
+
+
+def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
+    """Read rate and temperature, which are the same in all rows that state them."""
+    stated: dict[str, Cell] = {}
+    for column in _CONDITIONS:
+        cells = [row[column] for row in rows if column in row and row[column].text]
+        for cell in cells:
+            first = stated.setdefault(column, cell)
+            if cell.text != first.text:
+                expected = f"{first.text!r} as in {first.place}: one for the whole table"
+                fault = Fault((), expected, repr(cell.text), "Make a table of each.")
+                raise_faults(file, [(f"{cell.place} ({column})", fault)])
+    [conditions] = _blocks(Conditions, [stated], file)
+    return conditions
+
+
+def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
+    """Read the numbers of the single row, which must define a curve."""
+    if len(rows) > 1:
+        fault = Fault((), "one row of numbers", f"{len(rows)}", "Make a table of each.")
+        raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
+    cells = [{key: row[key] for key in _PROOF} for row in rows]
+    [numbers] = _blocks(ProofStress, cells, file)
+    raise_faults(file, place_faults(_number_faults(numbers, column), rows[0]))
+    return numbers
+
+
+def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
+    low, high = (first_slope / _MEGA for first_slope in FIRST_SLOPES[column])
+    if not low <= numbers.modulus_mpa <= high:
+        what = "insulation" if column == "insulation_table" else "strands"
+        expected = f"a modulus of {what} of {low:g} to {high:g} MPa"
+        actual, remedy = f"{numbers.modulus_mpa:g} MPa", "Is the unit right?"
+        yield Fault(("modulus_mpa",), expected, actual, remedy)
+    yields = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
+    if yields > numbers.largest_strain:
+        expected = f"a largest strain of {yields:.4g} or more, where the proof stress is reached"
+        remedy = "Give the range of the test that the numbers come from."
+        yield Fault(("largest_strain",), expected, f"{numbers.largest_strain:g}", remedy)
+
+
+def _blocks(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
+    """Parse rows of a kind; other columns are ignored."""
+    blocks: list[_B] = []
+    faults: list[PlacedFault] = []
+    for row in rows:
+        cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
+        block = parse_row(block_type, texts(cells))
+        if isinstance(block, list):
+            faults += place_faults(block, cells)
+        else:
+            blocks.append(block)
+    raise_faults(file, faults)
+    return blocks
+
+
+def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
+    """Return the table and its file: another sheet of the workbook, or a csv beside the csv."""
+    rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
+    if not is_workbook(path):
+        if Path(name.text).name != name.text:
+            expected = "the name of a csv in the folder of the wire sheet"
+            remedy = "Put the table beside the sheet and give its name."
+            raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
+        neighbour = path.with_name(name.text)
+        return as_table(csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
+    sheets = list(sheets_of(path))
+    matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
+    if not matches:
+        expected = f"the name of a sheet ({', '.join(map(repr, nearest(name.text, sheets)))})"
+        remedy = "Add the sheet or correct its name."
+        raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
+    chosen = name.text if name.text in matches else matches[0]
+    where = f"sheet '{chosen}'"
+    cells = workbook_cells(path, chosen, where)
+    return as_table(cells, path, rows_of=rows_of, place=where), path
+
+
+def texts(row: Mapping[str, Cell]) -> dict[str, str]:
+    """Return the text of each cell of a row, by column."""
+    return {name: cell.text for name, cell in row.items()}
+
+
+def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[PlacedFault]:
+    """Add to each fault the place of its cell, or of the first cell if its column is missing.
+
+    Parameters
+    ----------
+    faults : with a column as the first part of their path
+    row : cells by column
+    """
+    for fault in faults:
+        first, cell = next(iter(row.items()))
+        column = str(fault.path[0]) if fault.path else first
+        yield f"{row.get(column, cell).place} ({column})", fault
+
+
+def fault_messages(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
+    """Return the messages of faults of a file."""
+    return [
+        error_text(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
+        for place, fault in faults
+    ]
+
+
+def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
+    """Raise the faults of a file, if any.
+
+    Raises
+    ------
+    ReadError
+        With a line for each fault.
+    """
+    if messages := fault_messages(path, faults):
+        raise ReadError("\n".join(messages))
+
+
+_UNITS = {column.unit.casefold() for column in COLUMNS.values() if column.unit}
+_UNITS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
+
+
+@dataclass(frozen=True, slots=True)
+class WireSheet:
+    """A wire sheet with its stress tables.
+
+    Parameters
+    ----------
+    specs : the wires, in the order of the rows
+    curves : wire -> column of the sheet -> stress table, if there is one
+    """
+
+    specs: tuple[WireSpec, ...]
+    curves: Mapping[str, Mapping[str, StatedCurve]]
+
+
+def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
+    """Read the wires of a sheet: one row per wire, its dimensions and materials.
+
+    Parameters
+    ----------
+    path : an xlsx workbook (the sheet named ``wires``, else the first visible one), or a csv
+
+    Returns
+    -------
+    The wires, in the order of the rows.
+
+    Raises
+    ------
+    ReadError
+        If the file is damaged, has no wires, or has faults: all in one message, each with its cell.
+    """
+    return read_wires(path).specs
+
+
+def wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
+    """Return the error of a wire that cannot be modelled.
+
+    Parameters
+    ----------
+    sheet : of the wires
+    spec : of the wire
+    expected : what it should be
+    reason : why it is not
+    """
+    place, remedy = f"{spec.place}, wire {spec.name!r}", "Check its row against the wire."
+    actual = f"this: {reason}"
+    message = error_text(sheet, place, expected=expected, found=actual, remedy=remedy)
+    return ProcessingError(message)
+
+
+def read_wires(path: Path) -> WireSheet:
+    """Read the wires of a sheet as `read_wire_sheet`, with their stress tables."""
+    cells, where = _cells(path)
+    raise_faults(path, _first_row_faults(cells))
+    table = as_table(cells, path, rows_of="one row per wire", place=where)
+    wrong = heading_faults([cell.text for cell in table.heading])
+    raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
+    names = [column_name(cell.text) for cell in table.heading]
+    rows = [dict(zip(names, row, strict=True)) for row in table.rows]
+    messages = fault_messages(path, _repeated_name_faults([row["wire"] for row in rows]))
+    curves: dict[tuple[str, str], StatedCurve] = {}
+    specs = [_read_spec(row, path, curves, messages) for row in rows]
+    if messages:
+        raise ReadError("\n".join(dict.fromkeys(messages)))
+    return WireSheet(
+        tuple(spec for spec in specs if spec is not None),
+        {row["wire"].text: _stress_tables(row, curves) for row in rows},
+    )
+
+
+def _cells(path: Path) -> tuple[list[list[Cell]], str]:
+    """Read the cells of the sheet; return them with its place in the file, empty for a csv."""
+    if not is_workbook(path):
+        return csv_cells(path), ""
+    sheets = sheets_of(path)
+    if not sheets:
+        actual, remedy = "a workbook without sheets", "Name the wire sheet."
+        raise ReadError(error_text(path, "", expected="a wire sheet", found=actual, remedy=remedy))
+    visible = [name for name, is_shown in sheets.items() if is_shown]
+    usual = [name for name in sheets if name.casefold() == "wires"]
+    name = [*usual, *visible, *sheets][0]
+    where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
+    return workbook_cells(path, name, where), where
+
+
+def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
+    """Find a title or a comment above the heading, and a row of units below it."""
+    filled = [row for row in cells if any(cell.text for cell in row)]
+    counts = [sum(column_name(cell.text) in WireRow.model_fields for cell in row) for row in filled]
+    heading = next((number for number, count in enumerate(counts) if count > 1), None)
+    if heading is None:
+        return
+    if counts[0] == 0:
+        title = next(cell for cell in filled[0] if cell.text)
+        expected = "the heading in the first row that is not blank"
+        remedy = f"Remove the lines above the heading at {filled[heading][0].place}."
+        yield title.place, Fault((), expected, repr(title.text), remedy)
+    below = [cell for cell in chain(*filled[heading + 1 : heading + 2]) if cell.text]
+    units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _UNITS]
+    if len(units) > 1 and len(units) >= len(below) - 1:
+        actual = f"a row of units ({', '.join(cell.text for cell in units[:3])}, ...)"
+        remedy = "Remove it: the unit is part of a column's name."
+        yield units[0].place, Fault((), "a wire", actual, remedy)
+
+
+def _repeated_name_faults(names: Sequence[Cell]) -> Iterator[PlacedFault]:
+    """Find repeated names, and names that are the same in files or labels."""
+    seen: dict[str, Cell] = {}
+    for cell in names:
+        # some systems ignore case and the encoding of accents, Abaqus ignores case
+        bare = unicodedata.normalize("NFC", unicodedata.normalize("NFC", cell.text).casefold())
+        first = seen.setdefault(bare, cell)
+        if first is not cell and cell.text:
+            expected, actual = "each wire once", f"{cell.text!r} again, as in {first.place}"
+            if cell.text != first.text:
+                expected = "names that differ in more than the case of letters"
+                actual = f"{cell.text!r}, and {first.text!r} in {first.place}"
+            fault = Fault((), expected, actual, "Give each wire a name of its own.")
+            yield f"{cell.place} (wire)", fault
+
+
+def _read_spec(
+    row: Mapping[str, Cell],
+    path: Path,
+    curves: dict[tuple[str, str], StatedCurve],
+    messages: list[str],
+) -> WireSpec | None:
+    """Read one wire; return None for one with faults, which are added to the messages."""
+    before = len(messages)
+    read = parse_row(WireRow, texts(row))
+    messages += fault_messages(path, place_faults(read, row)) if isinstance(read, list) else []
+    for column in FIRST_SLOPES:
+        table = row.get(column)
+        if table is not None and table.text and (column, table.text) not in curves:
+            try:
+                curves[column, table.text] = read_stress_table(column, table, path)
+            except ReadError as error:
+                messages.append(str(error))
+    if isinstance(read, list) or len(messages) > before:
+        return None
+    blank = [name for name, cell in row.items() if not cell.text]
+    place = re.sub(r", column \d+$", "", row["wire"].place)
+    place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
+    named = _stress_tables(row, curves)
+    tables = [
+        named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
+    ]
+    return wire_spec(read, blank, place, *tables)
+
+
+def _stress_tables(
+    row: Mapping[str, Cell], curves: Mapping[tuple[str, str], StatedCurve]
+) -> dict[str, StatedCurve]:
+    """Return the stress tables of a row, by column."""
+    curves_by_column = {
+        column: curves.get((column, row[column].text)) for column in FIRST_SLOPES if column in row
+    }
+    return {column: curve for column, curve in curves_by_column.items() if curve is not None}

@@ -1,0 +1,407 @@
+"""Bounds of the bending of a bundle, from the laws and positions of its wires.
+
+Wires that slip bend each about its own axis. Wires that stick are one beam: plane sections stay
+plane, and a wire at the distance y from the neutral axis is also strained along its axis, by
+kappa y (parallel axis theorem).
+
+At the distance y from the neutral axis a wire that sticks is strained by kappa y: at 2 mm and half
+a 1/m by a tenth of a per cent, where annealed copper has long begun to yield. The neutral axis then
+moves to where the forces of all wires balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.mechanics.wire.bundle_layout import arrange
+from labpipe.mechanics.wire.bundle_packing import fits, holding_circle, packing_fraction
+from labpipe.mechanics.wire.wire_table import build
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.harness_bundle import Bundle, BundleLayout, BundleModel, BundleWire
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireTable
+
+
+def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0) -> BundleModel:
+    """Compute the bounds of the bending of a bundle.
+
+    Parameters
+    ----------
+    bundle : stated diameters override those of the wires' tables
+    tables : law of each type of wire
+    seed : of the random choices of the layout
+
+    Returns
+    -------
+    The model. Notes: ``diameter_differs``, ``range_shortened``, ``oblique_axes``,
+    ``copper_yields``, ``insulation_doubtful``.
+
+    Raises
+    ------
+    ValueError
+        If a type of wire has no table or differs from its table by more than a factor of two in
+        diameter, stated positions overlap or are not one for each wire, or the laid out wires do
+        not fit the conduit.
+
+    Notes
+    -----
+    low = sum of the wires' slip stiffnesses (copper that yields brings the moments below it),
+    free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
+    the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
+    without and with the moment of their stretching and shortening, in which copper yields (see
+    `stretching_moment`). The interaction of bending and stretching in one wire is neglected.
+    With friction between wires and compliant tape, a bundle lies between the two.
+    """
+    missing = [wire.type for wire in bundle.wires if wire.type not in tables]
+    if missing:
+        names = ", ".join(tables) or "none"
+        message = f"the wire type {missing[0]!r} has no law: available are {names}"
+        raise ValueError(message)
+    kinds = [tables[wire.type] for wire in bundle.wires]
+    counts = [wire.number for wire in bundle.wires]
+    diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
+    axial = np.array([table.axial_stiffness for table in kinds])
+    layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
+    stick_stiffness = np.array([table.stick_stiffness for table in kinds])
+    stuck = sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
+    curvature, range_notes = _common_range(kinds, layout)
+    slip = slipping_moment(curvature, kinds, counts)
+    straight_ranges = _straight_ranges(kinds, layout, stuck.neutral[1])
+    middle, smallest = _conduit_circle(bundle, layout)
+    bore = bundle.conduit_bore
+    model = BundleModel(
+        bundle=bundle,
+        layout=layout,
+        low=float(np.dot(counts, [table.slip_stiffness for table in kinds])),
+        free=float(stick_stiffness[layout.kind].sum()),
+        high=float(stuck.tensor[1, 1]),
+        tensor=stuck.tensor,
+        principal=stuck.principal,
+        principal_angle=stuck.angle,
+        neutral=stuck.neutral,
+        axial_stiffness=float(axial[layout.kind].sum()),
+        smallest_bore=smallest,
+        middle=middle,
+        packing_fraction=None if bore is None else packing_fraction(layout.diameter, bore),
+        curvature=curvature,
+        moment_slip=slip,
+        moment_stick=slip + stretching_moment(curvature, layout.y, layout.kind, kinds),
+        doubtful_curvature=straight_ranges[0],
+        doubtful_curvature_stick=straight_ranges[1],
+    )
+    notes = (*_diameter_notes(bundle, kinds), *range_notes, *_law_notes(model))
+    return replace(model, notes=notes)
+
+
+def _diameter(wire: BundleWire, table: WireTable) -> float:
+    """Return the diameter over the insulation, m; refuse one that suggests a wrong unit."""
+    max_factor = 2.0  # beyond it the two cannot be one wire
+    nominal = 2.0 * table.layout.wire_radius
+    if wire.diameter is None:
+        return nominal
+    if not nominal / max_factor <= wire.diameter <= max_factor * nominal:
+        message = (
+            f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, the "
+            f"wire sheet {1e3 * nominal:.4g} mm; the factor must be at most "
+            f"{max_factor:g}: check the unit, or leave the diameter out"
+        )
+        raise ValueError(message)
+    return wire.diameter
+
+
+def _conduit_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
+    """Return centre and diameter of the circle around the wires, which must fit the conduit."""
+    centres = np.column_stack([layout.x, layout.y])
+    middle, radius = holding_circle(centres, layout.diameter)
+    smallest = 2.0 * radius
+    bore = bundle.conduit_bore
+    if bore is not None and not fits(smallest, bore):
+        message = (
+            f"the {bundle.number} wires in this layout need a bore of {1e3 * smallest:.4g} mm, "
+            f"the conduit has {1e3 * bore:.4g} mm "
+            f"(packing fraction {packing_fraction(layout.diameter, bore):.3g})"
+        )
+        raise ValueError(message)
+    return (float(middle[0]), float(middle[1])), smallest
+
+
+def _diameter_notes(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[QualityNote]:
+    diameter_tolerance = 0.05
+    for wire, table in zip(bundle.wires, kinds, strict=True):
+        nominal = 2.0 * table.layout.wire_radius
+        if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
+            message = (
+                f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, "
+                f"used to place the wires; the law is for a wire of "
+                f"{1e3 * nominal:.4g} mm"
+            )
+            yield QualityNote("diameter_differs", Severity.WARNING, "bundle", message)
+
+
+def _common_range(
+    kinds: Sequence[WireTable], layout: BundleLayout
+) -> tuple[Floats, tuple[QualityNote, ...]]:
+    """Return the curvatures covered by all laws, and a note where one of them goes further."""
+    curvature = common_curvature(kinds)
+    depth = float(np.ptp(layout.y))
+    last_known = min(largest_stretch(table) for table in kinds) / depth if depth else np.inf
+    if last_known < curvature[-1]:
+        curvature = np.append(curvature[curvature < last_known], last_known)
+        reason = f"sticking wires {1e3 * depth:.3g} mm apart reach the end of a table"
+    else:
+        reason = "the shortest of the wires' laws ends"
+    longest = max(kinds, key=lambda table: float(table.curvature[-1]))
+    if longest.curvature[-1] <= curvature[-1]:
+        return curvature, ()
+    message = (
+        f"moments are given up to {curvature[-1]:.4g} 1/m, where {reason}; the law of "
+        f"{longest.name} goes to {longest.curvature[-1]:.4g} 1/m"
+    )
+    return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)
+
+
+def _straight_ranges(
+    kinds: Sequence[WireTable], layout: BundleLayout, neutral: float
+) -> tuple[float, float]:
+    """Return the curvatures up to which insulations are linear, for slipping and sticking wires.
+
+    The rims of sticking wires are strained by the curvature times the height above the neutral axis
+    of the bundle (of elastic wires: it moves a little where copper yields).
+    """
+    slip = np.array([table.doubtful_curvature for table in kinds])
+    radius = np.array([table.layout.wire_radius for table in kinds])
+    strain = (slip * radius)[layout.kind]
+    height = np.abs(layout.y - neutral) + radius[layout.kind]
+    return float(slip.min()), float(np.min(strain / height))
+
+
+def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
+    max_lost_share = 0.01  # of the stiffness along y, lost by moving aside
+    min_stretching_factor = 2.0  # above it, more than half of the stiffness is stretching
+    (across, mixed), (_, along) = model.tensor
+    lost = mixed**2 / (across * along)
+    if lost > max_lost_share:
+        message = (
+            f"the principal axes are oblique ({np.degrees(model.principal_angle):.3g} deg from x "
+            f"to the stiffest direction): bent along y, a sticking bundle free to move aside is "
+            f"{100.0 * lost:.2g} % less stiff than the {_stiffness_text(along)} of one kept in its "
+            f"plane"
+        )
+        yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
+    curvature = model.curvature
+    below = np.flatnonzero(model.moment_stick[1:] < 0.5 * model.high * curvature[1:]) + 1
+    # with less stretching, the stiffness that it loses is that of slipping strands
+    if len(below) and model.high >= min_stretching_factor * model.free:
+        message = (
+            f"stretched copper yields: a sticking bundle, bent along y, has less than half "
+            f"of its {_stiffness_text(model.high)} beyond {curvature[below[0]]:.3g} 1/m"
+        )
+        yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
+    slip, stick = model.doubtful_curvature, model.doubtful_curvature_stick
+    if curvature[-1] > stick:
+        condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
+        addition = f", and beyond {slip:.4g} 1/m if they slip" if curvature[-1] > slip else ""
+        message = (
+            f"where the rim of an insulation is strained beyond its linear range, its modulus does "
+            f"not apply: moments are doubtful beyond {stick:.4g} 1/m{condition}"
+            f"{addition if condition else ''} (lighter in the figure)"
+        )
+        yield QualityNote("insulation_doubtful", Severity.WARNING, "bundle", message)
+
+
+def _stiffness_text(value: float) -> str:
+    """Format a stiffness with four digits and without an exponent."""
+    return f"{float(f'{1e6 * value:.4g}'):.10g} N mm^2"
+
+
+_AXIS_TOLERANCE = 1e-6
+"""Share by which unequal principal stiffnesses differ; rad, by which an axis differs from y."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sticking:
+    """Bending stiffness of a bundle without slip.
+
+    Parameters
+    ----------
+    tensor : shape (2, 2), N m^2; the xx part resists bending along x, the yy part along y
+    neutral : m, (x, y) where the neutral axes cross: the centroid of the axial stiffnesses
+    principal : N m^2, least and largest of all directions
+    angle : rad, in (-pi/2, pi/2], from the x axis to the direction of the largest; 0 where all
+        directions are equal
+    """
+
+    tensor: Floats
+    neutral: tuple[float, float]
+    principal: tuple[float, float]
+    angle: float
+
+
+def sticking(x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats) -> Sticking:
+    """Compute the bending stiffness of wires that stick to each other, in all directions.
+
+    Parameters
+    ----------
+    x, y : shape (wires,), m, centres
+    bending_stiffness : shape (wires,), N m^2, of each wire alone, alike in all directions
+    axial_stiffness : shape (wires,), N, of each wire alone
+
+    Notes
+    -----
+    With r = (x, y) from the centroid of the axial stiffnesses, K = sum EI 1 + sum EA r r^T: the
+    parallel axis theorem, as in any book on the strength of materials (Timoshenko, *Strength of
+    Materials I*, 1955, appendix A). Bending along the unit vector n takes n^T K n per curvature if
+    the bundle is kept in its plane, and 1 / (n^T K^-1 n) if it may move aside: less, unless n is
+    principal.
+    """
+    centres = np.column_stack([x, y])
+    neutral = np.average(centres, axis=0, weights=axial_stiffness)
+    about = centres - neutral
+    tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * about).T @ about
+    (least, largest), axes = np.linalg.eigh(tensor)
+    angle = 0.0 if largest - least <= _AXIS_TOLERANCE * largest else _axis_angle(axes[:, 1])
+    where = (float(neutral[0]), float(neutral[1]))
+    return Sticking(tensor, where, (float(least), float(largest)), angle)
+
+
+def _axis_angle(axis: Floats) -> float:
+    """Return the angle of an undirected axis, in (-pi/2, pi/2]."""
+    angle = float(np.arctan2(axis[1], axis[0]))
+    if angle > np.pi / 2.0 + _AXIS_TOLERANCE:
+        return angle - np.pi
+    return angle + np.pi if angle <= -np.pi / 2.0 + _AXIS_TOLERANCE else angle
+
+
+def common_curvature(tables: Sequence[WireTable]) -> Floats:
+    """Return the curvatures of all tables up to the end of the shortest, 1/m.
+
+    Parameters
+    ----------
+    tables : at least one
+    """
+    end = min(float(table.curvature[-1]) for table in tables)
+    curvature = np.unique(np.concatenate([table.curvature for table in tables]))
+    return np.asarray(curvature[curvature <= end])
+
+
+def slipping_moment(
+    curvature: Floats, tables: Sequence[WireTable], counts: Sequence[int]
+) -> Floats:
+    """Return the moment of wires that slip without friction, the sum of their laws, N m.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, within the range of every law
+    tables, counts : kinds of wire, and how many of each
+
+    Notes
+    -----
+    Between the points of a table the law is taken as straight.
+    """
+    laws = [np.interp(curvature, table.curvature, table.moment) for table in tables]
+    return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
+
+
+def share_of_bounds(value: float, low: float, high: float) -> float:
+    """Return the position of a stiffness between the bounds: 0 at the lower, 1 at the upper.
+
+    Parameters
+    ----------
+    value : N m^2
+    low, high : N m^2, 0 < low < high; taken as exact
+
+    Returns
+    -------
+    The share; below 0 or above 1 where the value lies outside the bounds.
+
+    Raises
+    ------
+    ValueError
+        If the bounds are not 0 < low < high.
+
+    Notes
+    -----
+    (value - low) / (high - low), which is what layered beams call the degree of composite action
+    (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75).
+    """
+    if not 0.0 < low < high:
+        message = f"low={low:.6g}, high={high:.6g} N m^2: expected 0 < low < high"
+        raise ValueError(message)
+    return (value - low) / (high - low)
+
+
+def axial_force(table: WireTable, strain: Floats) -> Floats:
+    """Return the force along a stretched wire that does not turn about its axis, N.
+
+    Parameters
+    ----------
+    table : of the wire
+    strain : shape (n,), along the wire, not negative; up to `largest_stretch`
+
+    Notes
+    -----
+    sum of A cos(alpha) sigma(strain cos^2(alpha)) over the strands + E A strain of the insulation:
+    a helical strand is strained by cos^2(alpha) of the wire's strain and pulls with cos(alpha) of
+    its force (Costello, *Theory of Wire Rope*, 1997). Its slope at zero is the axial stiffness of
+    the table.
+    """
+    section = build(table.spec).section
+    tube = section.insulation.axial_stiffness if section.insulation else 0.0
+    force = tube * strain
+    for layer in section.layers:
+        cosine = np.cos(layer.lay_angle)
+        stress = layer.material.stress(strain * cosine**2)
+        force = force + layer.count * layer.area * cosine * stress
+    return np.asarray(force)
+
+
+def largest_stretch(table: WireTable) -> float:
+    """Return the strain up to which the stress of all strands is known; may be infinite."""
+    layers = build(table.spec).section.layers
+    strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
+    return float(min(strains))
+
+
+def stretching_moment(
+    curvature: Floats, y: Floats, wire_types: Ints, tables: Sequence[WireTable]
+) -> Floats:
+    """Return the moment of the stretching and shortening of sticking wires, N m.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, not negative
+    y : shape (wires,), m
+    wire_types : shape (wires,), index into the tables
+    tables : of the kinds of wire
+
+    Returns
+    -------
+    Shape (n,): sum of N y, with N the force at the strain kappa (y - y0), equal in tension and
+    compression, and y0 where the sum of N is zero. Its slope at zero is sum of EA (y - y0)^2.
+    """
+    n_points = 600
+    decades = 9.0  # below the largest strain; copper is still elastic at the first point
+    halvings = 60
+    reach = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
+    strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * reach)
+    laws = [axial_force(table, strain) for table in tables]
+
+    def forces(neutral: Floats) -> Floats:
+        stretch = curvature[:, None] * (y - neutral[:, None])
+        force = np.empty_like(stretch)
+        for number, law in enumerate(laws):
+            strains = stretch[:, wire_types == number]
+            force[:, wire_types == number] = np.sign(strains) * np.interp(
+                np.abs(strains), strain, law
+            )
+        return force
+
+    low, high = (np.full(len(curvature), edge) for edge in (y.min(), y.max()))
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        pulls = forces(middle).sum(axis=1) > 0.0  # the neutral axis lies higher
+        low, high = np.where(pulls, middle, low), np.where(pulls, high, middle)
+    return np.asarray(forces(0.5 * (low + high)) @ y)

@@ -1,0 +1,330 @@
+"""Measured loading curves, and their agreement with others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr
+
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.records.arrays import Flags, Floats, frozen
+from labpipe.records.wire_calibration import (
+    CalibrationFailure,
+    CurveAgreement,
+    CurveErrors,
+    CurveMatch,
+    ExternalCurve,
+)
+
+DEEPEST = 0.65
+"""Largest deflection over length; beyond, first loading may end (see `wire.first_loading`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredCurve:
+    """The first loading of one sample.
+
+    Parameters
+    ----------
+    wire : name of the wire
+    test, sample : names; tests of one sample share its factor
+    length : free length, m
+    deflection : shape (n,), m, of the tip from rest
+    force : shape (n,), N, of the load cell, zeroed at rest. Points where either is NaN are left out
+    noise : standard deviation of the force, N, one number or shape (n,); including
+        the noise of the deflection times the slope of the curve
+    rig : string and counterweight; None for an end load normal to the undeformed axis
+    zero_error : N, standard error of the zero of the force
+    place_error : m, standard error of the offset of all deflections, by their zero and by the clock
+    scale_error : standard error of the deflection's scale, as a ratio, common to all curves of a
+        calibration
+    own_scale_error : that of this curve alone
+    self_weight : N/m, of the wire, which lies level at rest
+    """
+
+    wire: str
+    test: str
+    sample: str
+    length: float
+    deflection: Floats
+    force: Floats
+    noise: float | Floats
+    rig: StringRig | None = None
+    zero_error: float = 0.0
+    place_error: float = 0.0
+    scale_error: float = 0.0
+    own_scale_error: float = 0.0
+    self_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
+        shape = (len(self.deflection),)
+        object.__setattr__(self, "force", frozen(self.force, shape=shape))
+        object.__setattr__(self, "noise", frozen(np.broadcast_to(self.noise, shape), shape=shape))
+
+    @property
+    def peak(self) -> float:
+        """Return the largest force, N."""
+        return float(np.nanmax(np.abs(self.force)))
+
+    @property
+    def read_error(self) -> float:
+        """Estimate the standard deviation of a point, N, rms over the curve.
+
+        Errors of the deflection are converted with the slope from rest to the peak.
+        """
+        slope = self.peak / float(np.nanmax(np.abs(self.deflection)))
+        shared = shared_errors(self, np.full(len(self.force), slope))
+        return float(np.sqrt(np.nanmean(np.asarray(self.noise) ** 2 + np.sum(shared**2, axis=0))))
+
+
+def shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
+    """Return the force error by one standard deviation of each error that all points share.
+
+    Parameters
+    ----------
+    curve : measured
+    slope : shape (n,), N/m, of the force over the deflection
+
+    Returns
+    -------
+    Shape (3, n), N: zero of the force, place and scale of the deflection.
+    """
+    zero = np.full(len(slope), curve.zero_error)
+    scale = float(np.hypot(curve.scale_error, curve.own_scale_error))
+    return np.stack([zero, curve.place_error * slope, scale * curve.deflection * slope])
+
+
+def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
+    """Leave out NaN points and empty curves; refuse curves that cannot be fitted.
+
+    Returns
+    -------
+    The curves, errors of the scale counted as each curve's own; or a failure ``no_sample_usable``,
+    ``wires_mixed``, ``noise_not_positive`` or ``deflection_too_large``.
+
+    Notes
+    -----
+    A common error e of n curves shifts their mean by e, as do n independent errors of n^(1/2) e;
+    only the differences between curves then count for less than they could.
+    """
+    finite = tuple(_finite_points(curve) for curve in curves)
+    finite = tuple(curve for curve in finite if len(curve.force))
+    root_n = np.sqrt(len(finite))
+    finite = tuple(replace(curve, scale_error=root_n * curve.scale_error) for curve in finite)
+    if not finite:
+        message = f"none of {len(curves)} curves has a point with deflection and force"
+        return CalibrationFailure("no_sample_usable", message)
+    wires = sorted({curve.wire for curve in finite})
+    if len(wires) > 1:
+        message = f"curves of {len(wires)} wires: {', '.join(wires)}; expected one"
+        return CalibrationFailure("wires_mixed", message)
+    for curve in finite:
+        if not np.all(np.asarray(curve.noise) > 0.0):
+            noise = 1e3 * np.min(curve.noise)
+            message = f"{curve.test}: expected a positive noise, found {noise:.4g} mN"
+            return CalibrationFailure("noise_not_positive", message)
+        deepest = float(np.max(np.abs(curve.deflection)))
+        if deepest > DEEPEST * curve.length:
+            message = (
+                f"{curve.test}: a deflection of {1e3 * deepest:.4g} mm for "
+                f"{1e3 * curve.length:.4g} mm; first loading is modelled up to {DEEPEST:g} of the "
+                "length"
+            )
+            return CalibrationFailure("deflection_too_large", message)
+    return finite
+
+
+def _finite_points(curve: MeasuredCurve) -> MeasuredCurve:
+    valid = np.isfinite(curve.deflection) & np.isfinite(curve.force)
+    return replace(
+        curve,
+        deflection=curve.deflection[valid],
+        force=curve.force[valid],
+        noise=np.asarray(curve.noise)[valid],
+    )
+
+
+def whiten(values: Floats, correlation: float) -> Floats:
+    """Whiten first-order autoregressive noise of variance 1.
+
+    Parameters
+    ----------
+    values : shape (n, ...), in order of time, over their noise
+    correlation : of neighbours, at least 0 and below 1
+
+    Returns
+    -------
+    Same shape, uncorrelated for such noise.
+    """
+    if correlation == 0.0:
+        return values
+    out = values.copy()
+    out[1:] -= correlation * values[:-1]
+    out[1:] /= np.sqrt(1.0 - correlation**2)
+    return out
+
+
+def curve_errors(
+    force: Floats, model: Floats, lower: Floats | None = None, upper: Floats | None = None
+) -> CurveErrors:
+    """Compute SSE, RMSE and RMSE over the largest force, without NaN points.
+
+    Parameters
+    ----------
+    force, model : shape (n,), N
+    lower, upper : shape (n,), N, of a band
+
+    Raises
+    ------
+    ValueError
+        If no point is left.
+
+    Notes
+    -----
+    Eqs. (3.28) and (3.29) of the dissertation. SSE grows with the number of points.
+    """
+    valid = np.isfinite(force) & np.isfinite(model)
+    if not valid.any():
+        message = "no point has both a measured and a modelled force"
+        raise ValueError(message)
+    residuals = force[valid] - model[valid]
+    sse = float(residuals @ residuals)
+    rmse = float(np.sqrt(sse / len(residuals)))
+    inside = np.nan
+    if lower is not None and upper is not None:
+        inside = float(np.mean((lower[valid] <= force[valid]) & (force[valid] <= upper[valid])))
+    return CurveErrors(
+        len(residuals), sse, rmse, rmse / float(np.max(np.abs(force[valid]))), inside
+    )
+
+
+def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreement:
+    """Compare one curve with the model.
+
+    Parameters
+    ----------
+    curve : measured
+    model : shape (n,), N, without the sample's factor
+    factor : of the sample, load cell included
+    """
+    errors = curve_errors(curve.force, model)
+    residuals = (curve.force - factor * model) / np.asarray(curve.noise)
+    return CurveAgreement(
+        test=curve.test,
+        sample=curve.sample,
+        length=curve.length,
+        deflection=curve.deflection,
+        force=curve.force,
+        model=model,
+        sample_factor=factor,
+        sse=errors.sse,
+        rmse=errors.rmse,
+        rmse_share=errors.rmse_share,
+        lag_one_correlation=lag_one_correlation(residuals),
+        runs_p=runs_p(residuals),
+    )
+
+
+def lag_one_correlation(residuals: Floats) -> float:
+    """Return the correlation of neighbours about zero; 0 for residuals that are all zero."""
+    power = float(residuals @ residuals)
+    return float(residuals[1:] @ residuals[:-1]) / power if power > 0.0 else 0.0
+
+
+def runs_p(residuals: Floats) -> float:
+    """Return the two-sided p-value of Wald and Wolfowitz's runs test of the residuals' signs.
+
+    Notes
+    -----
+    Normal approximation (Ann. Math. Stat. 11 (1940) 147). 0 where all have one sign.
+    """
+    above = residuals > 0.0
+    n_above, n_below = int(above.sum()), int((~above).sum())
+    n = n_above + n_below
+    if n_above == 0 or n_below == 0:
+        return 0.0
+    runs = 1 + int(np.sum(above[1:] != above[:-1]))
+    mean = 1.0 + 2.0 * n_above * n_below / n
+    variance = (mean - 1.0) * (mean - 2.0) / (n - 1.0)
+    if variance <= 0.0:
+        return 1.0
+    return float(2.0 * ndtr(-abs(runs - mean) / np.sqrt(variance)))
+
+
+MIN_COMPARED_POINTS = 3
+"""Least number of points to compare two curves."""
+
+
+def compare_curves(
+    curve: ExternalCurve,
+    deflection: Floats,
+    force: Floats,
+    band: tuple[Floats, Floats] | None,
+    of: str,
+) -> CurveMatch:
+    """Compare an external curve with another one.
+
+    Parameters
+    ----------
+    curve : from elsewhere
+    deflection, force : shape (m,), m and N, of the other curve, deflections rising
+    band : lower and upper end of its 95 % band, shape (m,), N; None or NaN for no band
+    of : name of the other curve in messages: ``the tests``, ``the model``
+
+    Returns
+    -------
+    Errors at those points of the external curve that lie within the deflections of the other, which
+    is interpolated linearly; all points have the same weight. None for fewer than 3 points.
+
+    Notes
+    -----
+    RMSE is Eq. (3.29) of the dissertation; it is divided by the largest force of the other curve at
+    the points compared.
+    """
+    is_shared = _is_shared(curve, deflection)
+    text = _left_out_text(curve, is_shared, deflection, of)
+    left_out = int(np.sum(~is_shared))
+    missing = np.full(len(is_shared), np.nan)
+    if is_shared.sum() < MIN_COMPARED_POINTS:
+        return CurveMatch(missing, None, len(is_shared), text)
+    lower, upper = (
+        (missing, missing) if band is None else (_interpolate(curve, deflection, b) for b in band)
+    )
+    reference = np.where(is_shared, _interpolate(curve, deflection, force), np.nan)
+    errors = curve_errors(curve.force, reference, lower, upper)
+    if not np.isfinite(lower[is_shared]).all():
+        errors = replace(errors, inside=np.nan)
+    share = errors.rmse / float(np.nanmax(np.abs(reference)))
+    return CurveMatch(reference, replace(errors, rmse_share=share), left_out, text)
+
+
+def _is_shared(curve: ExternalCurve, deflection: Floats) -> Flags:
+    if not len(deflection):
+        return np.zeros(len(curve.deflection), dtype=np.bool_)
+    shared: Flags = (deflection[0] <= curve.deflection) & (curve.deflection <= deflection[-1])
+    return shared
+
+
+def _interpolate(curve: ExternalCurve, deflection: Floats, values: Floats) -> Floats:
+    values_at: Floats = np.interp(curve.deflection, deflection, values)
+    return values_at
+
+
+def _left_out_text(curve: ExternalCurve, shared: Flags, deflection: Floats, of: str) -> str:
+    """Describe the points that were left out."""
+    n_points, n_shared = len(shared), int(shared.sum())
+    if not len(deflection):
+        return f"no point was compared: there is no curve of {of}"
+    low, high = 1e3 * deflection[0], 1e3 * deflection[-1]
+    span = f"{low:.3g} to {high:.4g} mm, the range of {of}"
+    if n_shared == n_points:
+        return ""
+    if n_shared < MIN_COMPARED_POINTS:
+        first, last = 1e3 * curve.deflection[0], 1e3 * curve.deflection[-1]
+        return (
+            f"{n_shared} of {n_points} points, from {first:.4g} to {last:.4g} mm, lie within "
+            f"{span}: expected at least {MIN_COMPARED_POINTS}"
+        )
+    return f"{n_points - n_shared} of {n_points} points left out, outside of {span}"

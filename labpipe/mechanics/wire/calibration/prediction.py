@@ -1,0 +1,161 @@
+"""Prediction of a calibration for another wire or length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.special import ndtri
+
+from labpipe.mechanics.wire.calibration.fit import Wire
+from labpipe.mechanics.wire.calibration.law_components import loading_curve
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.variances import quantiles
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.first_loading import LoadingCurve, force_at
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
+
+_NORMAL = float(ndtri(0.975))
+
+
+def predict(
+    calibration: Calibration,
+    wire: Wire,
+    length: float,
+    deflection: Floats,
+    *,
+    rig: StringRig | None = None,
+    noise: float = 0.0,
+    n_samples: int = 1,
+    other_gain: float | None = None,
+) -> Prediction:
+    """Predict the loading curve of a wire, with 95 % bands.
+
+    Parameters
+    ----------
+    calibration : of this wire or another
+    wire : its geometry, materials, friction coefficients and weight; phi, the modulus of the
+        insulation and the copper scale are those of the calibration, if any
+    length : m
+    deflection : shape (n,), m
+    rig : the string; None for an end load normal to the axis
+    noise : standard deviation of a measured force, N
+    n_samples : of which the measured curve is the mean
+    other_gain : standard uncertainty of the gain of another load cell; None for the load cell
+        of the calibration, whose estimated gain then applies
+
+    Returns
+    -------
+    The curve of the best solution, and bands of all: uncertainty of the parameters (linear in their
+    logarithms), gain, and, for the band of a measured curve, scatter of samples and noise. With
+    several solutions a band extends from the lowest to the highest of theirs, each narrower by its
+    likelihood. Differences between the two wires (dimensions, lots of copper and insulation) are
+    not included.
+
+    Raises
+    ------
+    ValueError
+        If the first loading ends before the largest deflection.
+
+    Notes
+    -----
+    Point by point; quantiles of t averaged over the possible scatter of samples. Known errors
+    (noise, another gain) are added as 1.96 s in quadrature.
+    """
+    deepest = float(np.nanmax(np.abs(deflection)))
+    gain = _NORMAL * (other_gain or 0.0)
+    read = _NORMAL * noise / np.sqrt(n_samples)
+    forces, bands = [], []
+    for solution in (solution for solution in calibration.solutions if solution.is_allowed):
+        curve = calibrated_curve(wire, solution.values, length, rig, deepest)
+        force, change = force_at(curve, deflection)
+        gain_slope = force if other_gain is None else np.zeros_like(force)
+        slopes = np.vstack([change, gain_slope]).T
+        forces.append(force)
+        wide = calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
+        mean, one = _reach(solution, slopes, force / np.sqrt(n_samples), wide)
+        one, mean = np.hypot(one, np.hypot(gain * force, read)), np.hypot(mean, gain * force)
+        bands.append([force - one[0], force + one[1], force - mean[0], force + mean[1]])
+    low, high = np.min(bands, axis=0), np.max(bands, axis=0)
+    notes = tuple(_notes(calibration))
+    return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
+
+
+def _reach(
+    solution: Solution, slopes: Floats, one_more: Floats, wide: float
+) -> tuple[Floats, Floats]:
+    """Return the width of a band down and up, shape (2, n), N: of the mean sample, and of one more.
+
+    The part of the parameters is `wide` times as wide as in the linear model.
+    """
+    mean = np.abs(quantiles(solution.mixture, slopes))
+    one = np.abs(quantiles(solution.mixture, slopes, one_more))
+    scatter = np.sqrt(np.maximum(one**2 - mean**2, 0.0))
+    mean *= wide
+    return mean, np.hypot(mean, scatter)
+
+
+def _notes(calibration: Calibration) -> Iterator[QualityNote]:
+    if calibration.levels.scatter_freedom == 0.0:
+        message = "the scatter of samples is unknown from one sample: the bands exclude it"
+        yield QualityNote("one_sample", Severity.WARNING, calibration.wire, message)
+    allowed = sum(solution.is_allowed for solution in calibration.solutions)
+    if allowed > 1:
+        message = (
+            f"{allowed} solutions fit the tests: the bands cover all of "
+            "them, the curve is that of the best"
+        )
+        yield QualityNote("two_solutions", Severity.WARNING, calibration.wire, message)
+    for name in PARAMETERS:
+        parameter = calibration.parameter(name)
+        if parameter.is_open_below or parameter.is_open_above:
+            message = f"{parameter.explanation}; the bands treat its error as normal"
+            yield QualityNote("not_identified", Severity.WARNING, name, message)
+
+
+def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
+    """Return the largest curvature at the clamp at the ends of the curves, 1/m.
+
+    Parameters
+    ----------
+    wire : calibrated
+    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such part
+    curves : measured, of this wire
+
+    Raises
+    ------
+    ValueError
+        If there is no curve, or first loading ends before one does.
+    """
+    if not curves:
+        message = "curves: expected at least one"
+        raise ValueError(message)
+    curvatures = []
+    for curve in curves:
+        deepest = float(np.nanmax(np.abs(curve.deflection)))
+        loading = calibrated_curve(wire, values, curve.length, curve.rig, deepest)
+        curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
+    return max(curvatures)
+
+
+def calibrated_curve(
+    wire: Wire, values: Floats, length: float, rig: StringRig | None, deflection: float
+) -> LoadingCurve:
+    """Compute the loading curve of a wire with calibrated values, up to a deflection.
+
+    Parameters
+    ----------
+    wire : calibrated, or another of the same make
+    values : shape (3,), of `PARAMETERS`; NaN for those of the wire's sheet
+    length, rig, deflection : as for `loading_curve`
+
+    Raises
+    ------
+    ValueError
+        If a material's curve ends before.
+    """
+    parts = wire.parts
+    filled = np.where(np.isnan(values), parts.given, values)
+    return loading_curve(parts, filled, length, rig, deflection, self_weight=wire.self_weight)

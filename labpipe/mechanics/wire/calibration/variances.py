@@ -1,0 +1,345 @@
+"""Variances of noise and samples with their uncertainty, and the covariance of the parameters.
+
+At the minimum of the objective the model is linear in parameters and factors, and every sum over
+points is in the samples' Gram matrices. Scatter of samples and noise are estimated by restricted
+maximum likelihood (Patterson and Thompson, Biometrika 58 (1971) 545) with the mean factor left
+free, so that it is the spread between samples, independent of the load cell's gain and of
+priors. The degrees of freedom of a parameter's variance, which is made of both, are Satterthwaite's
+(Biometrics Bull. 2 (1946) 110): 2 C^2 / var(C), as in Kenward and Roger (Biometrics 53 (1997) 983).
+
+Intervals averaged over the possible scatter of a few samples.
+
+Two or three samples hardly determine the scatter of samples, which decides how much a parameter
+depends on their mean rather than on the shape of the curves. So the scatter is not treated as
+known: in the linear model at the minimum of the objective every scatter has its restricted
+likelihood, its estimate of the parameters and its covariance, and a parameter's distribution is the
+mixture of Student's t over them (as in `uncertainty.linear_fits`). Where the interval depends on
+the mean of n samples alone this is Student's t with n - 1 degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import stdtr, stdtrit
+
+from labpipe.mechanics.wire.calibration.law_components import ModelForce
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors
+from labpipe.mechanics.wire.calibration.parameter_search import Fit, Levels, P, Problem, scaled
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.wire_calibration import ScatterMixture
+
+_LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
+
+
+def quantile(freedom: float) -> float:
+    """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
+    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
+    return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """Covariance of the logarithms and the gain, and how it depends on the levels.
+
+    Parameters
+    ----------
+    covariance : shape (4, 4); 0 for what is not free
+    by_level : shape (2, 4, 4), derivatives by the logarithms of the variances of noise and samples
+    level_covariance : shape (2, 2), of the estimates of those
+    """
+
+    covariance: Floats
+    by_level: Floats
+    level_covariance: Floats
+
+    def freedom(self, direction: Floats) -> float:
+        """Return the degrees of freedom of the variance of a linear combination, shape (4,)."""
+        variance = float(direction @ self.covariance @ direction)
+        slopes = self.by_level @ direction @ direction
+        spread = float(slopes @ self.level_covariance @ slopes)
+        return 2.0 * variance**2 / spread if spread > 0.0 else np.inf
+
+
+def correlation_of(
+    curves: tuple[MeasuredCurve, ...], models: list[ModelForce], factors: Floats
+) -> float:
+    """Estimate the correlation of neighbouring residuals over all curves, at least 0.
+
+    Errors shared by all points of a curve are estimated and removed first.
+
+    Parameters
+    ----------
+    curves, models : measured and modelled
+    factors : shape (curves,), of each sample on the model
+    """
+    max_correlation = 0.98
+    above = below = 0.0
+    for curve, model, factor in zip(curves, models, factors, strict=True):
+        noise = np.asarray(curve.noise)
+        residuals = (curve.force - factor * model.force) / noise
+        shared = shared_errors(curve, model.slope) / noise
+        held = np.eye(len(shared)) + shared @ shared.T
+        residuals -= np.linalg.solve(held, shared @ residuals) @ shared
+        above += float(residuals[1:] @ residuals[:-1])
+        below += float(residuals @ residuals)
+    return float(np.clip(above / below, 0.0, max_correlation)) if below > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearModel:
+    """The linear model at the fit, as whitened products of each sample.
+
+    Parameters
+    ----------
+    grams : shape (samples, 5, 5), of derivatives, model and residual, the residual with the
+        sample's own offset in it
+    columns : unknowns: free parameters and the mean factor
+    n : points
+    """
+
+    grams: Floats
+    columns: list[int]
+    n: int
+
+    def shrunk(self, ratio: float) -> Floats:
+        """Return the products for a scatter of `ratio` times the noise, both as variances."""
+        sample_products = self.grams[:, P, :]
+        weights = ratio / (1.0 + ratio * self.grams[:, P, P])
+        return np.asarray(
+            self.grams
+            - weights[:, None, None] * sample_products[:, :, None] * sample_products[:, None, :]
+        )
+
+    def estimate(self, ratio: float) -> tuple[float, float]:
+        """Return the noise variance at a ratio, and minus twice the log restricted likelihood."""
+        total = self.shrunk(ratio).sum(axis=0)
+        inner = total[np.ix_(self.columns, self.columns)]
+        unit, scale = scaled(inner)
+        pull = total[self.columns, -1] / scale
+        residual = float(total[-1, -1] - pull @ np.linalg.solve(unit, pull))
+        freedom = self.n - len(self.columns)
+        noise = max(residual, 1e-300) / freedom
+        logs = np.log1p(ratio * self.grams[:, P, P]).sum()
+        logs += np.linalg.slogdet(unit)[1] + 2.0 * np.log(scale).sum()
+        return noise, float(freedom * np.log(noise) + logs)
+
+
+def estimate_levels(
+    problem: Problem, fit: Fit, free: Flags, correlation: float, scatter: float | None
+) -> Levels:
+    """Estimate noise and scatter at the minimum of the objective.
+
+    Parameters
+    ----------
+    problem, fit, free : what was fitted
+    correlation : of neighbours, with which the fit's products are whitened
+    scatter : if given; else it is estimated, and 0 for one sample
+    """
+    log_ratios = (-6.0, 14.0, 41)  # of scatter^2 times information over noise: first, last, number
+    linear = linear_model(problem, fit, free)
+    if scatter is None and problem.n_samples == 1:
+        scatter = 0.0
+    if scatter is not None:
+        noise = linear.estimate(0.0)[0]
+        for _ in range(3):
+            noise = linear.estimate(scatter**2 / noise)[0]
+        return Levels(noise, correlation, scatter)
+    information = float(np.median(linear.grams[:, P, P]))
+    grid = np.linspace(*log_ratios)
+    heights = [linear.estimate(float(np.exp(log_level)) / information)[1] for log_level in grid]
+    best = int(np.argmin(heights))
+    bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    optimum = minimize_scalar(
+        lambda log_level: linear.estimate(float(np.exp(log_level)) / information)[1],
+        bounds=bracket,
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    ratio = float(np.exp(optimum.x)) / information
+    noise = linear.estimate(ratio)[0]
+    return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
+
+
+def linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
+    """Return the linear model of a fit, with each sample's offset added back to its residual."""
+    grams = fit.grams.copy()
+    shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
+    grams[:, :, -1] += shift
+    grams[:, -1, :] += shift
+    grams[:, -1, -1] += fit.point.offsets**2 * fit.grams[:, P, P]
+    columns = [*np.flatnonzero(free).tolist(), P]
+    return LinearModel(grams, columns, problem.n_points)
+
+
+def uncertainty(
+    problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
+) -> Uncertainty:
+    """Return the covariance of the fit, with what Satterthwaite's degrees of freedom need.
+
+    Parameters
+    ----------
+    problem, fit, free, levels : what was fitted, and the levels it was fitted with
+    is_scatter_known : given rather than estimated
+    """
+    linear = linear_model(problem, fit, free)
+
+    def covariance(noise: float, samples: float) -> Floats:
+        total = linear.shrunk(samples / noise).sum(axis=0) / noise
+        return _posterior(problem, fit, free, total)[1]
+
+    noise, samples = levels.noise, levels.scatter**2
+    up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
+    by_noise = covariance(noise * up, samples) - covariance(noise * down, samples)
+    by_samples = covariance(noise, samples * up) - covariance(noise, samples * down)
+    by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
+    is_known = is_scatter_known or levels.scatter == 0.0
+    spread = _level_covariance(linear, noise, samples, is_scatter_known=is_known)
+    return Uncertainty(covariance(noise, samples), by_level, spread)
+
+
+def _posterior(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:
+    """Return shift from the fit and covariance from whitened products, with priors and gain."""
+    moves = np.append(free, problem.gain > 0.0)
+    tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
+    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
+    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
+    matrix[range(P + 1), range(P + 1)] += tight
+    shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
+    if moves.any():
+        unit, scale = scaled(matrix[np.ix_(moves, moves)])
+        inverse = np.linalg.inv(unit) / np.outer(scale, scale)
+        covariance[np.ix_(moves, moves)] = inverse
+        shift[moves] = inverse @ pull[moves]
+    return shift, covariance
+
+
+def _level_covariance(
+    linear: LinearModel, noise: float, samples: float, *, is_scatter_known: bool
+) -> Floats:
+    """Return the covariance of the log variances from the expected restricted information."""
+    freedom = linear.n - len(linear.columns)
+    if is_scatter_known:
+        return np.diag([2.0 / freedom, 0.0])
+    here = _projected(linear, noise, samples)
+    up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
+    slope = (
+        np.trace(_projected(linear, noise * up, samples * up))
+        - np.trace(_projected(linear, noise * down, samples * down))
+    ) / (2.0 * _LOG_VARIANCE_STEP)
+    # P scales as the inverse of both variances: trace(Z'PZ) falls by itself, in part by each.
+    alone = (
+        np.trace(_projected(linear, noise, samples * up))
+        - np.trace(_projected(linear, noise, samples * down))
+    ) / (2.0 * _LOG_VARIANCE_STEP)
+    both = float(np.sum(here**2)) * samples**2
+    cross = -float(slope - alone) * samples
+    white = freedom - both - 2.0 * cross
+    information = 0.5 * np.array([[white, cross], [cross, both]])
+    return np.asarray(np.linalg.inv(information))
+
+
+def _projected(linear: LinearModel, noise: float, samples: float) -> Floats:
+    """Return Z' P Z, shape (samples, samples); P projects for the restricted likelihood."""
+    shrunk = linear.shrunk(samples / noise) / noise
+    total = shrunk.sum(axis=0)
+    inner = total[np.ix_(linear.columns, linear.columns)]
+    unit, scale = scaled(inner)
+    arms = shrunk[:, P, linear.columns] / scale
+    return np.asarray(np.diag(shrunk[:, P, P]) - arms @ np.linalg.solve(unit, arms.T))
+
+
+TAIL = 0.025
+"""Probability outside the interval, on each side."""
+
+
+def quantiles(
+    mixture: ScatterMixture, directions: Floats, one_more: Floats | float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return 2.5 and 97.5 % quantiles of linear combinations, relative to the fit.
+
+    Parameters
+    ----------
+    mixture : of the fit
+    directions : shape (n, 4), of the logarithms of parameters and gain
+    one_more : shape (n,), derivative by the factor of one more sample; 0 for none
+
+    Returns
+    -------
+    Lower and upper, shape (n,) each.
+
+    Notes
+    -----
+    By bisection: the distribution is a sum of Student's t, each with its own location and width.
+    """
+    halvings = 40
+    centre = directions @ mixture.shift.T
+    variance = np.einsum("ni,sij,nj->ns", directions, mixture.covariance, directions)
+    sample_error = np.broadcast_to(one_more, len(directions))[:, None] * mixture.scatter
+    error = np.sqrt(np.maximum(variance, 0.0) + sample_error**2)
+    error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
+    reach = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
+    least, most = (centre - reach).min(axis=1), (centre + reach).max(axis=1)
+
+    def quantile_at(share: float) -> Floats:
+        low, high = least, most
+        for _ in range(halvings):
+            middle = 0.5 * (low + high)
+            below = stdtr(mixture.freedom, (middle[:, None] - centre) / error) @ mixture.chance
+            low, high = np.where(below < share, middle, low), np.where(below < share, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+    return quantile_at(TAIL), quantile_at(1.0 - TAIL)
+
+
+def mix(
+    problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
+) -> ScatterMixture:
+    """Weight every scatter by its restricted likelihood.
+
+    Parameters
+    ----------
+    problem, fit, free, levels : what was fitted
+    is_scatter_known : given rather than estimated, or not available from one sample
+
+    Notes
+    -----
+    The prior is uniform in the logarithm of the scatter, from three tenths of the scatter of one
+    sample's factor by noise; below, scatter has no effect.
+    """
+    min_probability = 1e-6  # of a scatter
+    linear = linear_model(problem, fit, free)
+    freedom = float(linear.n - len(linear.columns))
+    ratios = (
+        _variance_ratios(linear, levels)
+        if not is_scatter_known
+        else np.array([levels.scatter**2 / levels.noise])
+    )
+    estimates = [linear.estimate(float(ratio)) for ratio in ratios]
+    heights = np.array([height for _, height in estimates])
+    chance = np.exp(-0.5 * (heights - heights.min()))
+    solved = [
+        _posterior(problem, fit, free, linear.shrunk(float(ratio)).sum(axis=0) / noise)
+        for (noise, _), ratio in zip(estimates, ratios, strict=True)
+    ]
+    likely = chance / chance.sum()
+    is_likely = likely > min_probability
+    return ScatterMixture(
+        likely[is_likely] / likely[is_likely].sum(),
+        np.sqrt(ratios * [noise for noise, _ in estimates])[is_likely],
+        np.array([shift for shift, _ in solved])[is_likely],
+        np.array([covariance for _, covariance in solved])[is_likely],
+        freedom,
+    )
+
+
+def _variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
+    """Return the grid of scatter over noise, as variances."""
+    least_noise_share = 0.3  # of the scatter that noise makes of the factor of one sample
+    max_scatter_factor = 1000.0  # times the estimated scatter
+    n_scatters = 64
+    least_scatter = float(np.median(linear.grams[:, P, P])) ** -0.5
+    most = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
+    return np.geomspace(least_noise_share * least_scatter, most, n_scatters) ** 2

@@ -1,0 +1,477 @@
+"""The cross-section of a wire: layers of strands in a bore, and the insulation around them.
+
+The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
+A layout places the strands and refuses what does not fit, with the overlap. Layers are
+defined by their counts, not by gaps in the radius. The first strand of the first ring lies at angle
+0, on the neutral axis of the source; `wire.bending_law` turns the section for other orientations.
+Lengths in m, angles in rad.
+
+Stretch and torsion of a wire, and their coupling (PHYSICS 9).
+
+A strand at radius r with the lay angle a is strained along itself by eps cos^2 a where the wire is
+stretched by eps, and by r tau sin a cos a where it is twisted by tau (rad/m, positive in the sense
+of a positive lay). So the pull N and the torque T are
+
+    [N; T] = [EA, C; C, GJ] [eps; tau],
+    EA = sum E A cos^3 a + E_ins A_ins,      C = sum E A r sin a cos^2 a,
+    GJ = sum E A r^2 sin^2 a cos a + own + G_ins pi/2 (R_o^4 - R_i^4).
+
+Slip does not relieve this: strands keep their radius and stretch as a whole (Costello, *Theory of
+Wire Rope*, 1997). Strands that settle into each other make a real wire softer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.mechanics.law.plays import require, require_positive
+from labpipe.mechanics.wire.materials import (
+    ANNEALED_COPPER,
+    Material,
+    StrandMoment,
+    StressTable,
+    strand_moment,
+)
+from labpipe.records.arrays import Floats, Ints, frozen
+
+COPPER_DENSITY = 8960.0
+"""kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
+PVC_DENSITY = 1400.0
+"""kg/m^3, default: filled PVC."""
+MAX_OVERLAP_SHARE = 1e-3
+"""Allowed overlap, as a share of the bore's radius."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Strands at one distance from the axis, the core included (one strand, lay angle 0).
+
+    Parameters
+    ----------
+    count : strands
+    diameter : m, of one strand; of a compressed one, that of the circle with its area
+    lay_angle : rad, signed; 0 for the core
+    material : stress-strain curve of the strands
+    poisson : Poisson's ratio of the strands
+    """
+
+    count: int
+    diameter: float
+    lay_angle: float = 0.0
+    material: Material = ANNEALED_COPPER
+    poisson: float = 0.34
+
+    def __post_init__(self) -> None:
+        require_positive("diameter", self.diameter)
+        require("count", self.count, "a whole number >= 1", holds=self.count >= 1)
+        holds, degrees = abs(self.lay_angle) < np.pi / 2.0, float(np.degrees(self.lay_angle))
+        require("lay_angle", degrees, "between -90 and 90 deg", holds=holds)
+        _require_poisson(self.poisson)
+
+    @property
+    def area(self) -> float:
+        """Return the area of one strand across its own axis, m^2."""
+        return float(np.pi * self.diameter**2 / 4.0)
+
+
+def _require_poisson(poisson: float) -> None:
+    require("poisson", poisson, "> -1 and <= 0.5", holds=-1.0 < poisson <= 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Insulation:
+    """The tube around the strands.
+
+    Parameters
+    ----------
+    bore_radius : R, m, wire diameter / 2 - wall
+    thickness : wall, m
+    modulus : Pa, at small strains
+    poisson : Poisson's ratio
+    curve : stress-strain curve, whose first slope is the modulus; None for a straight line
+    """
+
+    bore_radius: float
+    thickness: float
+    modulus: float
+    poisson: float = 0.4
+    curve: StressTable | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("bore_radius", "thickness", "modulus"):
+            require_positive(name, getattr(self, name))
+        _require_poisson(self.poisson)
+
+    @property
+    def outer_radius(self) -> float:
+        """Return the radius of the wire, m."""
+        return self.bore_radius + self.thickness
+
+    @property
+    def bending_stiffness(self) -> float:
+        """Return E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
+        outer = self.bore_radius + self.thickness
+        return float(self.modulus * np.pi / 4.0 * (outer**4 - self.bore_radius**4))
+
+    @property
+    def area(self) -> float:
+        """Return the area of the tube, m^2."""
+        outer = self.bore_radius + self.thickness
+        return float(np.pi * (outer**2 - self.bore_radius**2))
+
+    @property
+    def axial_stiffness(self) -> float:
+        """Return E times the area of the tube, N."""
+        return self.modulus * self.area
+
+    @property
+    def torsional_stiffness(self) -> float:
+        """Return G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
+        return self.bending_stiffness / (1.0 + self.poisson)
+
+
+def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
+    """Return the bending moment of the insulation, and its slope, on first loading.
+
+    Parameters
+    ----------
+    tube : a full bar of its outer radius less one of the bore
+    curvature : any shape, 1/m, either sign
+
+    Returns
+    -------
+    Moment and tangent stiffness; NaN where the curvature is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the rim is strained beyond the tube's curve; the message says the curvature.
+
+    Notes
+    -----
+    A tube without a curve is linear at any strain; the caller checks the range.
+    """
+    if tube.curve is None:
+        stiffness = tube.bending_stiffness
+        return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
+    bars = [
+        strand_moment(tube.curve, 2.0 * radius, curvature)
+        for radius in (tube.outer_radius, tube.bore_radius)
+    ]
+    return StrandMoment(bars[0].moment - bars[1].moment, bars[0].tangent - bars[1].tangent)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossSection:
+    """Strands in place.
+
+    Parameters
+    ----------
+    kind : name of the layout
+    layers : from the axis outwards
+    x, y : shape (strands,), m, strand centres, layer by layer
+    layer : shape (strands,), index into `layers`
+    overlap : m, the deepest overlap of strands with each other or with the bore
+    insulation : the tube, or none
+    """
+
+    kind: str
+    layers: tuple[Layer, ...]
+    x: Floats = field(repr=False)
+    y: Floats = field(repr=False)
+    layer: Ints = field(repr=False)
+    overlap: float = 0.0
+    insulation: Insulation | None = None
+
+    def __post_init__(self) -> None:
+        strands = sum(layer.count for layer in self.layers)
+        object.__setattr__(self, "x", frozen(self.x, shape=(strands,)))
+        object.__setattr__(self, "y", frozen(self.y, shape=(strands,)))
+        index = np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
+        if not np.array_equal(self.layer, index):
+            message = f"layer={self.layer}: strands must be in the order of the layers"
+            raise ValueError(message)
+        index.flags.writeable = False
+        object.__setattr__(self, "layer", index)
+
+    @property
+    def has_core(self) -> bool:
+        """Return whether the innermost layer is a single strand on the axis, without lay."""
+        return self.layers[0].count == 1
+
+    @property
+    def radius(self) -> Floats:
+        """Return the distance of the strands from the axis, shape (strands,), m."""
+        return np.hypot(self.x, self.y)
+
+    @property
+    def angle(self) -> Floats:
+        """Return the angle of the strands from the x axis, shape (strands,), rad."""
+        return np.arctan2(self.y, self.x)
+
+    def mass_per_length(
+        self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
+    ) -> float:
+        """Return the mass per length of the wire, kg/m, from the densities of its parts, kg/m^3.
+
+        Notes
+        -----
+        A helical strand is longer than the wire by 1 / cos(lay angle). PVC for cables has 1300 to
+        1500 kg/m^3, depending on its fillers.
+        """
+        strands = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in self.layers)
+        tube = self.insulation.area if self.insulation else 0.0
+        return float(conductor * strands + insulation * tube)
+
+
+def strand_diameter(conductor_area: float, n_strands: int) -> float:
+    """Return the diameter of equal round strands with a total area: sqrt(4 A / (pi N)), m."""
+    require_positive("conductor_area", conductor_area)
+    return float(np.sqrt(4.0 * conductor_area / (np.pi * n_strands)))
+
+
+def lay_up(
+    n_strands: int, diameter: float, lay_angles: Sequence[float], material: Material
+) -> tuple[Layer, ...]:
+    """Return layers 1, 6, 12, 18 ... of equal strands, with one lay angle for each ring.
+
+    Raises
+    ------
+    ValueError
+        If the number of strands is not the sum for that many lay angles.
+    """
+    counts = [1, *(6 * ring for ring in range(1, len(lay_angles) + 1))]
+    if sum(counts) != n_strands:
+        message = (
+            f"n_strands={n_strands}: {len(lay_angles)} lay angles allow {sum(counts)} "
+            f"({' + '.join(map(str, counts))})"
+        )
+        raise ValueError(message)
+    angles = [0.0, *lay_angles]
+    return tuple(
+        Layer(count, diameter, angle, material) for count, angle in zip(counts, angles, strict=True)
+    )
+
+
+def hexagonal(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
+    """Place equal strands on a triangular lattice: 1, 6, 12, 18 ...
+
+    Raises
+    ------
+    ValueError
+        If the counts or diameters are not those of a hexagon, or it does not fit the bore.
+    """
+    counts = [layer.count for layer in layers]
+    if counts != [1, *(6 * ring for ring in range(1, len(layers)))]:
+        message = f"counts={counts}: a hexagon has 1, 6, 12, 18 ... strands"
+        raise ValueError(message)
+    diameters = {layer.diameter for layer in layers}
+    if len(diameters) > 1:
+        message = f"diameters={sorted(diameters)}: the strands of a hexagon are equal"
+        raise ValueError(message)
+    rings = [_hexagon_ring(ring) for ring in range(len(layers))]
+    return place("hexagonal", layers, np.concatenate(rings) * layers[0].diameter, insulation)
+
+
+def _hexagon_ring(ring: int) -> Floats:
+    """Return the lattice points of one ring in strand diameters, the first on the x axis."""
+    if ring == 0:
+        return np.zeros((1, 2))
+    corners = ring * np.exp(1j * np.pi / 3.0 * np.arange(7))
+    share = np.arange(ring) / ring
+    points = (corners[:-1, None] + share * np.diff(corners)[:, None]).ravel()
+    return np.column_stack([points.real, points.imag])
+
+
+def concentric(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
+    """Place touching rings, each at the radius where its strands lie on the ring inside.
+
+    Notes
+    -----
+    With equal strands the ring q lies at radius q d. Without a core the strands of the first ring
+    touch each other: r = d / (2 sin(pi / n)).
+
+    Raises
+    ------
+    ValueError
+        If the strands of a ring overlap each other, or the outermost ring overlaps the bore.
+    """
+    n, touching = layers[0].count, layers[0].diameter / (2.0 * np.sin(np.pi / layers[0].count))
+    radii = [0.0 if n == 1 else float(touching)]
+    for inner, outer in pairwise(layers):
+        radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
+    return place("concentric", layers, _rings(layers, radii), insulation)
+
+
+def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
+    """Return evenly spread strands, the first of each ring at angle 0, shape (strands, 2)."""
+    turns = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
+    radius = np.repeat(radii, [layer.count for layer in layers])
+    angle = 2.0 * np.pi * turns
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+def compressed(
+    layers: tuple[Layer, ...],
+    insulation: Insulation | None = None,
+    *,
+    radii: Sequence[float] | None = None,
+) -> CrossSection:
+    """Place strands pressed into sectors without gaps, each with the area of its round strand.
+
+    Parameters
+    ----------
+    layers : `diameter` is that of the circle with a strand's area
+    insulation : the tube; its bore must hold the area of all strands
+    radii : m, of the strands' centroids, one per layer (0 for a core), if known; else those
+        of sectors of rings of equal area per strand
+
+    Notes
+    -----
+    The area of the strands fixes the rings' edges; the centroid of a sector of half-angle b
+    between the radii a and c lies at 2/3 (c^3 - a^3) / (c^2 - a^2) sin(b) / b. Across its own axis
+    a sector bends as the round strand of its area.
+
+    Raises
+    ------
+    ValueError
+        If the copper does not fit the bore, or `radii` is not one number per layer.
+    """
+    edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
+    _require_bore(insulation, float(edges[-1]))
+    if radii is None:
+        radii = [
+            _sector_centroid(inner, outer, np.pi / layer.count)
+            for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
+        ]
+    if len(radii) != len(layers):
+        message = f"radii={list(radii)}: expected one for each of {len(layers)} layers"
+        raise ValueError(message)
+    x, y = _rings(layers, radii).T
+    return CrossSection("compressed", layers, x, y, _layer_index(layers), 0.0, insulation)
+
+
+def _sector_centroid(inner: float, outer: float, half_angle: float) -> float:
+    mean = 2.0 / 3.0 * (outer**3 - inner**3) / (outer**2 - inner**2)
+    return float(mean * np.sin(half_angle) / half_angle) if half_angle < np.pi else 0.0
+
+
+def _require_bore(insulation: Insulation | None, needed: float) -> None:
+    if insulation is None or needed <= insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
+        return
+    message = (
+        f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
+        f"less than the {needed:.6g} m that the strands need without any gap"
+    )
+    raise ValueError(message)
+
+
+def place(
+    kind: str, layers: tuple[Layer, ...], centres: Floats, insulation: Insulation | None
+) -> CrossSection:
+    """Place round strands at given centres, if they fit.
+
+    Parameters
+    ----------
+    kind : name of the layout
+    layers : from the axis outwards
+    centres : shape (strands, 2), m, layer by layer
+    insulation : the tube, or none
+
+    Raises
+    ------
+    ValueError
+        If strands overlap each other or the bore by more than 1e-3 of the bore's radius; the
+        message states the overlap.
+    """
+    radii = np.repeat([layer.diameter / 2.0 for layer in layers], [lay.count for lay in layers])
+    strands = largest_overlap(centres, radii)
+    reach = float((np.hypot(*centres.T) + radii).max())
+    bore = insulation.bore_radius if insulation else reach
+    wall = max(reach - bore, 0.0)
+    if max(strands, wall) > MAX_OVERLAP_SHARE * bore:
+        what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
+        message = (
+            f"the {kind} layout does not fit: strands overlap {what} by "
+            f"{max(strands, wall):.3g} m; expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
+        )
+        raise ValueError(message)
+    x, y = centres.T
+    return CrossSection(kind, layers, x, y, _layer_index(layers), max(strands, wall), insulation)
+
+
+def _layer_index(layers: tuple[Layer, ...]) -> Ints:
+    return np.repeat(np.arange(len(layers)), [layer.count for layer in layers])
+
+
+def largest_overlap(centres: Floats, radii: Floats) -> float:
+    """Return the deepest overlap of circles with each other, m; 0 without overlap.
+
+    Parameters
+    ----------
+    centres : shape (n, 2), m
+    radii : shape (n,), m
+    """
+    first, second = np.triu_indices(len(radii), 1)
+    if not len(first):
+        return 0.0
+    gaps = np.hypot(*(centres[first] - centres[second]).T) - radii[first] - radii[second]
+    return max(float(-gaps.min()), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class StretchTorsion:
+    """Symmetric stiffness matrix of stretch and torsion.
+
+    Parameters
+    ----------
+    axial : EA, N, of a wire that does not turn
+    coupling : C, N m, with the sign of the lay
+    torsional : GJ, N m^2, of a wire that does not lengthen
+    """
+
+    axial: float
+    coupling: float
+    torsional: float
+
+    @property
+    def torsional_free(self) -> float:
+        """Return the torsional stiffness of a wire that may lengthen, N m^2: GJ - C^2 / EA."""
+        return self.torsional - self.coupling**2 / self.axial
+
+
+def stretch_torsion(section: CrossSection) -> StretchTorsion:
+    """Compute stretch and torsion of elastic strands in their tube.
+
+    Parameters
+    ----------
+    section : strands in place, with their materials; each counts at its own radius
+
+    Notes
+    -----
+    own = sum E I cos(a) (cos^2 a / (1 + nu) + sin^2 a), I = pi d^4 / 64: a turn of the wire twists
+    a strand by its part along the strand (G J = E I / (1 + nu)) and bends it by the part across
+    (Love's thin rod; the energy argument of the helix factor, eq. (3.18) of the source). The tube
+    has G = E / (2 (1 + nu)).
+    """
+    axial = coupling = torsional = 0.0
+    square = section.radius**2
+    for number, layer in enumerate(section.layers):
+        sine, cosine = np.sin(layer.lay_angle), np.cos(layer.lay_angle)
+        radius, squared = section.radius[section.layer == number], square[section.layer == number]
+        rigidity = layer.material.modulus * layer.area
+        axial += layer.count * rigidity * cosine**3
+        coupling += rigidity * float(radius.sum()) * sine * cosine**2
+        torsional += rigidity * float(squared.sum()) * sine**2 * cosine
+        second = np.pi * layer.diameter**4 / 64.0
+        turned = cosine**2 / (1.0 + layer.poisson) + sine**2
+        torsional += layer.count * layer.material.modulus * second * cosine * turned
+    tube = section.insulation
+    if tube is not None:
+        axial += tube.axial_stiffness
+        torsional += tube.torsional_stiffness
+    return StretchTorsion(float(axial), float(coupling), float(torsional))

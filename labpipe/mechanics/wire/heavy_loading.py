@@ -1,0 +1,217 @@
+"""First loading of a clamped wire with weight, all points at once (PHYSICS 8).
+
+At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
+With the weight w per length dM/ds depends on s, and there is no first integral
+(`wire.first_loading`); here Newton's method solves for the moments at Chebyshev-Lobatto stations of
+all wanted deflections together. The law is one of first loading; where the weight bent the wire the
+other way, it returns by Masing's rule. `wire.cantilever` follows the same path step by step with a
+history at each station, and also unloading, cycles and a slack string.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.wire.cantilever import AtDeflection, StringRig
+from labpipe.mechanics.wire.first_loading import LoadingCurve
+from labpipe.mechanics.wire.newton import Wire, bend_wire, chebyshev_stations, sensitivity, solve
+from labpipe.records.arrays import Floats
+
+N_STATIONS = 24
+"""Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
+N_LOADING_POINTS = 32
+"""Of a loading curve."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeavyStates:
+    """A wire at rest and at deflections of its first loading.
+
+    Parameters
+    ----------
+    rest : shape (stations,), N m, moments at rest
+    rest_tension : N
+    deflection : shape (n,), m
+    moment : shape (n, stations), N m
+    tension : shape (n,), N
+    across : shape (n,), N, force across the wire at its tip; where it falls, so do the moments
+        near the tip
+    x, tip_angle : shape (n,), m, rad
+    curvature : shape (n,), 1/m, at the clamp
+    tension_change : shape (1 + parameters, n), derivative of tension less that at rest by the
+        deflection, N/m, and by each of the law's parameters, N; shape (0, n) if not computed
+    """
+
+    rest: Floats
+    rest_tension: float
+    deflection: Floats
+    moment: Floats
+    tension: Floats
+    across: Floats
+    x: Floats
+    tip_angle: Floats
+    curvature: Floats
+    tension_change: Floats
+
+    def count_loading(self) -> int:
+        """Count the deflections, from rest on, up to which no part of the wire unloads.
+
+        Beyond about 0.7 of the length the moments near the tip fall; those of a sagging wire
+        may fall earlier.
+        """
+        rounding_share = 1e-5  # of the largest moment
+        before = np.vstack([self.rest, self.moment[:-1]])
+        step, way = self.moment - before, before - self.rest
+        small = rounding_share * np.max(np.abs(self.moment), axis=1, keepdims=True)
+        turns = ((step * way < 0.0) & (np.abs(step) > small)).any(axis=1)
+        turns[1:] |= np.diff(self.across) <= 0.0
+        return int(np.argmax(turns)) if turns.any() else len(turns)
+
+
+def load_heavy(
+    table: LoadingTable, length: float, rig: StringRig | None, self_weight: float, deflection: float
+) -> LoadingCurve:
+    """Load a wire with weight from rest to a deflection.
+
+    Parameters
+    ----------
+    table : law of first loading, with its derivatives by parameters
+    length : m
+    rig : string and counterweight; the string just reaches the straight wire. None for an end
+        load normal to the clamped axis that holds the tip level at rest
+    self_weight : N/m
+    deflection : m, of the tip from rest
+
+    Returns
+    -------
+    The curve: rest, then `N_LOADING_POINTS` points up to the deflection, or until a part of the
+    wire unloads. Its derivatives by parameters are those of the force above that at rest.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found.
+    """
+    crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
+    wanted = deflection * (np.arange(1, N_LOADING_POINTS + 1) / N_LOADING_POINTS) ** crowding
+    states = heavy_states(table, length, rig, self_weight, wanted)
+    stop = states.count_loading()
+    rise = states.tension[0] - states.rest_tension
+    rest_slope = float(rise / states.deflection[0])  # before slip
+
+    def from_rest(rest: float, values: Floats) -> Floats:
+        return np.concatenate([[rest], values[:stop]])
+
+    bent, _ = table.bend(states.rest)
+    change = states.tension_change[1:, :stop]
+    return LoadingCurve(
+        deflection=from_rest(0.0, states.deflection),
+        tension=from_rest(states.rest_tension, states.tension),
+        x=from_rest(length, states.x),
+        tip_angle=from_rest(0.0, states.tip_angle),
+        clamp_curvature=from_rest(float(bent[0]), states.curvature),
+        clamp_moment=from_rest(float(states.rest[0]), states.moment[:, 0]),
+        stiffness=from_rest(rest_slope, states.tension_change[0]),
+        tension_change=np.hstack([np.zeros((len(change), 1)), change]),
+    )
+
+
+def heavy_states(
+    table: LoadingTable,
+    length: float,
+    rig: StringRig | None,
+    self_weight: float,
+    deflections: Floats,
+    *,
+    n_stations: int = N_STATIONS,
+    with_changes: bool = True,
+) -> HeavyStates:
+    """Find the equilibria of a wire with weight at rest and at given deflections.
+
+    Parameters
+    ----------
+    table, length, rig, self_weight : as for `load_heavy`
+    deflections : shape (n,), m, from rest, in the direction of the pull, increasing
+    n_stations : along the wire
+    with_changes : whether to compute `tension_change`
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found.
+    """
+    stations = chebyshev_stations(n_stations, length)
+    from_tip = length - stations.position
+    tip_force = 0.375 * self_weight * length
+    at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
+    level = Wire(table.bend, stations, self_weight, at_rest)
+    start = (tip_force - 0.5 * level.beyond) * from_tip
+    begin = tip_force + (0.0 if rig is None else rig.weight)
+    first = _solve(level, at_rest, start[None], np.array([begin]))
+    rest, tension = first[0][0], float(first[1][0])
+    loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
+    clamp = _clamp_moments(table, length, deflections)
+    guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
+    moment, tensions = _solve_all(loaded, at, np.append(rest, tension), guess)
+    bent = bend_wire(loaded, moment, tensions)
+    tension_change = np.zeros((0, len(deflections)))
+    if with_changes:
+        rest_change = sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
+        changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
+        tension_change = sensitivity(loaded, bent, changes)[:, :, -1]
+        tension_change[1:] -= rest_change[1:, :, -1]
+    cos, sin, pull = bent.cos[:, -1], bent.sin[:, -1], bent.wanted.force
+    return HeavyStates(
+        *(rest, tension, deflections, moment, tensions),
+        across=pull[:, 1] * cos - pull[:, 0] * sin,
+        x=bent.tip[:, 0],
+        tip_angle=np.arctan2(sin, cos),
+        curvature=bent.curvature[:, 0],
+        tension_change=tension_change,
+    )
+
+
+def _clamp_moments(table: LoadingTable, length: float, deflections: Floats) -> Floats:
+    """Estimate the clamp moments at deflections, N m, for a curvature that falls linearly."""
+    share = np.minimum(deflections / length, 0.9)
+    bent = 3.0 * share / (1.0 - share**2) / length
+    return np.interp(bent, table.curvature, table.moment)
+
+
+def _solve_all(
+    wire: Wire, at: AtDeflection, rest: Floats, start: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Solve for moments and tensions, first at some deflections, then between them."""
+    min_deflections = 60  # for fewer, solving every fourth first costs more
+    stride = 4
+    deflections, solution = at.deflection, np.column_stack(start)
+    if len(deflections) < min_deflections:
+        return _solve(wire, at, *start)
+    coarse = np.append(np.arange(0, len(deflections) - 1, stride), len(deflections) - 1)
+    fine = np.setdiff1d(np.arange(len(deflections)), coarse)
+    for rows in (coarse, fine):
+        if rows is fine:
+            states = np.vstack([rest, solution[coarse]])
+            spline = CubicSpline(np.append(0.0, deflections[coarse]), states)
+            solution[fine] = spline(deflections[fine])
+        part = replace(at, deflection=deflections[rows])
+        part_solution = _solve(wire, part, solution[rows, :-1], solution[rows, -1])
+        solution[rows] = np.column_stack(part_solution)
+    return solution[:, :-1], solution[:, -1]
+
+
+def _solve(wire: Wire, at: AtDeflection, moment: Floats, tension: Floats) -> tuple[Floats, Floats]:
+    moment_tolerance = 1e-5  # the next change would be 1e-9
+    wire = replace(wire, condition=at)
+    solution = solve(wire, moment, tension, tolerance=moment_tolerance)
+    if solution is None:
+        farthest = at.deflection[-1]
+        where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"
+        message = f"length={wire.stations.position[-1]:.6g} m: no equilibrium found {where}"
+        raise ValueError(message)
+    return solution

@@ -1,0 +1,395 @@
+"""Stress-strain curves of strands: Ramberg-Osgood, a table, elastic-perfectly-plastic, elastic.
+
+Every curve is odd (PHYSICS 4: the same in tension and compression), starts with its modulus and
+states its source. Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond
+its last strain.
+
+Bending of a single strand about its own axis: laminae, plasticity and the helix (PHYSICS 4).
+
+A round strand of radius a at curvature kappa has the strain y kappa at height y. With y = a sin p,
+
+    m = integral of stress y b(y) dy = 4 a^3 int_0^(pi/2) stress(a kappa sin p) sin p cos^2 p dp,
+
+taken by Gauss's rule over equal shares of the angle p, so that the laminae are thinnest where the
+strain is largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when all has
+yielded. The sum of 11 laminae in the source's appendix, up to and with the rim, is 4.6 % low.
+
+A piecewise linear curve is a sum of corners, and the loss of moment by a corner at the strain e has
+a closed form: with sin q = e / (a kappa),
+
+    int_q^(pi/2) (sin p - sin q) sin p cos^2 p dp
+        = (pi/2 - q) / 8 + sin(4 q) / 32 - sin q cos^3 q / 3.
+
+So the law of such a strand is concave wherever its curve is, without ripple.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from labpipe.mechanics.law.plays import require, require_positive
+from labpipe.records.arrays import Floats
+
+
+class Material(Protocol):
+    """A stress-strain curve; hashable, so that results can be cached."""
+
+    @property
+    def modulus(self) -> float:
+        """Return the slope at zero strain, Pa."""
+
+    @property
+    def largest_strain(self) -> float:
+        """Return the strain up to which the curve is known."""
+
+    @property
+    def source(self) -> str:
+        """Return where the numbers come from."""
+
+    def stress(self, strain: Floats) -> Floats:
+        """Return the stress of the first loading at strains of any shape, Pa."""
+
+    def __hash__(self) -> int:
+        """Return the hash, which is the same for equal curves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Elastic:
+    """Hooke's law without limit.
+
+    Parameters
+    ----------
+    modulus : Pa
+    source : where the number comes from
+    """
+
+    modulus: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        require_positive("modulus", self.modulus)
+
+    @property
+    def largest_strain(self) -> float:
+        """Return infinity."""
+        return np.inf
+
+    def stress(self, strain: Floats) -> Floats:
+        """Return E times strain, Pa; NaN stays NaN."""
+        return self.modulus * strain
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticPerfectlyPlastic:
+    """Hooke's law up to the yield stress, constant beyond.
+
+    Parameters
+    ----------
+    modulus, yield_stress : Pa
+    source : where the numbers come from
+    """
+
+    modulus: float
+    yield_stress: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        require_positive("modulus", self.modulus)
+        require_positive("yield_stress", self.yield_stress)
+
+    @property
+    def largest_strain(self) -> float:
+        """Return infinity."""
+        return np.inf
+
+    def stress(self, strain: Floats) -> Floats:
+        """Return E times strain, limited to the yield stress, Pa; NaN stays NaN."""
+        return np.clip(self.modulus * strain, -self.yield_stress, self.yield_stress)
+
+    @property
+    def corners(self) -> tuple[Floats, Floats]:
+        """Return the yield strain and the loss of slope there, as a share of the modulus."""
+        return np.array([self.yield_stress / self.modulus]), np.ones(1)
+
+
+@dataclass(frozen=True, slots=True)
+class RambergOsgood:
+    """Strain = s / E + (s / K)^(1 / n).
+
+    Parameters
+    ----------
+    modulus : E, Pa
+    strength : K, Pa, stress at a plastic strain of one
+    exponent : n, between 0 and 1
+    source : where the numbers come from
+
+    Notes
+    -----
+    Ramberg and Osgood (1943), in Hollomon's form of the plastic part. The stress at a strain is
+    found by Newton's method from the smaller of E e and K e^n, both of which are too large: strain
+    is convex in stress, so that every step stays above the root.
+    """
+
+    modulus: float
+    strength: float
+    exponent: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        require_positive("modulus", self.modulus)
+        require_positive("strength", self.strength)
+        require("exponent", self.exponent, "between 0 and 1", holds=0.0 < self.exponent < 1.0)
+
+    @property
+    def largest_strain(self) -> float:
+        """Return infinity."""
+        return np.inf
+
+    def strain(self, stress: Floats) -> Floats:
+        """Return the strain at stresses of any shape; odd, NaN stays NaN."""
+        plastic = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
+        return stress / self.modulus + np.copysign(plastic, stress)
+
+    def stress(self, strain: Floats) -> Floats:
+        """Return the stress to rounding, Pa; NaN stays NaN."""
+        newton_steps = 60
+        size = np.abs(np.asarray(strain, dtype=np.float64))
+        stress = np.minimum(self.modulus * size, self.strength * size**self.exponent)
+        power = 1.0 / self.exponent
+        for _ in range(newton_steps):
+            flow = (stress / self.strength) ** (power - 1.0) / self.strength
+            excess = stress / self.modulus + stress * flow - size
+            step = excess / (1.0 / self.modulus + power * flow)
+            stress = stress - step
+            if not np.any(np.abs(step) > 1e-14 * stress):
+                break
+        return np.copysign(stress, strain)
+
+
+@dataclass(frozen=True, slots=True)
+class StressTable:
+    """Straight lines between measured points, from zero on.
+
+    Parameters
+    ----------
+    strains : increasing, positive; zero strain at zero stress is implied
+    stresses : Pa, positive and never falling; the first slope is the modulus
+    source : where the numbers come from
+
+    Raises
+    ------
+    ValueError
+        If a point is out of order, or a later slope is above the first.
+    """
+
+    strains: tuple[float, ...]
+    stresses: tuple[float, ...]
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.strains) != len(self.stresses) or not self.strains:
+            message = (
+                f"{len(self.strains)} strains and {len(self.stresses)} stresses: expected equal "
+                f"numbers of both, at least one"
+            )
+            raise ValueError(message)
+        strains, stresses = self._from_zero()
+        slopes = np.diff(stresses) / np.diff(strains)
+        rises = np.all(np.isfinite(slopes)) and np.all(np.diff(strains) > 0.0)
+        if not (rises and slopes[0] > 0.0 and np.all(slopes >= 0.0)):
+            message = "the table turns back: strains must increase and stresses must not decrease"
+            raise ValueError(message)
+        if np.any(slopes > slopes[0] * (1.0 + 1e-9)):
+            steep = int(np.argmax(slopes))
+            message = (
+                f"slope {slopes[steep]:.4g} Pa from strain={strains[steep]:.4g} is above the "
+                f"first, {slopes[0]:.4g} Pa: slopes must not exceed the modulus"
+            )
+            raise ValueError(message)
+
+    def _from_zero(self) -> tuple[Floats, Floats]:
+        return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
+
+    @property
+    def corners(self) -> tuple[Floats, Floats]:
+        """Return the strains but the last, and the loss of slope there in shares of the modulus.
+
+        A loss is negative where the table grows steeper again.
+        """
+        strains, stresses = self._from_zero()
+        slopes = np.diff(stresses) / np.diff(strains)
+        return strains[1:-1], -np.diff(slopes) / slopes[0]
+
+    @property
+    def modulus(self) -> float:
+        """Return the first slope, Pa."""
+        return self.stresses[0] / self.strains[0]
+
+    @property
+    def largest_strain(self) -> float:
+        """Return the last strain of the table."""
+        return self.strains[-1]
+
+    def stress(self, strain: Floats) -> Floats:
+        """Interpolate the stress, Pa; NaN beyond the last strain, and where the strain is NaN."""
+        lines = np.interp(np.abs(strain), *self._from_zero(), right=np.nan)
+        return np.copysign(lines, strain)
+
+
+ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
+"""Copper of the source's wires."""
+
+
+LAMINAE = 64
+_DECADES = (-14.0, -6.0, 0.0)
+"""Powers of ten of the rim's strain: nearly elastic, then plastic."""
+_ROUNDING = 1e-12  # of the last strain of a curve
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StrandMoment:
+    """Moment of one straight strand by its own bending.
+
+    Parameters
+    ----------
+    moment : shape of the curvature, N m
+    tangent : same shape, N m^2, its slope
+    """
+
+    moment: Floats
+    tangent: Floats
+
+
+def helix_factor(lay_angle: float, poisson: float) -> float:
+    """Return the bending stiffness of a helical strand as a share of that of a straight one.
+
+    Parameters
+    ----------
+    lay_angle : rad, either sign
+    poisson : Poisson's ratio of the strand
+
+    Returns
+    -------
+    cos(a) / 2 (1 + cos^2 a + sin^2 a / (1 + nu)): 0.9728 at 12 degrees for nu = 0.34.
+
+    Notes
+    -----
+    Eq. (3.18) of the source prints sin for sin^2, which is not even in the lay angle. This is the
+    energy average over one turn: the strand bends about its normal and binormal and twists.
+    """
+    cosine, sine = np.cos(lay_angle), np.sin(lay_angle)
+    return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
+
+
+def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMINAE) -> Floats:
+    """Return the moment of a round strand over its elastic moment.
+
+    Parameters
+    ----------
+    material : stress-strain curve
+    rim_strain : shape (n,), positive, curvature times strand radius
+    laminae : points of Gauss's rule over the angle p; unused for a piecewise linear curve
+
+    Returns
+    -------
+    shape (n,), at most 1; NaN where the strain is NaN or beyond the curve.
+
+    Notes
+    -----
+    Eqs. (3.20)-(3.22) of the source with the secant modulus; the integral is the same with stress.
+    """
+    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+        return _polygon_share(material, rim_strain)[0]
+    roots, weights = np.polynomial.legendre.leggauss(laminae)
+    angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
+    sine = np.sin(angle)
+    strain = rim_strain[:, None] * sine
+    integral = material.stress(strain) @ (weight * sine * np.cos(angle) ** 2)
+    return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
+
+
+def _polygon_share(
+    material: ElasticPerfectlyPlastic | StressTable, rim_strain: Floats
+) -> tuple[Floats, Floats]:
+    """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
+    min_strain = 1e-300  # avoids division by zero
+    corner, loss = material.corners
+    strain = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
+    sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
+    angle = np.arcsin(sine)
+    cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+    # sin(4 q) / 32 written out, for small angles and large
+    slope = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
+    taken = slope - sine * cosine**3 / 3.0
+    return 1.0 - 16.0 / np.pi * taken @ loss, 1.0 - 16.0 / np.pi * slope @ loss
+
+
+def strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
+    """Return the bending moment of a straight round strand, and its slope, on first loading.
+
+    Parameters
+    ----------
+    material : stress-strain curve
+    diameter : m
+    curvature : any shape, 1/m, either sign
+
+    Returns
+    -------
+    Moment and tangent stiffness; NaN where the curvature is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the rim is strained beyond the material's curve; the message says the curvature.
+
+    Notes
+    -----
+    For a smooth curve `elastic_share` is kept per material on a grid of strains, 64 knots to the
+    decade above 1e-6, and joined by a cubic spline, which meets it to 1e-6. For a curve of straight
+    lines it is exact.
+    """
+    stiffness = material.modulus * np.pi * diameter**4 / 64.0
+    rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
+    _require_known(material, diameter, rim)
+    if isinstance(material, Elastic):
+        return StrandMoment(stiffness * curvature, np.full(rim.shape, stiffness))
+    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+        part, tangent = (part.reshape(rim.shape) for part in _polygon_share(material, rim.ravel()))
+    else:
+        first, share, slope = _share_table(material)
+        level = np.log(np.maximum(rim, first))
+        part = share(level)
+        tangent = part + np.where(rim > first, slope(level), 0.0)
+    return StrandMoment(stiffness * part * curvature, stiffness * tangent)
+
+
+def _require_known(material: Material, diameter: float, rim: Floats) -> None:
+    last = min(material.largest_strain, 10.0 ** _DECADES[-1])
+    if np.any(rim > last * (1.0 + _ROUNDING)):
+        message = (
+            f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
+            f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "
+            f"which is {2.0 * last / diameter:.6g} 1/m"
+        )
+        raise ValueError(message)
+
+
+@lru_cache(maxsize=64)
+def _share_table(
+    material: Material,
+) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
+    """Return the first strain, and splines of elastic share and slope against log strain."""
+    knots_per_decade = (12, 64)
+    end = min(np.log10(material.largest_strain), _DECADES[-1])
+    stretches = zip(_DECADES, (min(_DECADES[1], end), end), knots_per_decade, strict=False)
+    powers = [np.linspace(a, b, max(4, round((b - a) * n)) + 1) for a, b, n in stretches if b > a]
+    strain = np.unique(10.0 ** np.concatenate(powers))
+    strain[-1] = min(strain[-1], material.largest_strain)
+    spline = CubicSpline(np.log(strain), elastic_share(material, strain))
+    return float(strain[0]), spline, spline.derivative()
