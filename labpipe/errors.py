@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, TypeAlias
+from typing import Literal, Self, TypeAlias
+
+from labpipe.messages import error_parts, template_of
 
 KeyPath: TypeAlias = tuple[str | int, ...]
 """Way from the top of a YAML file to one value in it: keys, and item numbers counted from 0."""
@@ -29,6 +31,19 @@ class LabpipeError(Exception):
         super().__init__(message)
         if code:
             self.code = code
+
+    @classmethod
+    def about(cls, name: str, file: object, place: str = "", /, **facts: object) -> Self:
+        """Make an error from a template of a room's ``messages.toml``.
+
+        Parameters
+        ----------
+        name : of the template, such as ``readers.no_header``
+        file, place : see `error_text`
+        facts : values of the fields of the template
+        """
+        message = error_text(file, place, **error_parts(name, **facts))
+        return cls(message, code=template_of(name).get("code", ""))
 
 
 class UsageError(LabpipeError):

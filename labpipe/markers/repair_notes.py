@@ -86,10 +86,14 @@ def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
     named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named:
         if column not in naming.markers:
-            name = take.names[column]
-            how = "seen only as another marker" if column in seen else "missing in every frame"
-            message = f"{name} is {how} and was left out"
-            yield QualityNote("marker_missing", Severity.WARNING, name, message)
+            marker = take.names[column]
+            yield QualityNote.of(
+                "markers.marker_under_another_label"
+                if column in seen
+                else "markers.marker_missing",
+                marker,
+                marker=marker,
+            )
 
 
 def _stretch_notes(

@@ -21,6 +21,7 @@ from typing import Any, get_args, get_type_hints
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from labpipe.messages import rooms_with_templates, templates_of
 from labpipe.protocol.campaign_plan import CampaignPlan
 from labpipe.protocol.grammar import Block, block_of
 from labpipe.protocol.harness_file import HarnessFile
@@ -38,6 +39,14 @@ SCHEMAS: dict[str, type[Block]] = {
     "campaign.schema.json": CampaignPlan,
     "harness.schema.json": HarnessFile,
 }
+ORIGINS = {
+    "readers": "readers",
+    "statistics": "groups",
+    "mechanics.wire": "wires",
+    "mechanics.rod": "wires",
+    "mechanics.studies": "wires",
+}
+"""Who makes the notes of a room, if their template has no ``origin``; else ``processing``."""
 PAGES = ("protocol.md", "quality-notes.md", "results.md")
 """Pages that hold tables which derive from the code."""
 
@@ -87,23 +96,32 @@ class KindOfNote:
 
 
 def kinds_of_notes() -> tuple[KindOfNote, ...]:
-    """Read every kind of quality note from ``labpipe/records/quality_notes.toml``.
+    """Read every kind of quality note: from ``quality_notes.toml`` and the rooms' templates.
 
     Returns
     -------
-    In the order of the file; a code that two origins use comes once for each.
+    By origin and code; a code that two origins use comes once for each.
     """
     text = (files("labpipe.records") / "quality_notes.toml").read_text(encoding="utf-8")
+    kinds = [
+        (origin, code, template)
+        for origin, notes in tomllib.loads(text).items()
+        for code, template in notes.items()
+    ] + [
+        (template.get("origin", ORIGINS.get(room, "processing")), code, template)
+        for room in rooms_with_templates()
+        for code, template in templates_of(room).items()
+        if "meaning" in template
+    ]
     return tuple(
         KindOfNote(origin, code, _severities(entry), entry["meaning"], entry.get("doubts", ""))
-        for origin, notes in tomllib.loads(text).items()
-        for code, entry in notes.items()
+        for origin, code, entry in sorted(kinds, key=lambda kind: kind[:2])
     )
 
 
 def _severities(entry: dict[str, str | list[str]]) -> tuple[Severity, ...]:
     severity = entry["severity"]
-    names = [severity] if isinstance(severity, str) else severity
+    names = severity.split(" or ") if isinstance(severity, str) else severity
     return tuple(map(Severity, names))
 
 

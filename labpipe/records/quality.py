@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Self
+
+from labpipe.messages import code_of_template, sentence, template_of
 
 
 class Severity(StrEnum):
@@ -33,6 +36,16 @@ class Reason:
 
     def __str__(self) -> str:
         return f"{self.code}: {self.message}"
+
+    @classmethod
+    def of(cls, name: str, /, **facts: object) -> Self:
+        """Make a reason from a template of a room.
+
+        Parameters
+        ----------
+        name, facts : see `labpipe.messages.sentence`
+        """
+        return cls(code_of_template(name), sentence(name, **facts))
 
 
 def worded(reasons: Iterable[Reason]) -> str:
@@ -68,6 +81,18 @@ class QualityNote:
     stretches: tuple[tuple[float, float], ...] = field(default=(), compare=False)
     tests: tuple[str, ...] = field(default=(), compare=False)
 
+    @classmethod
+    def of(cls, name: str, where: str, /, *stretches: tuple[float, float], **facts: object) -> Self:
+        """Make a note from a template of a room.
+
+        Parameters
+        ----------
+        name, facts : see `labpipe.messages.sentence`
+        where, stretches : see the class
+        """
+        severity = Severity(template_of(name)["severity"].partition(" or ")[0])
+        return cls(code_of_template(name), severity, where, sentence(name, **facts), stretches)
+
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
@@ -102,6 +127,31 @@ class Finding:
     note: QualityNote
     doubts: tuple[Doubt, ...] = ()
     blocks: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        where: str,
+        /,
+        *quantities: str,
+        during: tuple[float, float] | None = None,
+        clock: str = "",
+        blocks: bool = False,
+        **facts: object,
+    ) -> Self:
+        """Make a finding from a template of a room.
+
+        Parameters
+        ----------
+        name, where, facts : see `QualityNote.of`
+        quantities, during, clock : what it makes doubtful, see `Doubt`
+        blocks : see the class
+        """
+        note = QualityNote.of(name, where, **facts)
+        reason = Reason(note.code, note.message)
+        doubts = tuple(Doubt(quantity, reason, during, clock) for quantity in quantities)
+        return cls(note, doubts, blocks)
 
     @property
     def code(self) -> str:

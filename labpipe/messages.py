@@ -1,0 +1,86 @@
+"""Templates of the sentences that people read: one ``messages.toml`` in each room.
+
+A template is a table under its name. What it holds says what it is for:
+
+- an error: ``expected``, ``found``, ``remedy``, and ``code`` if its class does not state it;
+- a quality note: ``severity``, ``says``, and for the reference page ``meaning`` and ``doubts``;
+- a reason or any other sentence: ``says``.
+
+The code of a note or reason is the name of its template; a second sentence of one code states it
+as ``code``.
+
+Sentences have fields as `str.format` knows them. A test compares them with the facts that the code
+passes, so that the wording changes without the code.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+Template = dict[str, str]
+
+
+@cache
+def templates_of(room: str) -> dict[str, Template]:
+    """Read the templates of a room.
+
+    Parameters
+    ----------
+    room : below the package, such as ``readers`` or ``mechanics.wire``
+
+    Raises
+    ------
+    FileNotFoundError
+        If the room has none.
+    """
+    text = (files(f"labpipe.{room}") / "messages.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def rooms_with_templates() -> list[str]:
+    """Return the rooms that have a ``messages.toml``."""
+    package = Path(str(files("labpipe")))
+    found = sorted(package.rglob("messages.toml"))
+    return [".".join(path.relative_to(package).parts[:-1]) for path in found]
+
+
+def template_of(name: str) -> Template:
+    """Find a template by room and name, such as ``readers.no_header``.
+
+    Raises
+    ------
+    KeyError
+        If the room has no such template.
+    """
+    room, _, template = name.rpartition(".")
+    return templates_of(room)[template]
+
+
+def code_of_template(name: str) -> str:
+    """Return the code of a note or a reason."""
+    return template_of(name).get("code", name.rpartition(".")[2])
+
+
+def sentence(name: str, /, **facts: object) -> str:
+    """Fill in the sentence ``says`` of a template.
+
+    Parameters
+    ----------
+    name : of the template, such as ``process.rest_force``
+    facts : values of its fields; their formats stand in the template
+    """
+    return template_of(name)["says"].format(**facts)
+
+
+def error_parts(name: str, /, **facts: object) -> dict[str, str]:
+    """Fill in what an error expected, what it found, and what to do.
+
+    Parameters
+    ----------
+    name, facts : see `sentence`
+    """
+    template = template_of(name)
+    return {part: template[part].format(**facts) for part in ("expected", "found", "remedy")}
