@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.errors import ProtocolError
+from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import (
     Bending,
@@ -614,7 +616,17 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
         message = f"figures: expected names of {list(FIGURES)}, found {unknown}"
         raise ValueError(message)
     pages = [FigureToSave(name, partial(FIGURES[name], result)) for name in result.figures]
-    return save_pages(pages, folder, run=result.run, png=png)
+    return save_pages(pages, folder, run=result.run, png=png, is_journal=is_for_journal(result))
+
+
+def is_for_journal(result: TestResult) -> bool:
+    """Return whether the protocol of a test asks for figures in the style of a journal."""
+    if "style: journal" not in result.protocol_yaml:  # parsing takes longer than a line is drawn
+        return False
+    try:
+        return parse_protocol(result.protocol_yaml, result.test).report.style == "journal"
+    except ProtocolError:  # of an earlier grammar
+        return False
 
 
 def draw_figure(result: TestResult, name: str) -> Figure:
@@ -629,7 +641,7 @@ def draw_figure(result: TestResult, name: str) -> Figure:
     -------
     The figure, laid out in labpipe's style, which it keeps wherever it is drawn.
     """
-    with style():
+    with style(is_journal=is_for_journal(result)):
         page = FIGURES[name](result)
         finish_layout(page)
         return with_own_fonts(page)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import nan
 from typing import NamedTuple
 
@@ -55,7 +56,7 @@ _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _GroupView:
     """A group with the data of its plots.
 
@@ -70,12 +71,12 @@ class _GroupView:
     stem: str = ""
     tests: PageTests | None = None
 
-    @property
+    @cached_property
     def across(self) -> Scale:
         """Display unit of displacement."""
         return group_scale(self.group, "displacement")
 
-    @property
+    @cached_property
     def up(self) -> Scale:
         """Display unit of force."""
         return group_scale(self.group, "force")
@@ -96,13 +97,23 @@ class _GroupView:
             return _IN_FILES
         return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
+    @cached_property
+    def colours(self) -> dict[str, str]:
+        """Classes of the colours of samples: of their spools, or their own for one spool."""
+        samples = self.group.samples
+        spools = {sample.specimen.spool: None for sample in samples}
+        names = [sample.specimen.spool for sample in samples]
+        if len(spools) == 1 and len(samples) <= _MAX_DETAILED_SAMPLES:
+            names = list(map(key_of, samples))
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+        return {
+            key_of(sample): f"c{numbers[name] % COLOURS}"
+            for sample, name in zip(samples, names, strict=True)
+        }
+
     def colour(self, sample: Sample) -> str:
-        """Return the class of a sample's colour: of its spool, or its own for one spool."""
-        spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
-        number = spools.index(sample.specimen.spool)
-        if len(spools) == 1 and len(self.group.samples) <= _MAX_DETAILED_SAMPLES:
-            number = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
-        return f"c{number % COLOURS}"
+        """Return the class of a sample's colour."""
+        return self.colours[key_of(sample)]
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
