@@ -7,7 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.bending.bent_frames import (
+from labpipe.messages import sentence
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw
+from labpipe.records.quality import Reason
+from labpipe.results.bent_frames import (
     BendingTest,
     FittedFrames,
     StationCurves,
@@ -15,7 +19,7 @@ from labpipe.bending.bent_frames import (
     curvature_gain,
     curves_at,
 )
-from labpipe.bending.fitted_law import (
+from labpipe.results.fitted_law import (
     RECTANGLE,
     LawBasis,
     LawFit,
@@ -24,9 +28,6 @@ from labpipe.bending.fitted_law import (
     Loaded,
     refine_law,
 )
-from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw
-from labpipe.records.quality import Reason
 
 N_MEANS = 80
 """Means over consecutive frames for the fit of the first loading."""
@@ -91,15 +92,11 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     frames = test.frames(branch, per_mean=max(1, count // N_MEANS))
     n_means = len(frames.means.force)
     if n_means < min_points:
-        message = f"frames of the first loading={n_means}: expected at least {min_points}"
-        raise ValueError(message)
+        raise ValueError(sentence("results.few_means", count=n_means, needed=min_points))
     loaded = _loaded(test, frames)
-    if not loaded.moment.max() > np.abs(loaded.moment_at_rest).max():
-        message = (
-            f"moment={loaded.moment.max():.3g} N m at most: expected more towards the pull than at "
-            f"rest, {np.abs(loaded.moment_at_rest).max():.3g} N m"
-        )
-        raise ValueError(message)
+    largest, at_rest = loaded.moment.max(), np.abs(loaded.moment_at_rest).max()
+    if not largest > at_rest:
+        raise ValueError(sentence("results.no_moment", largest=largest, at_rest=at_rest))
     fit, change_with_knots = refine_law(loaded)
     return tabulate(
         fit,
@@ -356,14 +353,12 @@ def _with_ends(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict
 
 
 def _unknown_reason(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
-    unknown = int((~is_known[1:]).sum())
-    if not unknown:
+    unknown, count = curvature[1:][~is_known[1:]], len(curvature) - 1
+    if not len(unknown):
         return None
-    last = float(curvature[1:][~is_known[1:]].max())
-    return Reason(
-        "below_noise",
-        f"{unknown} of {len(curvature) - 1} curvatures, up to {last:.3g} 1/m, are not "
-        f"above their noise (1.96 standard errors of the cloud are {floor:.3g} 1/m)",
+    last = unknown.max()
+    return Reason.of(
+        "results.law_below_noise", unknown=len(unknown), count=count, last=last, floor=floor
     )
 
 

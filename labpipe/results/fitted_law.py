@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.messages import sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 
 RECTANGLE = 1.0 / np.sqrt(3.0)
@@ -165,8 +166,7 @@ def _uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
     moved = shapes.predict(0.0 * one)[1] @ one
     scale = float((moved**2).sum())
     if not scale > 0.0:
-        message = "moment: expected moments other than those at rest, found none"
-        raise ValueError(message)
+        raise ValueError(sentence("results.no_change_of_moment"))
     return np.asarray(one * abs(float((moved * measured).sum())) / scale, dtype=np.float64)
 
 
@@ -197,11 +197,7 @@ def _inverse(normal: Floats) -> Floats:
     max_condition = 1e12
     scale = np.sqrt(np.diag(normal))
     if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > max_condition:
-        message = (
-            f"knots={len(scale)}: expected markers that fix the law at every knot, found too few "
-            "frames or movements"
-        )
-        raise ValueError(message)
+        raise ValueError(sentence("results.law_not_determined", knots=len(scale)))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     return np.asarray(inverse, dtype=np.float64)
 
