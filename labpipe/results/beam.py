@@ -17,7 +17,7 @@ from labpipe.records.declarations import Distance, Length, Output, Ratio, Snake,
 from labpipe.records.estimates import Failure, UnavailableError, or_failure
 from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest, Stiffness
-from labpipe.results.stiffness import OfStiffness
+from labpipe.results.stiffness import Context, OfStiffness
 from labpipe.uncertainty.extractors import Trace, combine
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
@@ -248,10 +248,10 @@ class BendingStiffness(OfStiffness):
             combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
         )
 
-    def remark(self, test: ReducedTest, stiffness: Stiffness) -> str:
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Name the corrections with their sizes."""
         ratio = or_failure(self._ratio)(test.setup.sizes, stiffness.window)
-        return "" if isinstance(ratio, Failure) else ratio[1]
+        return Context(remark="" if isinstance(ratio, Failure) else ratio[1])
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""

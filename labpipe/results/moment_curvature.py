@@ -27,7 +27,7 @@ from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Dire
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
 from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, curves_at, held_at_rest
-from labpipe.results.law_table import measure_bending
+from labpipe.results.measured_law import measure_bending
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY

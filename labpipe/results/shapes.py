@@ -18,8 +18,8 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_fa
 from labpipe.records.quality import Finding, Reason
 from labpipe.results.cycles import rectangle
 from labpipe.results.kinds import Computed, Errors, Kind, force_scale
-from labpipe.results.law_table import law_points
 from labpipe.results.least_squares import require_samples
+from labpipe.results.measured_law import law_points
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -784,6 +784,14 @@ class LineStiffness(Window):
         return Reading(on_part(slope_of_line, samples_of(chosen)), len(chosen), is_cut=True)
 
 
+class Context(NamedTuple):
+    """What a number has beside its stiffness: interval of time (s), doubts, remark."""
+
+    during: Stretch | None = None
+    doubts: tuple[Reason, ...] = ()
+    remark: str = ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfStiffness(Kind):
     """A kind of result that depends on a stiffness above it in the list."""
@@ -794,32 +802,23 @@ class OfStiffness(Kind):
     def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the number of a test from its stiffness."""
 
-    def during(self, test: ReducedTest, stiffness: Stiffness) -> Stretch | None:
-        """Return the time interval that the number depends on."""
-        del test
-        return stiffness.during
-
-    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
-        """Return further doubts about the number."""
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+        """Return what else than the stiffness decides on interval of time, doubts and remark."""
         del test, stiffness
-        return ()
-
-    def remark(self, test: ReducedTest, stiffness: Stiffness) -> str:
-        """Return a remark on the number of this test."""
-        del test, stiffness
-        return ""
+        return Context()
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the number from the stiffness."""
         stiffness = test.stiffnesses.get(self.of)
         if stiffness is None:
             raise test.unavailable(Failure.of("results.no_stiffness", name=self.of))
+        outcome, context = or_failure(self.outcome)(test, stiffness), self.context(test, stiffness)
         number = self.number(
             test,
-            or_failure(self.outcome)(test, stiffness),
-            during=self.during(test, stiffness),
-            doubts=marked_slips(test, stiffness.bends_with) + self.doubts(test, stiffness),
-            remark=self.remark(test, stiffness),
+            outcome,
+            during=context.during or stiffness.during,
+            doubts=marked_slips(test, stiffness.bends_with) + context.doubts,
+            remark=context.remark,
         )
         return Computed((number,))
 
@@ -835,15 +834,11 @@ class NormalisedStiffness(OfStiffness):
         "{of} / peak force of the same sample, errors independent, scale error cancelled"
     )
 
-    def during(self, test: ReducedTest, stiffness: Stiffness) -> Stretch | None:
-        """Return the time from the stiffness to the last peak."""
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+        """Return the time up to the last peak, and a doubt if the record ends before it."""
         window, stop = stiffness.during, test.cycles[-1][0].stop_time
-        return (window[0], max(window[1], stop)) if window else None
-
-    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
-        """Return a doubt about a record that ends before the last peak."""
-        del stiffness
-        return cut_short(test, test.cycles[-1][:1])
+        during = (window[0], max(window[1], stop)) if window else None
+        return Context(during, cut_short(test, test.cycles[-1][:1]))
 
     def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
@@ -894,14 +889,15 @@ class Modulus(OfStiffness):
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
-    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Return a doubt if the displacement may be that of frame and grips."""
         limits = test.setup.limits
         share = limits.machine_compliance * stiffness.estimate.value
         if test.setup.compliance_stated or not share > limits.machine_share:
-            return ()
+            return Context()
         usual = 1e6 * limits.machine_compliance
-        return (Reason.of("results.machine_compliance", usual=usual, share=share),)
+        reason = Reason.of("results.machine_compliance", usual=usual, share=share)
+        return Context(doubts=(reason,))
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {

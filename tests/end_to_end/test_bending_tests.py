@@ -18,7 +18,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Bending, PointFlag
 from labpipe.records.result import Status
-from labpipe.results.law_table import law_points
+from labpipe.results.measured_law import law_points
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import CantileverScenario, observe
 from labpipe.virtual_lab.observations import simulate_test

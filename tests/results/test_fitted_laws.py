@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
-from labpipe.results.fitted_law import (
+from labpipe.results.measured_law import (
     LawBasis,
     LawShapes,
     Line,

@@ -10,11 +10,12 @@ from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
 from labpipe.results.bent_frames import BendingTest, TipPull, held_at_rest
-from labpipe.results.fitted_law import LawFit, law_knots
-from labpipe.results.law_table import (
+from labpipe.results.measured_law import (
     N_CLOUD_ROWS,
     N_CLOUD_STATIONS,
+    LawFit,
     bending_cloud,
+    law_knots,
     law_points,
     measure_bending,
     tabulate,
