@@ -208,8 +208,9 @@ def with_own_fonts(page: Figure) -> Figure:
     from matplotlib.text import Text
 
     installed = {font.name for font in fontManager.ttflist}
-    families = mpl.rcParams["font.family"]
-    named = [font for family in families for font in mpl.rcParams[f"font.{family}"]]
+    settings: Any = mpl.rcParams
+    families = settings["font.family"]
+    named = [font for family in families for font in settings[f"font.{family}"]]
     fonts = [font for font in named if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)

@@ -102,7 +102,6 @@ class Letterhead:
 
 PLAIN = Letterhead()
 _MAX_LOGO_BYTES = 200_000
-_SIGNATURES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 
 
 def read_logo(path: Path) -> str:
@@ -121,26 +120,23 @@ def read_logo(path: Path) -> str:
     UsageError
         If it cannot be read, has another format, is damaged or too large for a mailed page.
     """
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
-    content, kind, fault = b"", "", "a file of another format"
+    size = path.stat().st_size if path.is_file() else None
+    fault = "no file" if size is None else f"{size} bytes"
     try:
-        if not path.is_file() or path.stat().st_size > _MAX_LOGO_BYTES:
-            fault = f"{path.stat().st_size} bytes" if path.is_file() else "no file"
-        else:
+        if size is not None and size <= _MAX_LOGO_BYTES:
             content = path.read_bytes()
-            kind = next(
-                (kind for sign, kind in _SIGNATURES.items() if content.startswith(sign)), ""
-            )
-        if kind:
-            Image.open(BytesIO(content)).load()
-            fault = ""
+            picture = Image.open(BytesIO(content), formats=("PNG", "JPEG"))
+            picture.load()
+            kind = str(picture.format).lower()
+            return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+    except UnidentifiedImageError:
+        fault = "a file of another format"
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         fault = f"a file that cannot be read ({error})"
-    if fault:
-        kilobytes = _MAX_LOGO_BYTES // 1000
-        raise UsageError.about("report.logo", path, "", kilobytes=kilobytes, fault=fault)
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+    kilobytes = _MAX_LOGO_BYTES // 1000
+    raise UsageError.about("report.logo", path, "", kilobytes=kilobytes, fault=fault)
 
 
 def render_page(

@@ -206,8 +206,10 @@ def _key_record(group: Group) -> Record:
     }  # fmt: skip
     for number in key_numbers(group)[:3]:
         scale = shown_in(number.name, number.unit, display_of(group))
-        mean = None if number.mean is None else number.mean.chosen
-        ends = ends_record(mean and mean.mean, mean and mean.interval, scale.factor, name="mean")
+        ends = ends_record(None, None, name="mean")
+        if number.mean is not None:
+            mean = number.mean.chosen
+            ends = ends_record(mean.mean, mean.interval, scale.factor, name="mean")
         name, unit = as_label(number.name), unit_words(scale.unit)
         parts = (("", "mean"), (", lower", "lower"), (", upper", "upper"))
         row |= {column_head(name, unit, part): ends[key] for part, key in parts}
@@ -384,14 +386,14 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
         "unit": unit_words(scale.unit),
         **ends_record(shift.mean, shift.interval, scale.factor, name="second minus first"),
         "share (%)": percent_cell(difference.share),
-        "corrected lower (%)": percent_cell(of_share and of_share.lower),
-        "corrected upper (%)": percent_cell(of_share and of_share.upper),
+        "corrected lower (%)": percent_cell(of_share, "lower"),
+        "corrected upper (%)": percent_cell(of_share, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
         "question": difference.question,
         "differ in": fields_in_words(difference),
-        "level (%)": percent_cell(ends and ends.level),
+        "level (%)": percent_cell(ends, "level"),
         "irrelevant below": number_cell(difference.margin, None, scale.factor),
         "different, p": number_cell(difference.p, None),
         "equivalent, p": number_cell(difference.p_equivalent, None),
@@ -462,8 +464,8 @@ def _places(campaign: Campaign) -> Iterator[Record]:
             **ends_record(place.value, place.interval, scale.factor, name="bending stiffness"),
             **{head: number_cell(value, None, scale.factor) for head, value in bounds.items()},
             "share (%)": percent_cell(place.share),
-            "share lower (%)": percent_cell(ends and ends.lower),
-            "share upper (%)": percent_cell(ends and ends.upper),
+            "share lower (%)": percent_cell(ends, "lower"),
+            "share upper (%)": percent_cell(ends, "upper"),
             "reason": worded(place.reasons),
         }
 

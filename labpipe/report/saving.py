@@ -139,9 +139,10 @@ def save_page(
     finish_layout(page)
     svg, png, pdf = (folder / f"{wanted.name}.{ending}" for ending in FORMATS)
     title, description = printable(wanted.alt), printable(wanted.caption)
-    stated = {"Title": title or None, "Description": description or None}
+    stated = {"Title": title, "Description": description, "Identifier": run}
+    told = {name: text for name, text in stated.items() if text}
     vector: Any = FigureCanvasSVG(page)
-    vector.print_svg(str(svg), metadata={"Date": None, "Identifier": run or None, **stated})
+    vector.print_svg(str(svg), metadata={"Date": None, **told})
     files = [svg]
     if dpi is not None:
         page.set_dpi(dpi)

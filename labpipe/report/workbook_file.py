@@ -242,13 +242,16 @@ class _WorkbookWriter:
                 if isinstance(value, str):
                     self._write_word(page, (number, i), value, is_wrapped=wrapped[i])
                 elif value is not None:
-                    self._write_number(page, (number, i), in_column(value, places[i]))
+                    self._write_number(page, (number, i), value, places[i])
             if (place := sheet.links.get(str(row[0]))) is not None:
                 page.write_url(number, 0, f"internal:{place}", string=printable(str(row[0])))
 
-    def _write_number(self, page: Any, place: tuple[int, int], cell: NumberCell) -> None:
-        if math.isfinite(cell.value):
-            page.write_number(*place, cell.value, self.form(cell.form))
+    def _write_number(
+        self, page: Any, at: tuple[int, int], value: float | NumberCell, place: int | None
+    ) -> None:
+        number = value.value if isinstance(value, NumberCell) else value
+        if math.isfinite(number):
+            page.write_number(*at, number, self.form(in_column(value, place).form))
 
     def _write_word(
         self, page: Any, place: tuple[int, int], word: str, *, is_wrapped: bool
@@ -329,7 +332,7 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
             "values": [name, first, line.up, last, line.up],
             "line": {"color": colour, "width": 1.5, "dash_type": dash},
         })  # fmt: skip
-    look = {
+    look: dict[str, Any] = {
         "name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}, "num_format": "General",
         "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
     }  # fmt: skip
@@ -409,9 +412,16 @@ def ends_record(
     return cells
 
 
-def percent_cell(share: float | None) -> NumberCell | None:
-    """Return the cell of a share in per cent, such as 38.2% for 0.382."""
-    return None if share is None or not math.isfinite(share) else NumberCell(share, "0.0%")
+def percent_cell(share: float | Interval | None, part: str = "") -> NumberCell | None:
+    """Return the cell of a share in per cent, such as 38.2% for 0.382.
+
+    Parameters
+    ----------
+    share : or an interval of one
+    part : of the interval, such as ``lower``
+    """
+    value = getattr(share, part) if isinstance(share, Interval) else share
+    return None if value is None or not math.isfinite(value) else NumberCell(value, "0.0%")
 
 
 def number_format(value: float, place: int) -> str:
