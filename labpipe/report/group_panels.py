@@ -146,14 +146,14 @@ def file_panels(group: Group) -> dict[str, list[Plot]]:
     them.
     """
     view = _GroupView(group)
-    figures = {
+    figures: dict[str, list[Plot | None]] = {
         "curves": [_curve_plot(view)],
         "scaled": [_scaled_plot(view)],
         "shapes": [_shape_plot(view)],
         "moment": [_moment_plot(view)],
-        "numbers": list(_number_plots(group)),
+        "numbers": [*_number_plots(group)],
     }
-    drawn = {name: [plot for plot in plots if plot] for name, plots in figures.items()}
+    drawn = {name: [plot for plot in plots if plot is not None] for name, plots in figures.items()}
     return {name: plots for name, plots in drawn.items() if plots}
 
 
