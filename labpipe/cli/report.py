@@ -41,7 +41,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     UsageError
         If a format of figures is unknown, or the logo is not a PNG or JPEG of the allowed size.
     """
-    formats = _list_of(options.figures)
+    formats = _list_of(getattr(options, "figures", ""))
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         message = error_text(
@@ -61,7 +61,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
         wires=options.wire,
         letterhead=Letterhead(tuple((name, text) for name, text in entries.items() if text), logo),
         formats=formats,
-        has_test_pages=options.pages,
+        has_test_pages=getattr(options, "pages", False),
     )
 
 
