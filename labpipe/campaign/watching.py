@@ -32,7 +32,7 @@ from labpipe.campaign.quick_look import (
 )
 from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import read_overview, run_test
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, describe_death
+from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError, error_text
 from labpipe.process.protocol_match import all_protocols
 from labpipe.process.run import draw_figures
@@ -87,13 +87,10 @@ class WarmWorker:
         LabpipeError
             If the call raises it.
         """
-        outcome = self._submit(work).result()
-        if isinstance(outcome, CallRaised):
-            raise outcome.error
-        if isinstance(outcome, ProcessDied):
-            _, reason = describe_death(about, outcome)
-            raise ProcessingError(reason)
-        return outcome
+        try:
+            return self._submit(work).result()
+        except ProcessDied as died:
+            raise ProcessingError(str(died.error(about))) from died
 
     def draw(self, folder: Path) -> None:
         """Start drawing the figures of a processed test, without waiting.
@@ -108,7 +105,7 @@ class WarmWorker:
         """Process tests without figures; see `labpipe.campaign.executors.Executor`."""
         for task in tasks:
             call = self._submit(partial(outcome_of, replace(task, figures=False)))
-            yield outcome_of_call(task, call.result())
+            yield outcome_of_call(task, call.result)
 
     def close(self) -> None:
         """Wait for the started calls, and end the process."""
@@ -117,7 +114,7 @@ class WarmWorker:
         finally:
             self._process.close()
 
-    def _submit(self, work: Callable[[], T]) -> Future[T | ProcessDied | CallRaised]:
+    def _submit(self, work: Callable[[], T]) -> Future[T]:
         return self._thread.submit(self._process.call, work, limit=self._limit)
 
 

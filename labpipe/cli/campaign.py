@@ -30,6 +30,7 @@ from labpipe.campaign.running import (
 from labpipe.cli.terminal import counting, from_here
 from labpipe.errors import UsageError, error_text
 from labpipe.report.wording import count_of
+from labpipe.store.replace import replacing
 
 _MAX_LISTED = 20
 """Largest number of tests or files that a list shows."""
@@ -84,22 +85,18 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
         _print_notes(overview)
-        with query_results(sync.catalog, options.where) as answer:
-            if options.out == "xlsx":
-                count = write_workbook(answer, options.file)
-            elif options.file is not None:
-                from labpipe.store.replace import replacing
-
-                with (
-                    replacing(options.file) as temporary,
-                    temporary.open(
-                        "w", encoding="utf-8", newline="", errors="backslashreplace"
-                    ) as out,
-                ):
-                    count = write_answer(answer, options.out, out)
-            else:
-                count = write_answer(answer, options.out, sys.stdout)
-    print(f"{count} rows", file=sys.stderr)
+        answer = query_results(sync.catalog, options.where)
+    if options.out == "xlsx":
+        write_workbook(answer, options.file)
+    elif options.file is not None:
+        with (
+            replacing(options.file) as part,
+            part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,
+        ):
+            write_answer(answer, options.out, out)
+    else:
+        write_answer(answer, options.out, sys.stdout)
+    print(f"{len(answer.rows)} rows", file=sys.stderr)
     return 0
 
 
