@@ -223,8 +223,11 @@ class _ClusterRun:
             if not self._submitted and self._fit:
                 return
             done: Iterable[Future] = ()
-            with suppress(TimeoutError):
-                done = wait([*self._submitted], look_interval, "FIRST_COMPLETED").done
+            if not self._submitted:
+                time.sleep(look_interval)
+            else:
+                with suppress(TimeoutError), self._client.as_current():
+                    done = wait([*self._submitted], look_interval, "FIRST_COMPLETED").done
             for future in done:
                 outcome = self._collect(self._submitted.pop(future), future)
                 if outcome is not None:

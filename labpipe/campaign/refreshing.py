@@ -51,7 +51,7 @@ from labpipe.campaign.decisions import (
     unapplied_decisions,
 )
 from labpipe.campaign.pairing import list_candidates, plan_of
-from labpipe.errors import LabpipeError, StoreError, error_text
+from labpipe.errors import LabpipeError, StoreError
 from labpipe.protocol.campaign_plan import PLAN_NAME
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -159,12 +159,10 @@ def _open_or_make_catalog(
 
 def _refuse_if_running(catalog: Catalog) -> None:
     for folder, claim in catalog.claims().items():
-        state = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
-        remedy = "Wait until it is done, or end it, then try again."
-        text = error_text(
-            catalog.path, "", expected="no process at work", found=state, remedy=remedy
-        )
-        raise StoreError(text)
+        raise StoreError.about(
+            "campaign.process_at_work", catalog.path,
+            pid=claim.pid, host=claim.host.split()[0], test=folder,
+        )  # fmt: skip
 
 
 class CatalogSync:
