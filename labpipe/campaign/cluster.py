@@ -35,17 +35,15 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Versions: TypeAlias = tuple[str, int]
+VERSIONS: Versions = (__version__, PROCESSING_VERSION)
 """Version of labpipe, and processing version."""
 _CONNECT_TIMEOUT = 10.0
 """s to wait for the scheduler, and for a first worker."""
 
 
-def versions() -> Versions:
-    """Return the versions of a worker."""
-    return __version__, PROCESSING_VERSION
-
-
-def process_on_worker(task: Task, home: Path, limit: float | None) -> tuple[str, Outcome | None]:
+def process_on_worker(
+    task: Task, home: Path, limit: float | None, wanted: Versions
+) -> tuple[str, Outcome | Versions | None]:
     """Process a test on a worker.
 
     Parameters
@@ -53,11 +51,13 @@ def process_on_worker(task: Task, home: Path, limit: float | None) -> tuple[str,
     task : the test
     home : working folder of the client; relative paths start there
     limit : s, time limit; None for no limit
+    wanted : versions of the client
 
     Returns
     -------
     worker : its address
-    outcome : of the test; None if its files are not visible to the worker
+    answer : outcome of the test; versions of the worker if they are others; None if the files of
+        the test are not visible to it
 
     Raises
     ------
@@ -67,6 +67,8 @@ def process_on_worker(task: Task, home: Path, limit: float | None) -> tuple[str,
     from distributed import get_worker
 
     worker = str(get_worker().address)
+    if wanted != VERSIONS:
+        return worker, VERSIONS
     if not (home / task.sheet).exists():
         return worker, None
     with _worker_process() as process:
@@ -160,6 +162,10 @@ def _connect(address: str) -> Iterator[Client]:
     except (OSError, ValueError) as error:  # a TimeoutError is an OSError
         raise UsageError.about("campaign.no_scheduler", "--executor", address=address) from error
     try:
+        with suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
+        if not client.nthreads():
+            raise UsageError.about("campaign.no_worker", "--executor", version=__version__)
         yield client
     finally:
         with suppress(Exception):  # already lost
@@ -184,12 +190,14 @@ class _Submission(NamedTuple):
     ----------
     task : the test
     unseen_by : workers that do not see its files
-    workers : allowed ones, which have this labpipe and may see its files
+    workers : allowed ones; any if empty
+    orphaned : how often all allowed workers were lost
     """
 
     task: Task
     unseen_by: frozenset[str] = frozenset()
     workers: frozenset[str] = frozenset()
+    orphaned: int = 0
 
 
 class _ClusterRun:
@@ -200,15 +208,8 @@ class _ClusterRun:
         self._new = map(_Submission, tasks)
         self._again: deque[_Submission] = deque()
         self._submitted: dict[Future, _Submission] = {}
-        self._threads: Mapping[str, int] = {}
-        self._unfit: dict[str, str] = {}
-        self._known = set[str]()
+        self._unfit: dict[str, Versions] = {}
         self._was_seen = False
-
-    @property
-    def _fit(self) -> frozenset[str]:
-        """Return the addresses of the workers with this labpipe."""
-        return frozenset(self._threads.keys() - self._unfit.keys())
 
     def outcomes(self) -> Generator[Outcome, None, None]:
         """Yield outcomes until all tests are done."""
@@ -216,15 +217,17 @@ class _ClusterRun:
 
         # s between looks at the workers; without any for a while, a run ends
         look_interval, max_looks_without_worker = 5.0, 24
-        self._wait_for_workers()
         looks_without_worker = 0
-        while True:
-            yield from self._submit_tests()
-            if not self._submitted and self._fit:
-                return
+        while looks_without_worker < max_looks_without_worker:
+            threads = self._client.nthreads()
+            looks_without_worker = 0 if threads else looks_without_worker + 1
+            self._resubmit_orphans(threads.keys())
+            yield from self._submit_tests(threads)
             done: Iterable[Future] = ()
-            if not self._submitted:
+            if not threads:
                 time.sleep(look_interval)
+            elif not self._submitted:
+                return
             else:
                 with suppress(TimeoutError), self._client.as_current():
                     done = wait([*self._submitted], look_interval, "FIRST_COMPLETED").done
@@ -232,26 +235,28 @@ class _ClusterRun:
                 outcome = self._collect(self._submitted.pop(future), future)
                 if outcome is not None:
                     yield outcome
-            self._look_at_workers()
-            looks_without_worker = 0 if self._fit else looks_without_worker + 1
-            if looks_without_worker > max_looks_without_worker:
-                raise TimeoutError
+        raise TimeoutError
 
-    def _submit_tests(self) -> Iterator[Outcome]:
+    def _submit_tests(self, threads: Mapping[str, int]) -> Iterator[Outcome]:
         """Keep twice as many tests submitted as workers have threads; yield refused tests."""
-        while len(self._submitted) < 2 * sum(self._threads[worker] for worker in self._fit):
+        max_orphaned = 3
+        while len(self._submitted) < 2 * sum(threads.values()):
             test = self._again.popleft() if self._again else next(self._new, None)
             if test is None:
                 return
-            able = self._fit - test.unseen_by
-            if not able:
-                yield self._refuse_unseen(test.task)
+            if test.orphaned > max_orphaned:
+                yield _refuse_killer(test.task, test.orphaned)
                 continue
+            able = frozenset(threads.keys() - self._unfit.keys() - test.unseen_by)
+            if not able:
+                yield self._refuse_unseen(test.task, len(threads))
+                continue
+            workers = able if len(able) < len(threads) else frozenset[str]()
             future = self._client.submit(
-                process_on_worker, test.task, self._home, self._limit, pure=False,
-                workers=sorted(able),
+                process_on_worker, test.task, self._home, self._limit, VERSIONS, pure=False,
+                workers=sorted(workers) or None,
             )  # fmt: skip
-            self._submitted[future] = test._replace(workers=able)
+            self._submitted[future] = test._replace(workers=workers)
 
     def _collect(self, test: _Submission, future: Future) -> Outcome | None:
         """Return the outcome of a test, or resubmit it."""
@@ -260,66 +265,60 @@ class _ClusterRun:
         visibility_timeout = 5.0  # s until new files are visible here; network drives are slow
         task = test.task
         try:
-            worker, outcome = cast("tuple[str, Outcome | None]", future.result())
+            worker, answer = _answer_of(future)
         except ProcessDied as died:
             return refused_outcome(task, died.error(task.sheet))
         except KilledWorker as killed:
-            times = killed.allowed_failures + 1
-            error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
-            return refused_outcome(task, error)
-        except Exception as error:
-            if future.status != "error":
-                raise
-            raise ProcessingError.about(
-                "campaign.bad_cluster", "--executor", kind=type(error).__name__,
-                message=(str(error).splitlines() or [""])[0],
-            ) from error  # fmt: skip
-        if outcome is not None and _is_seen(outcome, time.monotonic() + visibility_timeout):
-            self._was_seen = True
-            return outcome
-        if outcome is None and not task.sheet.exists():
+            return _refuse_killer(task, killed.allowed_failures + 1)
+        if isinstance(answer, Outcome):
+            if _is_seen(answer, time.monotonic() + visibility_timeout):
+                self._was_seen = True
+                return answer
+        elif answer is not None:
+            self._unfit[worker] = answer
+        elif not task.sheet.exists():
             return outcome_of(task)
-        self._again.append(_Submission(task, test.unseen_by | {worker}))
+        self._again.append(test._replace(unseen_by=test.unseen_by | {worker}))
         return None
 
-    def _refuse_unseen(self, task: Task) -> Outcome:
+    def _refuse_unseen(self, task: Task, count: int) -> Outcome:
         """Refuse a test whose files no worker sees; raise if no worker has seen any file yet."""
-        error = UsageError.about("campaign.without_data", task.sheet, count=len(self._fit))
+        if self._unfit and not self._was_seen:
+            raise UsageError.about(
+                "campaign.other_versions", "--executor", version=__version__,
+                found=", ".join(sorted({version for version, _ in self._unfit.values()})),
+            )  # fmt: skip
+        error = UsageError.about("campaign.without_data", task.sheet, count=count)
         if not self._was_seen:
             raise UsageError(str(error), code="no_cluster")
         return refused_outcome(task, error)
 
-    def _wait_for_workers(self) -> None:
-        """Wait for the first worker with this labpipe."""
-        until = time.monotonic() + _CONNECT_TIMEOUT
-        self._look_at_workers()
-        while not self._fit and time.monotonic() < until:
-            time.sleep(0.2)
-            self._look_at_workers()
-        if not self._fit:
-            reasons = "; ".join(sorted(set(self._unfit.values()))) or "none"
-            raise UsageError.about(
-                "campaign.no_worker", "--executor", version=__version__, reasons=reasons
-            )
-
-    def _look_at_workers(self) -> None:
-        """Ask new workers for their versions, and resubmit tests that wait for lost workers."""
-        self._threads = self._client.nthreads()
-        new = sorted(self._threads.keys() - self._known)
-        answers = self._client.run(versions, workers=new, on_error="return") if new else {}
-        for worker, answer in answers.items():
-            if isinstance(answer, OSError):  # lost meanwhile: asked again if it returns
-                continue
-            self._known.add(worker)
-            if isinstance(answer, BaseException):
-                self._unfit[worker] = "workers without labpipe"
-            elif answer != versions():
-                self._unfit[worker] = f"workers with another version, {answer}"
+    def _resubmit_orphans(self, workers: Iterable[str]) -> None:
+        """Resubmit tests that wait for lost workers."""
         for future, test in [*self._submitted.items()]:
-            if not test.workers & self._fit:
+            if test.workers and test.workers.isdisjoint(workers):
                 del self._submitted[future]
                 self._client.cancel([future])
-                self._again.append(test)
+                self._again.append(test._replace(orphaned=test.orphaned + 1))
+
+
+def _answer_of(future: Future) -> tuple[str, Outcome | Versions | None]:
+    """Return the answer of `process_on_worker`; raise one error if a worker cannot run that."""
+    from distributed import KilledWorker
+
+    error = future.exception() if future.status == "error" else None
+    if error is not None and not isinstance(error, (ProcessDied, KilledWorker)):
+        message = (str(error).splitlines() or [""])[0]
+        raise ProcessingError.about(
+            "campaign.bad_cluster", "--executor", kind=type(error).__name__, message=message
+        ) from error
+    return cast("tuple[str, Outcome | Versions | None]", future.result())
+
+
+def _refuse_killer(task: Task, times: int) -> Outcome:
+    """Refuse a test that lost its workers."""
+    error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
+    return refused_outcome(task, error)
 
 
 def _is_seen(outcome: Outcome, until: float) -> bool:

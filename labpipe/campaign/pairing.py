@@ -52,6 +52,11 @@ class Candidate:
         """Return the path of its test sheet, which may be missing."""
         return self.folder / SHEET_NAME
 
+    @property
+    def paths(self) -> list[Path]:
+        """Return the exports and the test sheet."""
+        return [*sorted(self.files.values()), self.sheet]
+
 
 @dataclass(frozen=True, slots=True)
 class RawListing:
