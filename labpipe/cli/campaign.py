@@ -28,7 +28,7 @@ from labpipe.campaign.running import (
     run_campaign,
 )
 from labpipe.cli.terminal import counting, from_here
-from labpipe.errors import UsageError, error_text
+from labpipe.errors import UsageError
 from labpipe.report.wording import count_of
 from labpipe.store.replace import replacing
 
@@ -78,10 +78,7 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.out == "xlsx" and options.file is None:
-        raise UsageError(
-            error_text("--out xlsx", "", expected="a file to write", found="none",
-                      remedy="Add --file results.xlsx.")
-        )  # fmt: skip
+        raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
         _print_notes(overview)
@@ -110,17 +107,10 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.saved is not None:
         return _import_decisions(options, campaign)
     if not options.test or not options.decision:
-        raise UsageError(
-            error_text("labpipe campaign decide", "", expected="a test and accept or reject",
-                      found="none",
-                      remedy="Name both, or import a file that a report page saved with --from.")
-        )  # fmt: skip
+        raise UsageError.about("cli.no_decision", "labpipe campaign decide")
     for key in ("because", "by"):
         if not getattr(options, key).strip():
-            raise UsageError(
-                error_text(f"--{key}", "", expected="a text", found="none",
-                          remedy=f"Add --{key} TEXT; it is stored with the decision.")
-            )  # fmt: skip
+            raise UsageError.about("cli.no_reason", f"--{key}", option=f"--{key}")
     decision = Decision("", "", options.decision, options.because.strip(), options.by.strip())
     row = decide(campaign, options.test, decision)
     print(f"{escaped(row.folder)}: {row.state}")
@@ -130,10 +120,7 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Import the decisions that a report page saved."""
     if options.test:
-        raise UsageError(
-            error_text("--from", "", expected="no test together with it", found=options.test,
-                      remedy="Decide on a test, or import a file.")
-        )  # fmt: skip
+        raise UsageError.about("cli.test_and_file", "--from", test=options.test)
     imported, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
     for fault in faults:
         print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
