@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,7 +28,6 @@ from labpipe.campaign.quick_look import (
     display_settings,
     failure_lines,
     group_of,
-    read_summary,
     verdict,
 )
 from labpipe.campaign.refreshing import open_campaign
@@ -36,7 +36,7 @@ from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import sentence
 from labpipe.process.protocol_match import all_protocols
-from labpipe.process.run import draw_figures
+from labpipe.process.run import SUMMARY_FILE, draw_figures
 from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
 
 T = TypeVar("T")
@@ -521,10 +521,10 @@ class Watcher:
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         label = _printable(candidate.name)
-        summary = None if outcome.folder is None else read_summary(outcome.folder)
-        if outcome.state == "failed" or outcome.folder is None or summary is None:
+        if outcome.state == "failed" or outcome.folder is None:
             lines = failure_lines(label, outcome.code, outcome.reason)
         else:
+            summary = json.loads((outcome.folder / SUMMARY_FILE).read_bytes())
             others = self._campaign.values_beside(candidate.sheet)
             lines = verdict(label, summary, others, display_settings(candidate.sheet))
             self._draw(outcome.folder)

@@ -159,6 +159,8 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
     alone.add_worker()
+    with Client(f"tcp://{alone.address}", set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=60)
     labs = small_pulls(tmp_path, 12)
     spoil(labs[11].sheet, "hang")
     outcomes = dask(alone.address)(tasks_of(labs, tmp_path / "out"))
