@@ -249,21 +249,24 @@ def _as_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
+    tests = {
+        folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
+        for folder, row in overview.rows.items()
+    }
+    running = {
+        folder: {"host": claim.host.split()[0], "pid": claim.pid, "since": claim.since}
+        for folder, claim in overview.claims.items()
+    }
+    not_applied = [
+        {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
+        for decision, why in overview.unapplied
+    ]
     return {
         "campaign": campaign.name,
         "counts": {state: overview.counts[state] for state in STATES},
-        "tests": {
-            folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
-            for folder, row in overview.rows.items()
-        },
-        "running": {
-            folder: {"host": claim.host.split()[0], "pid": claim.pid, "since": claim.since}
-            for folder, claim in overview.claims.items()
-        },
-        "decisions_not_applied": [
-            {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
-            for decision, why in overview.unapplied
-        ],
+        "tests": tests,
+        "running": running,
+        "decisions_not_applied": not_applied,
         "files": files,
         "notes": overview.notes,
     }
