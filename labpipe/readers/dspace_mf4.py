@@ -92,7 +92,7 @@ def _open_or_close(mdf: Any, content: bytes) -> Any:
         return mdf(BytesIO(content))
     except Exception as error:
         for frame, _ in walk_tb(error.__traceback__):
-            partial = frame.f_locals.get("self")
+            partial: Any = frame.f_locals.get("self")
             if hasattr(partial, "_mapped_file"):
                 partial._closed = True
                 if getattr(partial, "_tempfile", None) is not None:
