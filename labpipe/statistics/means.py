@@ -219,12 +219,11 @@ def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
     finite = array[~np.isnan(array)]
     n = len(finite)
     if n == 0:
-        reason = Reason("no_samples", f"there is no {what} to average")
+        reason = Reason.of("statistics.no_samples", what=what)
         return MeanInterval(np.nan, None, np.nan, 0, reason)
     mean = float(finite.mean())
     if n == 1:
-        message = f"an interval needs the scatter of two values, there is one {what}"
-        return MeanInterval(mean, None, np.nan, 1, Reason("one_sample", message))
+        return MeanInterval(mean, None, np.nan, 1, Reason.of("statistics.one_value", what=what))
     deviation = float(finite.std(ddof=1))
     half = t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)
