@@ -218,19 +218,24 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """Sample a signal at the times of the curve, a faster one by means around them."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.sampled(signal, time)
-    is_finite = ~np.isnan(signal.values)
+    is_blank = np.isnan(signal.values)
     step = float(np.median(np.diff(signal.time)))
     ends = np.append(signal.time[0] - 0.5 * step, signal.time + 0.5 * step)
     half = 0.5 * float(np.median(np.diff(time)))
 
-    def around(values: Floats) -> Floats:
-        total = replace(signal, time=ends, values=np.append(0.0, np.cumsum(values)))
+    def around(sums: Floats) -> Floats:
+        total = replace(signal, time=ends, values=sums)
         low, high = (test.clocks.sampled(total, time + side * half) for side in (-1.0, 1.0))
         return high - low
 
-    counts = around(is_finite.astype(np.float64))
-    mean = np.full(len(time), np.nan)
-    np.divide(around(np.where(is_finite, signal.values, 0.0)), counts, out=mean, where=counts > 0.5)
+    sums, numbers = np.zeros(len(ends)), np.arange(float(len(ends)))
+    values = signal.values
+    if is_blank.any():
+        values = np.where(is_blank, 0.0, values)
+        numbers[1:] -= np.cumsum(is_blank)
+    np.cumsum(values, out=sums[1:])
+    counts, mean = around(numbers), np.full(len(time), np.nan)
+    np.divide(around(sums), counts, out=mean, where=counts > 0.5)
     return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
 
 

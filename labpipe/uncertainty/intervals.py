@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import hypot
 
 import numpy as np
@@ -110,9 +111,8 @@ def measure(
     if isinstance(plain, Failure):
         return plain
     smooth = SmoothNumbers.of(decide, replicates.smooth, plain)
-    base = _numbers_of(plain, replicates.smooth)
     drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
-    noise = np.concatenate(drawn, axis=1) - base[:, None]
+    noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
     between, spread_between = _between_samples(replicates, reading, smooth)
     off = noise - between
     parts, doubts = [(STEP, spread_between)], list[tuple[str, Reason]]()
@@ -245,29 +245,31 @@ class SmoothNumbers:
     Parameters
     ----------
     decide : chooses the samples of the numbers
-    trace, reading : the curve, and its reading
-    fine, fine_reading : the same for the finer curve
+    trace, reading, numbers : the curve, its reading, and its numbers
+    fine, fine_reading, fine_numbers : the same for the finer curve
     """
 
     decide: Decide
     trace: Trace
     reading: Reading
+    numbers: Floats
     fine: Trace
     fine_reading: Reading
+    fine_numbers: Floats
 
     @classmethod
     def of(cls, decide: Decide, trace: Trace, reading: Reading) -> SmoothNumbers:
         """Decide again on finer samples, if only the sampling cuts its windows."""
         times = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.is_cut else 1
-        fine = trace.finer(times)
+        fine, plain = _finer(trace, times), (trace, reading, _numbers_of(reading, trace))
         fine_reading = decide(fine)
         if isinstance(fine_reading, Failure):
-            return cls(decide, trace, reading, trace, reading)
-        return cls(decide, trace, reading, fine, fine_reading)
+            return cls(decide, *plain, *plain)
+        return cls(decide, *plain, fine, fine_reading, _numbers_of(fine_reading, fine))
 
     def between_samples(self) -> Floats:
         """Return the change of the numbers with finer samples."""
-        return _numbers_of(self.fine_reading, self.fine) - _numbers_of(self.reading, self.trace)
+        return self.fine_numbers - self.numbers
 
     def corners(self) -> Floats:
         """Return the change of the numbers with corners between samples, where steps allow them."""
@@ -277,7 +279,7 @@ class SmoothNumbers:
             fine = self.trace.finer(parts_per_step, has_corners=has_corners)
             reading = self.decide(fine)
             if isinstance(reading, Failure):
-                return np.zeros(len(self.reading.numbers(self.trace)))
+                return np.zeros(len(self.numbers))
             changes.append(_numbers_of(reading, fine))
         return changes[1] - changes[0]
 
@@ -293,13 +295,25 @@ class SmoothNumbers:
         -------
         One per number; if the input moves the curve, windows are chosen again.
         """
-        moved = quantity.moved(self.trace, by)
+        moved = _moved(self.trace, quantity, by)
         if not quantity.moves_curve:
-            return _numbers_of(self.reading, moved) - _numbers_of(self.reading, self.trace)
-        moved = moved.finer((len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1))
+            return _numbers_of(self.reading, moved) - self.numbers
+        moved = _finer(moved, (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1))
         outcome = self.decide(moved)
         reading = self.fine_reading if isinstance(outcome, Failure) else outcome
-        return _numbers_of(reading, moved) - _numbers_of(self.fine_reading, self.fine)
+        return _numbers_of(reading, moved) - self.fine_numbers
+
+
+@lru_cache(maxsize=64)
+def _moved(trace: Trace, quantity: Input, by: float) -> Trace:
+    """Return a curve with an input changed, which all numbers of a test share."""
+    return quantity.moved(trace, by)
+
+
+@lru_cache(maxsize=64)
+def _finer(trace: Trace, times: int) -> Trace:
+    """Return a curve on finer samples, which all numbers of a test share."""
+    return trace.finer(times)
 
 
 def _numbers_of(reading: Reading, trace: Trace) -> Floats:
