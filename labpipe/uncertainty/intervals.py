@@ -13,8 +13,7 @@ of delta.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
@@ -27,7 +26,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.noise_model import SHORT_RECORD_SAMPLES
-from labpipe.uncertainty.replicates import Input, Replicates
+from labpipe.uncertainty.replicates import Curves, Input, Replicates
 
 _QUANTILES_95 = (0.025, 0.975)
 _BETWEEN = Input(STEP, lambda trace, _: trace, law="uniform", stream="between samples")
@@ -110,7 +109,7 @@ def measure(
     plain = _decide_on_smooth(replicates, decide, reading)
     if isinstance(plain, Failure):
         return plain
-    smooth = SmoothNumbers.of(decide, replicates.smooth, plain)
+    smooth = SmoothNumbers.of(decide, replicates.smooth, plain, replicates.curves)
     drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
     between, spread_between = _between_samples(replicates, reading, smooth)
@@ -247,6 +246,7 @@ class SmoothNumbers:
     decide : chooses the samples of the numbers
     trace, reading, numbers : the curve, its reading, and its numbers
     fine, fine_reading, fine_numbers : the same for the finer curve
+    curves : made before, by input, its change, and parts per sampling step
     """
 
     decide: Decide
@@ -256,16 +256,22 @@ class SmoothNumbers:
     fine: Trace
     fine_reading: Reading
     fine_numbers: Floats
+    curves: Curves
 
     @classmethod
-    def of(cls, decide: Decide, trace: Trace, reading: Reading) -> SmoothNumbers:
+    def of(
+        cls, decide: Decide, trace: Trace, reading: Reading, curves: Curves | None = None
+    ) -> SmoothNumbers:
         """Decide again on finer samples, if only the sampling cuts its windows."""
         times = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.is_cut else 1
-        fine, plain = _finer(trace, times), (trace, reading, _numbers_of(reading, trace))
+        plain = trace, reading, _numbers_of(reading, trace)
+        smooth = cls(decide, *plain, *plain, {} if curves is None else curves)
+        fine = smooth._curve(None, 0.0, times)
         fine_reading = decide(fine)
         if isinstance(fine_reading, Failure):
-            return cls(decide, *plain, *plain)
-        return cls(decide, *plain, fine, fine_reading, _numbers_of(fine_reading, fine))
+            return smooth
+        numbers = _numbers_of(fine_reading, fine)
+        return replace(smooth, fine=fine, fine_reading=fine_reading, fine_numbers=numbers)
 
     def between_samples(self) -> Floats:
         """Return the change of the numbers with finer samples."""
@@ -295,25 +301,24 @@ class SmoothNumbers:
         -------
         One per number; if the input moves the curve, windows are chosen again.
         """
-        moved = _moved(self.trace, quantity, by)
         if not quantity.moves_curve:
-            return _numbers_of(self.reading, moved) - self.numbers
-        moved = _finer(moved, (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1))
+            return _numbers_of(self.reading, self._curve(quantity, by, 1)) - self.numbers
+        times = (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1)
+        moved = self._curve(quantity, by, times)
         outcome = self.decide(moved)
         reading = self.fine_reading if isinstance(outcome, Failure) else outcome
         return _numbers_of(reading, moved) - self.fine_numbers
 
-
-@lru_cache(maxsize=64)
-def _moved(trace: Trace, quantity: Input, by: float) -> Trace:
-    """Return a curve with an input changed, which all numbers of a test share."""
-    return quantity.moved(trace, by)
-
-
-@lru_cache(maxsize=64)
-def _finer(trace: Trace, times: int) -> Trace:
-    """Return a curve on finer samples, which all numbers of a test share."""
-    return trace.finer(times)
+    def _curve(self, quantity: Input | None, by: float, times: int) -> Trace:
+        """Return the curve with an input changed, on finer samples; all numbers share it."""
+        key = quantity, by, times
+        if key not in self.curves:
+            if times > 1:
+                curve = self._curve(quantity, by, 1).finer(times)
+            else:
+                curve = quantity.moved(self.trace, by) if quantity else self.trace
+            self.curves[key] = curve
+        return self.curves[key]
 
 
 def _numbers_of(reading: Reading, trace: Trace) -> Floats:
