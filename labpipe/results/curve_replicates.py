@@ -218,24 +218,27 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """Sample a signal at the times of the curve, a faster one by means around them."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.sampled(signal, time)
-    is_blank = np.isnan(signal.values)
-    step = float(np.median(np.diff(signal.time)))
-    ends = np.append(signal.time[0] - 0.5 * step, signal.time + 0.5 * step)
-    half = 0.5 * float(np.median(np.diff(time)))
+    step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
+    # Ends of the means less half a step: each sample is the mean of a step around it.
+    ends = np.array([time - half, time + half])
+    ends = test.clocks.from_curve(ends, signal.clock) - 0.5 * step
+    is_inside = (ends >= signal.time[0] - step).all(axis=0) & (ends < signal.time[-1]).all(axis=0)
+    inside = ends[:, is_inside]
+    samples = np.searchsorted(signal.time, inside, side="right")  # that contain the ends
+    before = np.where(samples > 0, signal.time[samples - 1], signal.time[0] - step)
+    shares = (inside - before) / (signal.time[samples] - before)
 
-    def around(sums: Floats) -> Floats:
-        total = replace(signal, time=ends, values=sums)
-        low, high = (test.clocks.sampled(total, time + side * half) for side in (-1.0, 1.0))
-        return high - low
+    def around(values: Floats) -> Floats:
+        whole = np.add.reduceat(values, samples.T.ravel())[::2] if samples.size else inside[0]
+        low, high = shares * values[samples]
+        sums: Floats = np.where(samples[1] > samples[0], whole, 0.0) + high - low
+        return sums
 
-    sums, numbers = np.zeros(len(ends)), np.arange(float(len(ends)))
-    values = signal.values
+    is_blank, counts = np.isnan(signal.values), samples[1] - samples[0] + shares[1] - shares[0]
     if is_blank.any():
-        values = np.where(is_blank, 0.0, values)
-        numbers[1:] -= np.cumsum(is_blank)
-    np.cumsum(values, out=sums[1:])
-    counts, mean = around(numbers), np.full(len(time), np.nan)
-    np.divide(around(sums), counts, out=mean, where=counts > 0.5)
+        counts = around((~is_blank).astype(np.float64))
+    sums, mean = around(np.where(is_blank, 0.0, signal.values)), np.full(len(time), np.nan)
+    mean[is_inside] = np.where(counts > 0.5, sums / np.where(counts > 0.5, counts, 1.0), np.nan)
     return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
 
 
