@@ -26,7 +26,8 @@ from labpipe.records.arrays import Flags, Floats, Ints, block_means
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
-from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, curves_at, held_at_rest
+from labpipe.results.beam import held_at_rest
+from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, curves_at
 from labpipe.results.measured_law import measure_bending
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.units import GRAVITY

@@ -28,7 +28,7 @@ from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.records.wire import WireSpec
-from labpipe.results.bent_frames import held_at_rest
+from labpipe.results.beam import held_at_rest
 from labpipe.results.moment_curvature import at_rest, notes_of
 from labpipe.store.read import read_stages
 from labpipe.uncertainty.autocorrelation import long_run_variance
