@@ -205,6 +205,8 @@ def smooth_curve(
     # largest of its samples, and the interval of a peak would be too high.
     max_rest_intervals = 4
     min_rest_samples = 50
+    from scipy.interpolate import make_lsq_spline
+
     smooth, ends = values.copy(), sorted({0, len(values), *cuts})
     for low, high in pairwise(ends):
         is_finite = ~np.isnan(values[low:high])
@@ -222,41 +224,13 @@ def smooth_curve(
         )
         count = int(np.clip(len(y) // min_samples, 1, max_pieces))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
-        curve = _least_squares_spline(x, y, _supported_knots(knots, x))
+        curve = make_lsq_spline(x, y, _supported_knots(knots, x), _SPLINE_DEGREE)(x)
         is_constant = rests and _is_constant(y, curve, count + _SPLINE_DEGREE)
         smooth[low:high][is_finite] = y.mean() if is_constant else curve
     for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
         if cut != broken and cut - before > 1 and after - cut > 1:
             _join_pieces(smooth, cut)
     return smooth
-
-
-def _least_squares_spline(x: Floats, y: Floats, knots: Floats) -> Floats:
-    """Fit a cubic spline, and return it at its samples.
-
-    As `scipy.interpolate.make_lsq_spline`, whose import costs a tenth of the processor time of a
-    first test. By the recurrence of Cox and de Boor (C. de Boor, A Practical Guide to Splines,
-    1978, chapter X).
-    """
-    first = np.searchsorted(knots[4:-4], x, side="right")  # of four splines that are not zero
-    weights = [np.ones_like(x)]
-    for degree in range(1, _SPLINE_DEGREE + 1):
-        grown = [np.zeros_like(x) for _ in range(degree + 1)]
-        for number, weight in enumerate(weights):
-            left, right = (knots[first + number + after] for after in (4 - degree, 4))
-            share = weight / (right - left)
-            grown[number] += (right - x) * share
-            grown[number + 1] += (x - left) * share
-        weights = grown
-    basis = np.stack(weights, axis=1)
-    starts = np.searchsorted(first, np.arange(len(knots) - 7))
-    products = basis[:, :, np.newaxis] * np.append(basis, y[:, np.newaxis], axis=1)[:, np.newaxis]
-    normal = np.zeros((len(knots) - 4, len(knots) - 3))
-    for start, block in enumerate(np.add.reduceat(products, starts, axis=0)):
-        normal[start : start + 4, [*range(start, start + 4), -1]] += block
-    coefficients = np.linalg.solve(normal[:, :-1], normal[:, -1])
-    fitted: Floats = np.vecdot(basis, coefficients[first[:, np.newaxis] + np.arange(4)])
-    return fitted
 
 
 def _polynomials(x: Floats, y: Floats) -> Floats:
