@@ -18,7 +18,7 @@ from datetime import date
 
 from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.clock_joining import join_clocks
-from labpipe.process.consistency import check_consistency
+from labpipe.process.consistency import check_break, check_consistency
 from labpipe.process.curve_corrections import (
     align_signals,
     bridge_outliers,
@@ -27,6 +27,7 @@ from labpipe.process.curve_corrections import (
 )
 from labpipe.process.motion import Motion, branches_between, strokes_of
 from labpipe.process.sanity_checks import (
+    check_begin,
     check_due,
     check_mid_span,
     check_rest,
@@ -38,7 +39,7 @@ from labpipe.process.sanity_checks import (
     is_full_stroke,
 )
 from labpipe.process.steps import run_steps
-from labpipe.process.zeros import check_begin, check_break, check_zeros, rezero_at_rest
+from labpipe.process.zeros import rezero_at_rest
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape, Limits
@@ -206,8 +207,7 @@ def with_curve(
     findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)
-    findings += check_zeros(test.signals, test.clocks, curve, findings, protocol.limits)
-    findings += check_consistency(test.signals.force, curve, protocol.limits)
+    findings += check_consistency(test.signals, curve, protocol.limits)
     test, new_findings = correct_curve(replace(test, curve=curve), block)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
