@@ -418,7 +418,7 @@ def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[
     motion : rests before its first branch and at its first position are not holds
     limits : of the lab
     """
-    min_rows, return_share = 5.0, 0.1  # without times; of the stroke
+    min_rows, return_share, still_share = 5.0, 0.1, 0.01  # without times; of the stroke
     moved, branches = motion.signal, motion.branches
     if not branches:
         return
@@ -426,7 +426,9 @@ def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[
     is_finite = ~np.isnan(moved.values)
     time, values = moved.time[is_finite], moved.values[is_finite]
     ends = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
-    if abs(values[-1] - moved.values[branches[0].start]) > return_share * np.ptp(values):
+    last, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
+    is_away = abs(values[-1] - moved.values[branches[0].start]) > return_share * stroke
+    if is_away and len(last) and np.ptp(last) <= still_share * stroke:
         ends.append((branches[-1].stop_time, float(time[-1])))
     holds = [(start, stop) for start, stop in ends if stop - start >= least]
     if holds:
