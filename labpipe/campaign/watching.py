@@ -43,7 +43,6 @@ T = TypeVar("T")
 _MODULES = (
     "labpipe.process.story",
     "labpipe.process.camera_steps",
-    "labpipe.process.span_steps",
     "labpipe.markers.specimen_shape",
     "labpipe.results.moment_curvature",
     "labpipe.store.write",

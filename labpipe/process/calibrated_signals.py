@@ -8,20 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, error_text
+from labpipe.errors import ProcessingError
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
 from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.curve import Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import (
-    Finding,
-    QualityNote,
-    Severity,
-    doubtful,
-    doubtful_stretches,
-    warning,
-)
+from labpipe.records.quality import Finding, QualityNote, doubtful_stretches
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.reduced_test import SpanBend
@@ -135,9 +128,7 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
     if source.calibration is not None:
         values = source.gain * values + source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
-        found = "none: every sample is blank or not finite"
-        remedy = "Look at the export with `labpipe inspect`."
-        raise _refused(role, f"channel {channel.path!r}", "numbers", found, remedy)
+        raise ProcessingError.about("process.no_numbers", role, f"channel {channel.path!r}")
     _check_size(values, "channel", role, f"channel {channel.path!r}")
     return Signal(
         time=clock.time,
@@ -150,10 +141,6 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
     )
 
 
-def _refused(role: str, place: str, expected: str, found: str, remedy: str) -> ProcessingError:
-    return ProcessingError(error_text(role, place, expected=expected, found=found, remedy=remedy))
-
-
 def _peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> list[Finding]:
@@ -163,11 +150,17 @@ def _peak(
     peak, (lowest, highest) = float(np.nanmax(np.abs(signal.values))), peak_range
     if lowest <= peak <= highest:
         return []
-    message = (
-        f"the largest value is {peak:.4g} {signal.unit}, plausible are {lowest:.4g} to "
-        f"{highest:.4g} {signal.unit}: is the unit right, and is it this channel?"
-    )
-    return [doubtful("implausible_peak", name, message, quantity)]
+    return [
+        Finding.of(
+            "process.implausible_peak",
+            name,
+            quantity,
+            peak=peak,
+            unit=signal.unit,
+            lowest=lowest,
+            highest=highest,
+        )
+    ]
 
 
 def _check_markers(tracks: MarkerTracks, role: str) -> None:
@@ -183,12 +176,8 @@ def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
     if not largest > _LARGEST[quantity]:
         return
     sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
-    place, expected = (
-        f"{place}, sample {sample + 1}",
-        f"numbers up to {_LARGEST[quantity]:g} in SI units",
-    )
-    remedy = "The file is damaged, or a unit is wrong: export the recording again."
-    raise _refused(role, place, expected, f"{largest:.3g}", remedy)
+    place, most = f"{place}, sample {sample + 1}", _LARGEST[quantity]
+    raise ProcessingError.about("process.number_too_large", role, place, most=most, found=largest)
 
 
 def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
@@ -198,28 +187,27 @@ def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
     missing = np.isnan(signal.values)
     if not missing.any():
         return []
-    message = f"{int(missing.sum())} of {len(missing)} samples are blank or not finite"
+    count = int(missing.sum())
     finite = np.flatnonzero(~missing)
     if finite[0] + len(missing) - 1 - finite[-1] <= max_blank_end_share * len(missing):
         missing[: finite[0]] = missing[finite[-1] :] = False
-    if not missing.any():
-        return [warning("missing_samples", name, message)]
-    times = times_of(missing, signal.time)
-    note = QualityNote("missing_samples", Severity.WARNING, name, message, times)
-    return [doubtful_stretches(quantity, note, signal.clock)]
+    times, total = times_of(missing, signal.time), len(missing)
+    note = QualityNote.of("process.missing_samples", name, *times, count=count, total=total)
+    return [doubtful_stretches(quantity, note, signal.clock) if times else Finding(note)]
 
 
 def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
     if len(time) < min_samples:
-        expected, actual = f"at least {min_samples} samples", f"{len(time)}"
-        remedy = "The recording was aborted; leave this test out."
-        raise _refused(role, "time", expected, actual, remedy)
+        raise ProcessingError.about(
+            "process.few_samples_of_clock", role, "time", least=min_samples, found=len(time)
+        )
     backwards = np.flatnonzero(~(np.diff(time) > 0))
     if len(backwards):
         sample = int(backwards[0]) + 1
-        expected = "an increasing time axis"
-        found = f"{time[sample]:.6f} s after {time[sample - 1]:.6f} s"
-        raise _refused(role, f"sample {sample + 1}", expected, found, "Export the recording again.")
+        place, after, before = f"sample {sample + 1}", time[sample], time[sample - 1]
+        raise ProcessingError.about(
+            "process.time_backwards", role, place, after=after, before=before
+        )
 
 
 def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
@@ -239,43 +227,38 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
         quantity = quantities.get(name, name)
         saturated = [run for run in runs if run.is_clipped]
         if saturated:
-            yield _saturation(name, signal, saturated, quantity)
+            note = _saturation(name, signal, saturated)
+            yield doubtful_stretches(quantity, note, signal.clock)
             if getattr(protocol.align, "channel", "") == name:  # the times of its peaks are wrong
-                yield _saturation(name, signal, saturated, "clock", anywhere=True)
+                yield doubtful_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
-            yield _frozen(name, signal, run, quantity)
+            start, stop = times = _times(signal, run)
+            note = QualityNote.of(
+                "process.frozen_channel",
+                name,
+                times,
+                value=float(signal.values[run.start]),
+                unit=signal.unit,
+                start=start,
+                stop=stop,
+                of="s" if signal.has_time else "of the samples",
+            )
+            yield doubtful_stretches(quantity, note, signal.clock)
             if protocol.branches is not None and protocol.branches.channel == name:
-                yield _frozen(name, signal, run, "force")  # the branches are at wrong times
+                # the branches are at wrong times
+                yield doubtful_stretches("force", note, signal.clock)
 
 
-def _saturation(
-    name: str, signal: Signal, runs: list[StuckRun], quantity: str, *, anywhere: bool = False
-) -> Finding:
-    count = sum(run.stop - run.start for run in runs)
-    levels = " and ".join(
-        f"{level:.6g} {signal.unit}"
-        for level in sorted({float(signal.values[run.start]) for run in runs})
+def _saturation(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:
+    levels = sorted({float(signal.values[run.start]) for run in runs})
+    return QualityNote.of(
+        "process.saturation",
+        name,
+        *(_times(signal, run) for run in runs),
+        count=sum(run.stop - run.start for run in runs),
+        runs=len(runs),
+        levels=" and ".join(f"{level:.6g} {signal.unit}" for level in levels),
     )
-    message = (
-        f"{count} samples in {len(runs)} stretches are exactly {levels}, and none lies beyond: "
-        "saturated? Check the range of the amplifier"
-    )
-    if anywhere:
-        return doubtful("saturation", name, message, quantity)
-    times = tuple(_times(signal, run) for run in runs)
-    note = QualityNote("saturation", Severity.WARNING, name, message, times)
-    return doubtful_stretches(quantity, note, signal.clock)
-
-
-def _frozen(name: str, signal: Signal, run: StuckRun, quantity: str) -> Finding:
-    times = _times(signal, run)
-    unit = "s" if signal.has_time else "of the samples"
-    message = (
-        f"is exactly {float(signal.values[run.start]):.6g} {signal.unit} from "
-        f"{times[0]:.3f} to {times[1]:.3f} {unit} while the test goes on: frozen"
-    )
-    note = QualityNote("frozen_channel", Severity.WARNING, name, message, (times,))
-    return doubtful_stretches(quantity, note, signal.clock)
 
 
 def _times(signal: Signal, run: StuckRun) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The steps that take marker tracks to the shape of the specimen."""
+"""Take marker tracks to the shape of the specimen, a wire or one between two supports."""
 
 from __future__ import annotations
 
@@ -9,32 +9,33 @@ from functools import partial
 from math import sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
-from labpipe.errors import ProcessingError, error_text, nearest
-from labpipe.markers.rings import ring_centres, rings_by_body
+from labpipe.errors import ProcessingError, nearest
+from labpipe.markers.rings import Sections, find_sections, ring_centres, rings_by_body
 from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, deflection, fit_shape
+from labpipe.markers.three_point_axis import SpanShape, fit_span
 from labpipe.markers.track_repair import RepairedTracks, repair_tracks
 from labpipe.markers.tracklets import frozen_samples
+from labpipe.messages import sentence
 from labpipe.process.calibrated_signals import Prepared, Take
+from labpipe.process.motion import turning_points
 from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, mean_level
-from labpipe.protocol.schema import Markers
+from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.causes import SHAPE
-from labpipe.records.declarations import FitShape, RepairMarkers
+from labpipe.records.curve import ClockFit, Interval, PointFlag, Shape
+from labpipe.records.declarations import FitShape, RepairMarkers, ThreePointShape
 from labpipe.records.declarations import SpecimenFrame as SpecimenFrameStep
-from labpipe.records.quality import (
-    Finding,
-    QualityNote,
-    Severity,
-    doubtful,
-    doubtful_stretches,
-    info_note,
-    warning,
-)
+from labpipe.records.estimates import Failure
+from labpipe.records.quality import Finding, QualityNote, Severity, doubtful_stretches
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
-from labpipe.signal.turning_points import find_strokes
+from labpipe.results.reduced_test import SpanBend
+from labpipe.signal.clock_alignment import match_peaks
+from labpipe.signal.turning_points import Stroke, find_strokes
+from labpipe.uncertainty.autocorrelation import long_run_variance
 
 UNLABELLED = ("Unlabeled", "Unlabelled")
 _DOUBTFUL = {
@@ -72,11 +73,8 @@ def repair(
 def _ring_centres(repaired: RepairedTracks) -> RepairedTracks:
     rings = rings_by_body(repaired.names)
     if len(rings) < 3:
-        message = (
-            f"rings by-body make {len(rings)} of {len(repaired.names)} markers ({', '.join(rings)})"
-            ": expected at least 3 rings along the specimen, or rings: none"
-        )
-        raise ValueError(message)
+        count, markers, names = len(rings), len(repaired.names), ", ".join(rings)
+        raise ValueError(sentence("process.few_rings", count=count, markers=markers, names=names))
     return ring_centres(repaired, rings)
 
 
@@ -87,8 +85,7 @@ def turn_into_specimen(
     take, findings = prepared.take, list[Finding]()
     tracks, settings = _require_markers(take, settings)
     if take.repaired is None:
-        message = "expected the step repair-markers before it"
-        raise ValueError(message)
+        raise ValueError(sentence("process.needs_repair"))
     rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     find_frame = partial(
         specimen_frame,
@@ -101,19 +98,13 @@ def turn_into_specimen(
     if MIN_SAMPLES_NOISE_UNKNOWN <= (rest & still).sum() < rest.sum():
         rest &= still
         frame = find_frame(rest=rest)
-        message = (
-            f"the clamp rests for {float(np.ptp(tracks.time[rest])):.2f} s, less than the "
-            f"{step.over:g} s of 'over': only this time is used as rest"
+        duration, stated = float(np.ptp(tracks.time[rest])), step.over
+        findings.append(
+            Finding.of("process.short_rest_of_clamp", take.role, duration=duration, stated=stated)
         )
-        findings.append(info_note("short_rest", take.role, message))
-    summary = (
-        f"the markers are {1e3 * frame.out_of_plane:.3g} mm rms off their plane, the clamp "
-        f"{1e3 * frame.travel_residual:.3g} mm rms off its line"
-    )
-    findings += [
-        *_shape_findings(frame.notes, take.role),
-        info_note("specimen_frame", take.role, summary),
-    ]
+    findings += _shape_findings(frame.notes, take.role)
+    plane, line = 1e3 * frame.out_of_plane, 1e3 * frame.travel_residual
+    findings.append(Finding.of("process.specimen_frame", take.role, plane=plane, line=line))
     signals = prepared.signals
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
@@ -140,43 +131,14 @@ def fit_shapes(
     """Carry out ``fit-shape``: the shape and the signal ``deflection``."""
     take, signals = prepared.take, prepared.signals
     tracks, settings = _require_markers(take, settings)
-    frame, rest = take.frame, take.rest
-    if frame is None or rest is None:
-        message = "expected the steps repair-markers and specimen-frame before it"
-        raise ValueError(message)
-    fit = _fit_shape(take, tracks, frame, step, settings)
-    findings = list(_shape_findings(fit.notes, take.role))
-    misfit, at_rest = rms(fit.residual), rms(fit.residual[rest])
-    if misfit > 3.0 * at_rest + 1e-5 and take.clamp is not None:
-        message = (
-            f"the markers are {1e3 * misfit:.3g} mm rms off the fitted curve over the test, "
-            f"{1e3 * at_rest:.3g} mm at rest: check grip_offset, centre_offset and terms"
-        )
-        findings.append(doubtful("shape_misfit", take.role, message, "displacement"))
-    summary = (
-        f"the markers are {1e3 * misfit:.3g} mm rms off the fitted curve, the clamped end "
-        f"is {np.degrees(fit.clamp_angle):.2f} deg off the x axis"
-    )
-    findings.append(info_note("shape_fit", take.role, summary))
-    if take.clamp is not None:
-        signals = signals.with_new("deflection", _deflection(fit, rest, take))
-        stretch = tracks.time[rest]
-        at_rest_for = (float(stretch[0]), float(stretch[-1]))
-        signals = replace(signals, zeroed={**signals.zeroed, "deflection": at_rest_for})
-    return replace(prepared, signals=signals, shape=fit.shape), findings
-
-
-def _fit_shape(
-    take: Take, tracks: MarkerTracks, frame: SpecimenFrame, step: FitShape, settings: Markers
-) -> ShapeFit:
-    if take.repaired is None or take.rest is None:
-        message = "expected the steps repair-markers and specimen-frame before it"
-        raise ValueError(message)
+    frame, rest, repaired = take.frame, take.rest, take.repaired
+    if frame is None or rest is None or repaired is None:
+        raise ValueError(sentence("process.needs_frame"))
     order = list(frame.order)
-    return fit_shape(
-        frame.to_specimen(take.repaired.positions[:, order]),
-        take.repaired.flags[:, order],
-        [take.repaired.names[column] for column in order],
+    fit = fit_shape(
+        frame.to_specimen(repaired.positions[:, order]),
+        repaired.flags[:, order],
+        [repaired.names[column] for column in order],
         tracks.time,
         clamp_specimen=None if take.clamp is None else frame.to_specimen(take.clamp),
         rotation_lab_to_specimen=frame.rotation_lab_to_specimen,
@@ -186,8 +148,23 @@ def _fit_shape(
         ),
         terms=step.terms,
         tip=step.tip,
-        rest=take.rest,
+        rest=rest,
     )
+    findings = list(_shape_findings(fit.notes, take.role))
+    misfit, at_rest = rms(fit.residual), rms(fit.residual[rest])
+    if misfit > 3.0 * at_rest + 1e-5 and take.clamp is not None:
+        off, quiet = 1e3 * misfit, 1e3 * at_rest
+        findings.append(
+            Finding.of("process.shape_misfit", take.role, "displacement", off=off, quiet=quiet)
+        )
+    off, angle = 1e3 * misfit, float(np.degrees(fit.clamp_angle))
+    findings.append(Finding.of("process.shape_fit", take.role, off=off, angle=angle))
+    if take.clamp is not None:
+        signals = signals.with_new("deflection", _deflection(fit, rest, take))
+        stretch = tracks.time[rest]
+        at_rest_for = (float(stretch[0]), float(stretch[-1]))
+        signals = replace(signals, zeroed={**signals.zeroed, "deflection": at_rest_for})
+    return replace(prepared, signals=signals, shape=fit.shape), findings
 
 
 def _deflection(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
@@ -218,8 +195,7 @@ def _shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding
 
 def _require_markers(take: Take, settings: Markers | None) -> tuple[MarkerTracks, Markers]:
     if take.tracks is None or settings is None:
-        message = "expected a role with marker tracks and a block markers:"
-        raise ValueError(message)
+        raise ValueError(sentence("process.needs_markers"))
     return take.tracks, settings
 
 
@@ -230,24 +206,15 @@ def _find_clamp(
         return None, []
     body = tracks.body(settings.clamp)
     if body is None:
-        near_names = nearest(settings.clamp, [body.name for body in tracks.bodies])
-        message = error_text(
-            role,
-            "rigid bodies",
-            expected=f"the clamp {settings.clamp!r}",
-            found=", ".join(map(repr, near_names)) if near_names else "no rigid body in the take",
-            remedy="Name the body of the take in markers.clamp, or export the take with it.",
+        near = nearest(settings.clamp, [body.name for body in tracks.bodies])
+        found = ", ".join(map(repr, near)) or "no rigid body in the take"
+        raise ProcessingError.about(
+            "process.no_clamp", role, "rigid bodies", clamp=settings.clamp, found=found
         )
-        raise ProcessingError(message)
     if np.isnan(body.position).all():
-        message = error_text(
-            role,
-            f"rigid body {settings.clamp!r}",
-            expected="positions",
-            found="blanks in every frame",
-            remedy="Solve the body in Motive and export the take again.",
+        raise ProcessingError.about(
+            "process.clamp_never_seen", role, f"rigid body {settings.clamp!r}"
         )
-        raise ProcessingError(message)
     return _clamp_path(tracks, body, step, role)
 
 
@@ -260,9 +227,10 @@ def _clamp_path(
     path: Floats = np.where(stale[:, None], np.nan, body.position)
     findings: list[Finding] = []
     if stale.any():
-        message = f"{body.name} keeps its last pose for {int(stale.sum())} frames: treated as lost"
-        times = times_of(stale, tracks.time)
-        note = QualityNote("clamp_frozen", Severity.WARNING, body.name, message, times)
+        times, count = times_of(stale, tracks.time), int(stale.sum())
+        note = QualityNote.of(
+            "process.clamp_frozen", body.name, *times, body=body.name, count=count
+        )
         findings.append(doubtful_stretches("displacement", note, role))
     lost = np.isnan(path).any(axis=1)
     if not lost.any():
@@ -276,11 +244,15 @@ def _clamp_path(
     for axis in range(3):
         bridge_times, coordinates = tracks.time[bridged], path[seen_frames, axis]
         path[bridged, axis] = np.interp(bridge_times, tracks.time[seen_frames], coordinates)
-    message = (
-        f"{body.name} is lost in {int(lost.sum())} frames, {len(bridged)} of them bridged by "
-        f"linear interpolation (gaps up to {step.max_gap:g} s)"
+    note = QualityNote.of(
+        "process.clamp_lost",
+        body.name,
+        body=body.name,
+        lost=int(lost.sum()),
+        bridged=len(bridged),
+        gap=step.max_gap,
     )
-    return path, [*findings, warning("clamp_lost", body.name, message)]
+    return path, [*findings, Finding(note)]
 
 
 def _specimen_tracks(
@@ -294,8 +266,8 @@ def _specimen_tracks(
     candidates = [name for name in tracks.names if not name.startswith(prefixes)]
     other_bodies = sorted({name for name in bodies if name != settings.clamp})
     if other_bodies:
-        message = f"markers of {', '.join(other_bodies)} are not used; markers.along can name them"
-        findings.append(info_note("bodies_left_out", role, message))
+        listed = ", ".join(other_bodies)
+        findings.append(Finding.of("process.bodies_left_out", role, bodies=listed))
     if settings.along != "all":
         patterns = settings.along
         candidates = [
@@ -306,14 +278,10 @@ def _specimen_tracks(
         ]
     seen = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
     if len(seen) < 3:
-        message = error_text(
-            role,
-            "markers",
-            expected="at least 3 markers along the specimen",
-            found=f"{len(seen)}: {', '.join(seen) or 'none'}",
-            remedy="Check the take with `labpipe inspect`, and markers.along.",
+        names = ", ".join(seen) or "none"
+        raise ProcessingError.about(
+            "process.few_markers", role, "markers", count=len(seen), names=names
         )
-        raise ProcessingError(message)
     return candidates, findings
 
 
@@ -321,3 +289,170 @@ def rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN if there are none."""
     finite = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+
+
+_DRIFT = 1e-4 / sqrt(3.0)
+"""Standard uncertainty of the drift of the camera clock, which one turn does not show."""
+
+
+def bend_between_supports(
+    prepared: Prepared, step: ThreePointShape, protocol: Protocol
+) -> tuple[Prepared, list[Finding]]:
+    """Carry out ``three-point-shape``: the bent axis, and the signal ``mid_span``.
+
+    Parameters
+    ----------
+    prepared : with repaired tracks
+    step : of the protocol
+    protocol : with span and marker block
+
+    Returns
+    -------
+    The test with axis, shape and signal, or the reason why there are none.
+
+    Raises
+    ------
+    ValueError
+        If the markers were not repaired before.
+    """
+    take, settings = prepared.take, protocol.markers
+    tracks, repaired = take.tracks, take.repaired
+    if tracks is None or settings is None or repaired is None:
+        raise ValueError(sentence("process.needs_repair"))
+    span = protocol.specimen.span
+    if span is None:
+        return _without_span(prepared, Failure.of("process.no_span"))
+    rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
+    try:
+        sections = find_sections(repaired.positions, rest=rest, min_distance=step.section)
+        shape = fit_span(
+            sections,
+            span=span,
+            radius=settings.centre_offset,
+            facing=step.facing,
+            bent_most=_is_bent_most(sections),
+        )
+    except ValueError as error:
+        return _without_span(prepared, Failure("too_few_markers", str(error)))
+    bent = replace(
+        prepared,
+        signals=prepared.signals.with_new("mid_span", _mid_span(shape, tracks.time, rest, take)),
+        shape=_span_shape(sections, shape, tracks.time, repaired.flags),
+        span=SpanBend(shape, tracks.time, rest),
+    )
+    note = Finding.of(
+        "process.three_point_shape",
+        take.role,
+        count=sections.count,
+        around=int((shape.lever > 0.0).sum()),
+        noise=1e6 * shape.bent.noise,
+    )
+    return bent, [note]
+
+
+def _without_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[Finding]]:
+    note = QualityNote(reason.code, Severity.ERROR, "markers", reason.message)
+    return replace(prepared, span=reason), [Finding(note)]
+
+
+def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
+    deflection = shape.bent.deflection
+    at_rest = deflection[rest & np.isfinite(deflection)]
+    zero = float(np.sqrt(long_run_variance(at_rest, parameters=1) / len(at_rest)))
+    return replace(take.signal_of(time, deflection - at_rest.mean()), zero_error=zero)
+
+
+def _is_bent_most(sections: Sections) -> Flags:
+    """Flag frames with more than half of the largest deflection."""
+    moved = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
+    far = np.max(np.nan_to_num(moved), axis=1)
+    return np.asarray(far > 0.5 * far.max(), dtype=np.bool_)
+
+
+def _span_shape(
+    sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[np.uint8]
+) -> Shape:
+    """Make the shape: section centres as points, and a power series of the axis for figures."""
+    # Of the stored power series, which only the figure uses.
+    degree = 9
+    section_flags = flags[:, sections.columns]
+    is_finite = np.isfinite(shape.centres).all(axis=2)
+    of_section = np.stack(
+        [section_flags[:, sections.section == k].max(axis=1) for k in range(sections.count)], axis=1
+    )
+    x = sections.x - shape.mid_span
+    share = np.linspace(0.0, 1.0, 61)
+    drawn = x[0] + share * (x[-1] - x[0])
+    to_terms = np.linalg.pinv(np.vander(share, degree + 1, increasing=True))
+    height = shape.bent.y(drawn) @ to_terms.T
+    coefficients = np.zeros((len(time), 3, degree + 1))
+    coefficients[:, 0, :2] = [x[0], x[-1] - x[0]]
+    coefficients[:, 1] = height
+    coefficients[np.isnan(height).any(axis=1)] = np.nan
+    return Shape(
+        time=time,
+        positions=shape.centres,
+        names=tuple(f"section {number + 1}" for number in range(sections.count)),
+        flags=np.where(is_finite, of_section, PointFlag.MISSING).astype(np.uint8),
+        arc_length=x - x[0],
+        coefficients=coefficients,
+        length=float(x[-1] - x[0]),
+        rotation_lab_to_specimen=sections.rotation_lab_to_specimen,
+    )
+
+
+def align_cameras(
+    prepared: Prepared, motion: Signal, strokes: tuple[Stroke, ...], *, min_stroke: float
+) -> tuple[Prepared, dict[str, ClockFit], list[Finding]]:
+    """Fit the clock of the cameras to that of the motion, at the turns of mid-span.
+
+    Parameters
+    ----------
+    prepared : its ``mid_span`` is used
+    motion, strokes : the displacement
+    min_stroke : m, of the protocol
+
+    Returns
+    -------
+    The test with its shape on the clock of the motion, the clock of the cameras by name, findings.
+    """
+    # s on each side of a turn of mid-span.
+    window = 25.0
+    mid_span = prepared.signals.raw.get("mid_span")
+    if mid_span is None or mid_span.clock == motion.clock:
+        return prepared, {}, []
+    own_strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
+    turns = turning_points(motion, strokes, window=window)
+    camera_turns = turning_points(mid_span, own_strokes, window=window)
+    first = np.array([turn.middle for turn in turns if strokes[turn.stroke].sign > 0])
+    second = np.array([turn.middle for turn in camera_turns if own_strokes[turn.stroke].sign > 0])
+    pairs, _ = match_peaks(first, second)
+    if not len(pairs):
+        failure = Failure.of("process.no_camera_clock")
+        prepared, findings = _without_span(prepared, failure)
+        return prepared, {}, findings
+    errors = [turn.arrival.time_error for turn in camera_turns if own_strokes[turn.stroke].sign > 0]
+    fit = _camera_fit(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
+    shape = prepared.shape
+    if shape is not None:
+        shape = replace(shape, time=fit.to_marker_time(shape.time))
+    known_to = 1.96e3 * fit.offset_interval.standard_error
+    note = Finding.of("process.camera_clock", mid_span.clock, offset=fit.offset, known_to=known_to)
+    return replace(prepared, shape=shape), {mid_span.clock: fit}, [note]
+
+
+def _camera_fit(motion: Floats, cameras: Floats, errors: Floats) -> ClockFit:
+    weights = errors**-2.0
+    offset = float(np.average(cameras - motion, weights=weights))
+    error = float(np.hypot(weights.sum() ** -0.5, _DRIFT * np.average(motion, weights=weights)))
+    return ClockFit(
+        offset=offset,
+        drift=0.0,
+        offset_interval=Interval.normal_95(offset, error),
+        drift_interval=Interval.normal_95(0.0, _DRIFT),
+        residual=float(np.sqrt(np.mean((cameras - motion - offset) ** 2))),
+        event_times_motion=motion,
+        event_times_force=cameras,
+        event_errors=errors,
+        method="turns of mid-span and of the motion, drift taken as zero within a bound",
+    )

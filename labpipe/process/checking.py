@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, error_text, nearest
+from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, nearest
 from labpipe.process.calibrated_signals import Prepared, calibrate
 from labpipe.process.output_paths import files_below
 from labpipe.process.reading import join_exports, read_role
@@ -110,9 +110,7 @@ def _unusable(path: Path) -> str:
     found = "nothing of that name"
     if path.exists():
         found = "a folder without any" if path.is_dir() else "another file"
-    expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
-    remedy = f"`labpipe new` writes a {SHEET_NAME}."
-    return error_text(path, "", expected=expected, found=found, remedy=remedy)
+    return str(ProtocolError.about("process.nothing_to_check", path, found=found))
 
 
 def _loader_of(path: Path) -> Callable[[Path], object] | None:
@@ -137,10 +135,9 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
 def _check_protocol(path: Path, report: CheckReport) -> None:
     protocol = report.attempt(partial(load_protocol, path))
     if protocol is not None and protocol.name != path.stem:
-        expected, found = f"the name of the file, {path.stem!r}", repr(protocol.name)
-        remedy = "Change one of them."
-        text = error_text(path, "(name)", expected=expected, found=found, remedy=remedy)
-        report.faults.append(text)
+        file, name = path.stem, protocol.name
+        error = ProtocolError.about("process.other_name", path, "(name)", file=file, name=name)
+        report.faults.append(str(error))
 
 
 def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestSheet | None:
@@ -151,11 +148,9 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
     protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
     before = len(report.faults)
     if protocol is not None and (results := needs_span(protocol)):
-        expected = f"the distance of the supports (for {', '.join(results)})"
-        remedy = "Write it into the specimen, such as 'span: 152.4 mm'."
-        place = "specimen.span"
-        text = error_text(path, place, expected=expected, found="nothing", remedy=remedy)
-        report.faults.append(text)
+        listed = ", ".join(results)
+        error = ProtocolError.about("process.span_missing", path, "specimen.span", results=listed)
+        report.faults.append(str(error))
         before += 1
     missing = missing_exports(sheet, path)
     report.faults += str(missing).splitlines() if missing else []
@@ -224,20 +219,23 @@ def _marker_faults(
     """Find a clamp or markers that are missing in the take."""
     if tracks is None or markers is None:
         return
-    wanted = []
-    bodies = [body.name for body in tracks.bodies]
+    bodies, names = [body.name for body in tracks.bodies], list(tracks.names)
+    patterns = () if markers.along == "all" else markers.along
+    missing = [("markers", "markers.along", x) for x in patterns if not fnmatch.filter(names, x)]
     if markers.clamp is not None and markers.clamp not in bodies:
-        found = "no such body" if bodies else "no rigid bodies at all"
-        expected = "the rigid body that 'markers.clamp' names"
-        wanted.append((f"rigid body {markers.clamp!r}", expected, found, markers.clamp, bodies))
-    for pattern in () if markers.along == "all" else markers.along:
-        if not fnmatch.filter(tracks.names, pattern):
-            place, expected = f"markers {pattern!r}", "markers that 'markers.along' names"
-            wanted.append((place, expected, "none", pattern, list(tracks.names)))
-    for place, expected, found, name, names in wanted:
-        near = ", ".join(map(repr, nearest(name, names)))
-        remedy = f"Nearest: {near}." if near else "`labpipe inspect` shows what the file holds."
-        yield error_text(path, place, expected=expected, found=found, remedy=remedy)
+        missing.insert(0, ("rigid body", "markers.clamp", markers.clamp))
+    for kind, key, name in missing:
+        near = nearest(name, bodies if kind == "rigid body" else names)
+        yield str(
+            ReadError.about(
+                "process.marker_missing_in_take",
+                path,
+                f"{kind} {name!r}",
+                kind=kind,
+                key=key,
+                near=", ".join(map(repr, near)) or "none",
+            )
+        )
 
 
 def _shared_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
@@ -246,6 +244,7 @@ def _shared_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
     for path, sheet in sheets.items():
         first = seen.setdefault((path.resolve().parent.parent, sheet.test.casefold()), path)
         if first != path:
-            expected, found = "a name that no other test of the campaign has", repr(sheet.test)
-            remedy = f"{first} has it too: rename one of them."
-            yield error_text(path, "(test)", expected=expected, found=found, remedy=remedy)
+            name = sheet.test
+            yield str(
+                ProtocolError.about("process.name_taken", path, "(test)", name=name, first=first)
+            )

@@ -12,7 +12,6 @@ import numpy as np
 
 from labpipe.errors import in_test_sheet
 from labpipe.process.motion import (
-    MAX_CORNER_ERROR,
     Turn,
     check_turns,
     match_strokes,
@@ -30,7 +29,7 @@ from labpipe.protocol.schema import (
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, blocking, doubtful, info_note
+from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
 from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, rough_peaks
 from labpipe.signal.corners import Corner
@@ -95,16 +94,26 @@ def align_clocks(
     The fit, or None if there is none, and the findings.
     """
     if _is_constant(force):
-        level = float(np.nanmean(force.values))
-        message = f"the {align.channel} is constant at {level:.6g} {force.unit}"
-        return None, [blocking("constant_channel", align.channel, message)]
-    force = with_rising_force(force)
+        return None, [_constant(force, align.channel)]
+    force, findings = with_rising_force(force), list[Finding]()
     pairs, is_ambiguous, counted = match_strokes(motion, force, strokes, sign=1)
     events = turn_events(force, pairs, turns, align.force_window)
     if not events:
-        reason = _no_event_reason(force, len(pairs), counted)
-        return None, [blocking("no_common_peak", "align", reason)]
-    fit, findings = _fit_events(events, None), _ambiguous_finding(counted) if is_ambiguous else []
+        error = Finding.of(
+            "process.no_common_peak" if pairs else "process.no_pair_of_peaks",
+            "align",
+            blocks=True,
+            counted=counted,
+        )
+        return None, [error]
+    if is_ambiguous:
+        state = in_test_sheet("align", "{method: stated, offset: ...}")
+        findings.append(
+            Finding.of(
+                "process.alignment_ambiguous", "align", "clock", counted=counted, state=state
+            )
+        )
+    fit = _fit_events(events, None)
     if len(events) > 2 and not _has_relaxation(force, turns, fit):
         repeat, repeat_findings = _check_repeat(
             _measure_repeat(motion, strokes, turns, force, fit), fit
@@ -117,26 +126,16 @@ def _is_constant(force: Signal) -> bool:
     return not np.nanmax(force.values) > np.nanmin(force.values)
 
 
-def _ambiguous_finding(counted: str) -> list[Finding]:
-    message = (
-        "another pairing of the peaks may be right, because the records do not both hold the whole "
-        f"test ({counted}); if the offset is known, state it: "
-        f"{in_test_sheet('align', '{method: stated, offset: ...}')}"
+def _constant(force: Signal, channel: str) -> Finding:
+    level = float(np.nanmean(force.values))
+    return Finding.of(
+        "process.constant_channel",
+        channel,
+        blocks=True,
+        channel=channel,
+        level=level,
+        unit=force.unit,
     )
-    return [doubtful("alignment_ambiguous", "align", message, "clock")]
-
-
-def _no_event_reason(force: Signal, pairs: int, counted: str) -> str:
-    """Explain why no peak was found in both records."""
-    start = float(np.nanmean(force.values[: max(1, len(force.values) // 100)]))
-    if start - np.nanmin(force.values) > 2.0 * (np.nanmax(force.values) - start):
-        return "the force falls while the clamp loads: check the sign of calibration.gain"
-    if pairs:
-        return (
-            f"{pairs} peaks of the motion match peaks of the force, but the time of none is known "
-            f"to {MAX_CORNER_ERROR:g} s: noise or mains hum on the force?"
-        )
-    return f"{counted}, no pair"
 
 
 def _measure_repeat(
@@ -225,12 +224,8 @@ def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, 
     error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
     if abs(repeat.force - expected) <= max_lag_difference * error:
         return repeat, []
-    message = (
-        f"the force of the last cycle is {repeat.force:.3f} s later than that of the second, the "
-        f"turning points {expected:.3f} s: the cycles are not alike, so the clocks are joined by "
-        "the turning points alone"
-    )
-    return None, [info_note("cycles_not_alike", "align", message)]
+    later = repeat.force
+    return None, [Finding.of("process.cycles_not_alike", "align", later=later, expected=expected)]
 
 
 def _fit_events(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
@@ -268,22 +263,28 @@ def _check_fit(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
     chance_factor = 2.0
     chance = chance_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, chance):
-        message = (
-            f"the clocks agree to {1e3 * fit.residual:.3g} ms rms at the turning points, "
-            f"the protocol allows {1e3 * align.max_residual:.3g} ms"
+        yield Finding.of(
+            "process.alignment_residual",
+            "align",
+            "clock",
+            residual=1e3 * fit.residual,
+            allowed=1e3 * align.max_residual,
         )
-        yield doubtful("alignment_residual", "align", message, "clock")
     half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
     if abs(fit.drift) - half_width > align.max_drift:  # beyond its uncertainty
-        message = (
-            f"the clocks drift by {1e6 * fit.drift:.4g} ppm, known to {1e6 * half_width:.3g} ppm, "
-            f"the protocol allows {1e6 * align.max_drift:.4g} ppm"
-        )
         # clocks are accurate to parts per million: these may be recordings of two tests
-        yield doubtful("alignment_drift", "align", message, "clock", "displacement", "force")
+        yield Finding.of(
+            "process.alignment_drift",
+            "align",
+            "clock",
+            "displacement",
+            "force",
+            drift=1e6 * fit.drift,
+            half_width=1e6 * half_width,
+            allowed=1e6 * align.max_drift,
+        )
     if len(fit.event_times_motion) == 1:
-        message = "only one turning point is in both records: the drift is assumed to be zero"
-        yield doubtful("alignment_one_event", "align", message, "clock")
+        yield Finding.of("process.alignment_one_event", "align", "clock")
 
 
 def use_stated_clocks(
@@ -323,13 +324,15 @@ def use_stated_clocks(
         event_errors=np.full(1, error),
         method=f"stated: {align.because}",
     )
-    message = (
-        f"the offset of the clocks is stated, not measured: {align.offset:.6g} s, standard "
-        f"uncertainty {error:.3g} s"
-        f"{'' if align.uncertainty is not None else ' (one sample, as none is stated)'}, drift "
-        f"{1e6 * align.drift:.4g} ppm, because: {align.because}"
+    note = Finding.of(
+        "process.clocks_stated",
+        "align",
+        offset=align.offset,
+        error=error,
+        drift=1e6 * align.drift,
+        because=align.because,
+        assumed="" if align.uncertainty is not None else " (one sample, as none is stated)",
     )
-    note = info_note("clocks_stated", "align", message)
     return fit, [note, *_check_stated_offset(force, fit, motion, strokes)]
 
 
@@ -356,13 +359,8 @@ def _check_stated_offset(
     ]
     error = float(fit.event_errors[0])
     lag = median(np.array(lags)) if lags else 0.0
-    if lag <= max_peak_lag + lag_error_factor * error:
-        return
-    message = (
-        f"with the stated offset the force peaks {lag:.2f} s away from the turns of the "
-        "motion: check its sign (time of the force minus time of the motion) and the files"
-    )
-    yield doubtful("clocks_stated_wrong", "align", message, "clock", "force")
+    if lag > max_peak_lag + lag_error_factor * error:
+        yield Finding.of("process.clocks_stated_wrong", "align", "clock", "force", lag=lag)
 
 
 def fit_common_start(
@@ -394,11 +392,7 @@ def fit_common_start(
     """
     findings: list[Finding] = []
     if _is_constant(force):
-        message = (
-            f"the {align.channel} is constant at {float(np.nanmean(force.values)):.6g} "
-            f"{force.unit}: is it the right channel, and is the cell connected?"
-        )
-        findings.append(blocking("constant_channel", align.channel, message))
+        findings.append(_constant(force, align.channel))
     force = with_rising_force(force)
     pairs = _rough_turns(motion, force, strokes, align)
     events = turn_events(force, pairs, turns, align.force_window)
@@ -467,23 +461,16 @@ def _start_finding(
     *,
     together: bool,
 ) -> Finding:
+    channel, within = align.channel, 1e3 * align.max_offset
     if at_turn is None:
-        message = (
-            f"the {align.channel} shows no corner at a turn of the motion: the common start, "
-            f"within {1e3 * align.max_offset:.3g} ms, is used unchecked"
-        )
-        return info_note("start_unchecked", "align", message)
-    known_to_ms, size = 1.96e3 * at_turn[1], abs(at_turn[0])
-    size_text = f"{size:.2f} s" if size > 1.0 else f"{1e3 * size:.4g} ms"
-    start = (
-        f"the {align.channel} turns {size_text} "
-        f"{'after' if at_turn[0] >= 0.0 else 'before'} the motion, known to {known_to_ms:.2g} ms"
+        return Finding.of("process.start_unchecked", "align", channel=channel, within=within)
+    return Finding.of(
+        "process.common_start" if together else "process.not_started_together",
+        "align",
+        *(() if together else ("clock", "force")),
+        channel=channel,
+        later=1e3 * at_turn[0],
+        known_to=1.96e3 * at_turn[1],
+        within=within,
+        offset=1e3 * fit.offset,
     )
-    if together:
-        message = f"{start}; with the common start the offset is {1e3 * fit.offset:.4g} ms"
-        return info_note("common_start", "align", message)
-    message = (
-        f"{start}: the recorders did not start within {1e3 * align.max_offset:.3g} ms of each "
-        "other; the difference at the turn is used"
-    )
-    return doubtful("not_started_together", "align", message, "clock", "force")

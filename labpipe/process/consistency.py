@@ -1,4 +1,4 @@
-"""Check a record for contradictions: cycle against cycle, force against displacement.
+"""Check a record for contradictions: cycle against cycle, rest against rest, force against travel.
 
 Each check compares one statistic with one threshold. The thresholds are multiples of the maxima
 in real and simulated cyclic tests (docs/explanations/consistency.md), so that a clean record fails
@@ -10,20 +10,26 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 
 from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import LIMITS, Limits
-from labpipe.records.quality import Finding, doubtful
-from labpipe.results.reduced_test import sense_of_loading
+from labpipe.records.quality import Finding
+from labpipe.records.signals import Signals
+from labpipe.results.reduced_test import FailurePoint, sense_of_loading
+from labpipe.signal.rests_and_jumps import level_jumps
 from labpipe.signal.turning_points import noise_level
 
 COMPARED_POINTS = 40
 """Displacements of a branch at which cycles are compared."""
 MIN_BRANCH_SAMPLES = 5
 """Shorter branches are not compared."""
+REST_ERROR_FACTOR = 6.0
+"""Standard errors that a difference of levels must exceed."""
+MIN_REST_SAMPLES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,12 +41,12 @@ class Cycle:
     paths: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
 
-def check_consistency(where: str, curve: Curve, limits: Limits = LIMITS) -> Iterator[Finding]:
+def check_consistency(signals: Signals, curve: Curve, limits: Limits = LIMITS) -> Iterator[Finding]:
     """Compare the parts of a record.
 
     Parameters
     ----------
-    where : name of the force
+    signals : of the test, with the stretches of their zeros
     curve : of unfiltered force, with branches
     limits : of the lab
 
@@ -48,15 +54,21 @@ def check_consistency(where: str, curve: Curve, limits: Limits = LIMITS) -> Iter
     ------
     A finding for each failed check: which cycle, when, how much, and what is doubtful.
     """
+    where, largest = signals.force, float(np.nanmax(np.abs(curve.force), initial=0.0))
     if not curve.branches:
         return
-    largest = float(np.nanmax(np.abs(curve.force), initial=0.0))
-    cycles = list(_cycles(curve))
     yield from _check_repetition(where, curve)
+    yield from _check_displacement(signals.displacement, curve, largest)
     if largest > 0.0:
-        yield from _check_cycles(where, curve, cycles, largest, limits)
+        cycles = list(_cycles(curve))
+        yield from _check_rest_force(signals, curve, largest, limits.rest_force)
+        changes = list(_check_cycles(where, curve, cycles, largest, limits.cycle_change))
+        jumps = list(_check_force(where, curve))
+        is_level = any(change.code == "cycle_level" for change in changes)
+        yield from jumps or _check_drift(where, curve, limits.rest_force_drift, is_level=is_level)
+        yield from changes
         yield from _check_turns(where, curve, largest, limits)
-        yield from _check_energy(where, curve, cycles, limits)
+        yield from _check_energy(where, curve, cycles, limits.energy_gain)
         yield from _check_second_specimen(where, curve, cycles, limits)
 
 
@@ -93,8 +105,133 @@ def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     return tuple(np.interp(places, *path) for path in paths)
 
 
+def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
+    """Report a record with a long sequence of samples that occurs twice: rows were copied."""
+    min_repeated = 40
+    max_samples = 200_000  # longer records have not been edited in a spreadsheet
+    force, displacement = curve.force, curve.displacement
+    if not 4 * min_repeated <= len(force) <= max_samples:
+        return
+    rows = np.stack([force[:-1], force[1:], displacement[:-1], displacement[1:]])
+    keys = np.array([1.0, np.e, np.pi, np.sqrt(2.0)]) @ rows  # equal for equal rows
+    order = np.argsort(keys, kind="stable")
+    lags = np.diff(order)[np.diff(keys[order]) == 0.0]
+    if len(lags) < min_repeated:
+        return
+    lag = int(np.argmax(np.bincount(np.abs(lags))))
+    same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
+    for start, stop in stretches_of(same):
+        if len(np.unique(force[start:stop])) >= min_repeated:
+            at, count = _at(curve, start), stop - start
+            quantities = "force", "displacement"
+            yield Finding.of(
+                "process.samples_repeated", where, *quantities, count=count, at=at, lag=lag
+            )
+            return
+
+
+def _check_displacement(where: str, curve: Curve, largest: float) -> Iterator[Finding]:
+    """Report jumps of the displacement that no break explains."""
+    break_share = 0.3  # fall of the force at a break, share of the largest force
+    jumps = level_jumps(curve.time, curve.displacement)
+    falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
+    if not jumps or (len(jumps) == 1 and falls[0] > break_share * largest):
+        return
+    sample, size = max(jumps, key=lambda jump: abs(jump[1]))
+    mm, at, count = 1e3 * size, _at(curve, sample), len(jumps)
+    quantities = "displacement", "force"
+    yield Finding.of("process.zero_jump", where, *quantities, mm=mm, at=at, count=count)
+
+
+def _check_force(where: str, curve: Curve) -> Iterator[Finding]:
+    """Report a jump of the force up in a loading, or in an unloading, as no specimen makes."""
+    turn_reach, max_jumps = 3, 2  # samples beside a turn; more jumps are of the specimen
+    sense = _sense(curve, curve.branches[0])
+    jumps = level_jumps(curve.time, curve.force)
+    for sample, size in jumps if len(jumps) <= max_jumps else ():
+        for branch in curve.branches:
+            is_odd = branch.direction is Direction.UNLOADING or sense * size > 0.0
+            if is_odd and branch.start + turn_reach < sample < branch.stop - turn_reach:
+                during, at = (float(curve.time[sample]), float(curve.time[-1])), _at(curve, sample)
+                yield Finding.of(
+                    "process.force_jump", where, "force", during=during, size=size, at=at
+                )
+                return
+
+
+def _check_rest_force(
+    signals: Signals, curve: Curve, largest: float, share: float
+) -> Iterator[Finding]:
+    """Report the force before the motion if no step zeroes it."""
+    min_samples, min_share = 8, 1e-4  # share of the largest force
+    name, before = signals.force, _finite(curve.force[: curve.branches[0].start])
+    if name in signals.zeroed or name in signals.lined or len(before) < min_samples:
+        return
+    level, error = median(before), noise_level(curve.force) / sqrt(len(before))
+    if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * largest):
+        return
+    part = abs(level) / largest
+    if part > max(share, 2.0 * signals.raw[name].zero_drift):
+        yield Finding.of("process.rest_force_doubtful", name, "force", level=level, share=part)
+    else:
+        yield Finding.of("process.rest_force", name, level=level, share=part)
+
+
+def _check_drift(where: str, curve: Curve, share: float, *, is_level: bool) -> Iterator[Finding]:
+    """Compare the force at rest before and after a test that returns to its first position.
+
+    A specimen with friction or permanent set pushes back after unloading, so that a force against
+    the sense of loading is a drift only if the level also changes between cycles (`is_level`).
+    """
+    return_share = 0.02  # largest distance from the first position, share of the stroke
+    first, last = curve.branches[0], curve.branches[-1]
+    before, after = _finite(curve.force[: first.start]), _finite(curve.force[last.stop :])
+    distance = abs(curve.displacement[last.stop - 1] - curve.displacement[first.start])
+    has_returned = last.direction is Direction.UNLOADING and distance <= return_share * np.ptp(
+        _finite(curve.displacement)
+    )
+    if not has_returned or min(len(before), len(after)) < MIN_REST_SAMPLES:
+        return
+    part, level = curve.force[first.start : last.stop], median(before)
+    end = median(after[-len(before) :])  # the end of a long rest, because specimens relax
+    largest = float(np.nanmax(np.abs(part - level)))
+    error = noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
+    change = sense_of_loading(part) * (end - level)
+    if (abs(change) if is_level else change) >= max(share * largest, REST_ERROR_FACTOR * error):
+        yield Finding.of(
+            "process.zero_drift", where, "force", level=level, end=end, share=abs(change) / largest
+        )
+
+
+def check_break(
+    where: str, curve: Curve, failure: object, limits: Limits = LIMITS
+) -> Iterator[Finding]:
+    """Report a force below zero after the specimen broke.
+
+    Parameters
+    ----------
+    where : name of the force
+    curve, failure : of the test. Remains of a specimen may carry a small force, so that a force
+        above zero is allowed, and so is a rebound of a few samples
+    limits : of the lab
+    """
+    min_tail_samples = 10  # fewer may be a rebound
+    if not isinstance(failure, FailurePoint):
+        return
+    after = _finite(curve.force[failure.sample + 1 :])
+    if len(after) < min_tail_samples:
+        return
+    level, largest = median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
+    error = noise_level(curve.force) * sqrt(2.0 / len(after))
+    below = -sense_of_loading(curve.force[: failure.sample + 1]) * level
+    if below >= max(limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
+        yield Finding.of(
+            "process.zero_drift_after_break", where, "force", level=level, share=below / largest
+        )
+
+
 def _check_cycles(
-    where: str, curve: Curve, cycles: list[Cycle], largest: float, limits: Limits
+    where: str, curve: Curve, cycles: list[Cycle], largest: float, least: float
 ) -> Iterator[Finding]:
     """Report changes of scale or level that are the same over a whole cycle.
 
@@ -103,25 +240,29 @@ def _check_cycles(
     from all others.
     """
     for before, after in pairwise(cycles):
-        change = _instrument_change(before, after, largest, limits.cycle_change)
+        change = _instrument_change(before, after, largest, least)
         if change is None:
             continue
-        is_level, what, remedy = change
-        message = (
-            f"from cycle {after.loading.cycle} on ({_at(curve, after.loading.start)}) {what}, in "
-            f"loading and unloading alike, which no specimen causes: {remedy}"
+        kind, size = change
+        yield Finding.of(
+            "process.cycle_level"
+            if kind == "level"
+            else "process.cycle_scale"
+            if kind == "scale"
+            else "process.cycle_travel",
+            where,
+            *(("force",) if kind == "level" else ("force", "displacement")),
+            during=(float(curve.time[before.unloading.stop - 1]), float(curve.time[-1])),
+            cycle=after.loading.cycle,
+            at=_at(curve, after.loading.start),
+            size=size,
         )
-        during = (float(curve.time[before.unloading.stop - 1]), float(curve.time[-1]))
-        if is_level:
-            yield doubtful("cycle_level", where, message, "force", during=during)
-        else:
-            yield doubtful("cycle_scale", where, message, "force", "displacement", during=during)
 
 
 def _instrument_change(
     before: Cycle, after: Cycle, largest: float, least: float
-) -> tuple[bool, str, str] | None:
-    """Return whether the level (or else the scale) changed, a description, and a remedy."""
+) -> tuple[str, float] | None:
+    """Return what changed from one cycle to the next, level (N), scale or travel, and how much."""
     # Misfit of two cycles as recorded, over the misfit after a change of scale or level. It is at
     # most 2.0 in 246 pairs of real and simulated cycles, where the material changes the shape of
     # the curve.
@@ -140,85 +281,73 @@ def _instrument_change(
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
         misfit, level_misfit = _rms(second - scale * first), _rms(second - level - first)
         if misfit < level_misfit and abs(scale - 1.0) > least and recorded > scale_ratio * misfit:
-            description = (
-                f"the force over displacement is {scale:.4g} times that of the cycle before"
-            )
-            return False, description, "check for a change of range, gain or encoder"
+            return "scale", scale
         if abs(level) > least * largest and recorded > level_ratio * level_misfit:
-            description = f"the force is {level:+.4g} N off that of the cycle before"
-            return True, description, "check for a new zero of the load cell"
+            return "level", level
     first_back, back = before.paths[1], after.paths[1]
     stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
     scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
     misfit = _rms(scaled[1] - scaled[0]) if scaled else np.inf
     recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
-    if abs(stretch - 1.0) < least or recorded < min_scale_ratio * misfit:
-        return None
-    description = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
-    return False, description, "check for a change of the encoder or its scale"
+    is_stretched = abs(stretch - 1.0) >= least and recorded >= min_scale_ratio * misfit
+    return ("travel", float(stretch)) if is_stretched else None
 
 
 def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
     """Report a force that still grows after the motion has turned: it is late, or has jumped."""
     noise_factor = 8.0
-    sense = sense_of_loading(curve.force[curve.branches[0].start : curve.branches[0].stop])
+    sense = _sense(curve, curve.branches[0])
     min_growth = noise_factor * noise_level(curve.force)
     growths = []
     for before, after in pairwise(curve.branches):
         if before.direction is after.direction:
             continue
-        sense_of_branch = sense if before.direction is Direction.LOADING else -sense
-        ends = [_tenth(curve, before, at_end=True), _tenth(curve, after, at_end=False)]
-        width = max(1, min(map(len, ends)) // 10)
-        if min(map(len, ends)) >= 3:
-            last, first = (float(_means(sense_of_branch * end, width).max()) for end in ends)
-            step = max(0.0, sense_of_branch * float(ends[0][-1] - ends[0][0])) / (len(ends[0]) - 1)
+        up = sense if before.direction is Direction.LOADING else -sense
+        tenths = [max(3, (branch.stop - branch.start) // 10) for branch in (before, after)]
+        end = up * _finite(curve.force[max(before.start, before.stop - tenths[0]) : before.stop])
+        begin = up * _finite(curve.force[after.start : min(after.stop, after.start + tenths[1])])
+        width = max(1, min(len(end), len(begin)) // 10)
+        if min(len(end), len(begin)) >= 3:
+            last, first = (
+                float(np.convolve(part, np.ones(width) / width, "valid").max())
+                for part in (end, begin)
+            )
+            step = max(0.0, float(end[-1] - end[0])) / (len(end) - 1)
             growths.append((after, first - last - step))  # the turn is between two samples
     if not growths:
         return
-    usual_growth = median(np.array([growth for _, growth in growths]))
-    if usual_growth > max(limits.force_lag * largest, min_growth):
-        message = (
-            f"the force grows by {usual_growth:.3g} N ({usual_growth / largest:.1%} of the peak) "
-            "after the turns of the motion: force and displacement are not synchronous"
-        )
-        yield doubtful("force_late", where, message, "clock")
-        return
+    usual = median(np.array([growth for _, growth in growths]))
     branch, growth = max(growths, key=lambda turn: turn[1])
-    if growth > max(limits.turn_jump * largest, min_growth):
-        message = (
-            f"the force jumps by {growth:.4g} N where the motion turns at "
-            f"{_at(curve, branch.start)} (cycle {branch.cycle}), in the wrong direction: check the "
-            "cable and the tare of the load cell"
+    if usual > max(limits.force_lag * largest, min_growth):
+        yield Finding.of("process.force_late", where, "clock", growth=usual, share=usual / largest)
+    elif growth > max(limits.turn_jump * largest, min_growth):
+        during = float(curve.time[branch.start]), float(curve.time[-1])
+        at, cycle = _at(curve, branch.start), branch.cycle
+        yield Finding.of(
+            "process.turn_jump", where, "force", during=during, growth=growth, at=at, cycle=cycle
         )
-        during = (float(curve.time[branch.start]), float(curve.time[-1]))
-        yield doubtful("turn_jump", where, message, "force", during=during)
 
 
-def _check_energy(
-    where: str, curve: Curve, cycles: list[Cycle], limits: Limits
-) -> Iterator[Finding]:
+def _check_energy(where: str, curve: Curve, cycles: list[Cycle], most: float) -> Iterator[Finding]:
     """Report cycles whose specimen gives back more energy than was put into it."""
     gains = []
     for cycle in cycles:
         forces = _common(*cycle.paths)
-        sense = sense_of_loading(curve.force[cycle.loading.start : cycle.loading.stop])
+        sense = _sense(curve, cycle.loading)
         put_in = float(np.mean(np.abs(forces[0]))) if forces else 0.0
         loss = sense * float(np.mean(forces[0] - forces[1])) / put_in if put_in else 0.0
-        if loss < -limits.energy_gain:
+        if loss < -most:
             gains.append((cycle, -loss))
     # in most cycles: the columns may be exchanged, or the record reversed
     touches_all = len(gains) > len(cycles) / 2
+    quantities = ("force", "displacement", "clock") if touches_all else ("force",)
     for cycle, gain in gains[:1] if touches_all else gains:
-        message = (
-            f"in cycle {cycle.loading.cycle} the specimen gives back {gain:.0%} more energy than "
-            "was put into it: the record runs backwards, columns are exchanged, or the force is "
-            "late or frozen"
-        )
-        quantities = ("force", "displacement", "clock") if touches_all else ("force",)
         inner = curve.time[[cycle.loading.start + 1, cycle.unloading.stop - 2]]
         during = None if touches_all else (float(inner[0]), float(inner[1]))
-        yield doubtful("energy_gained", where, message, *quantities, during=during)
+        number = cycle.loading.cycle
+        yield Finding.of(
+            "process.energy_gained", where, *quantities, during=during, cycle=number, gain=gain
+        )
 
 
 def _check_second_specimen(
@@ -227,61 +356,33 @@ def _check_second_specimen(
     """Report a record that goes on with another specimen after the first one broke."""
     unloading_quantile = 0.8  # below it, a broken specimen carries no force on the way back
     for before in cycles:
-        later = [branch for branch in curve.branches if branch.start >= before.unloading.stop]
-        if not later or later[0].stop - later[0].start < MIN_BRANCH_SAMPLES:
-            continue
-        forces = _common(*before.paths, _path(curve, later[0]))
+        later = [branch for branch in curve.branches if branch.start >= before.unloading.stop][:1]
+        forces = _common(*before.paths, _path(curve, later[0])) if later else ()
         if not forces:
             continue
         first, back, second = (
             float(np.quantile(np.abs(force), unloading_quantile)) for force in forces
         )
         if back < limits.broken_force * first and second > limits.second_loading * first:
-            message = (
-                f"the specimen is broken at the end of cycle {before.loading.cycle} (it carries "
-                f"{back:.3g} N in unloading), but cycle {later[0].cycle} carries "
-                f"{second:.4g} N: a second specimen in one record? Export them separately"
+            yield Finding.of(
+                "process.second_specimen",
+                where,
+                "force",
+                "displacement",
+                cycle=before.loading.cycle,
+                back=back,
+                later=later[0].cycle,
+                second=second,
             )
-            yield doubtful("second_specimen", where, message, "force", "displacement")
             return
 
 
-def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
-    """Report a record with a long sequence of samples that occurs twice: rows were copied."""
-    min_repeated = 40
-    max_samples = 200_000  # longer records have not been edited in a spreadsheet
-    force, displacement = curve.force, curve.displacement
-    if not 4 * min_repeated <= len(force) <= max_samples:
-        return
-    rows = np.stack([force[:-1], force[1:], displacement[:-1], displacement[1:]])
-    keys = np.array([1.0, np.e, np.pi, np.sqrt(2.0)]) @ rows  # equal for equal rows
-    order = np.argsort(keys, kind="stable")
-    lags = np.diff(order)[np.diff(keys[order]) == 0.0]
-    if len(lags) < min_repeated:
-        return
-    lag = int(np.argmax(np.bincount(np.abs(lags))))
-    same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
-    runs = [run for run in stretches_of(same) if len(np.unique(force[slice(*run)])) >= min_repeated]
-    if runs:
-        start, stop = runs[0]
-        message = (
-            f"{stop - start} samples from {_at(curve, start)} on occur again, {lag} samples later: "
-            "were rows copied? Export the recording again"
-        )
-        yield doubtful("samples_repeated", where, message, "force", "displacement")
+def _sense(curve: Curve, branch: Branch) -> float:
+    return sense_of_loading(curve.force[branch.start : branch.stop])
 
 
-def _tenth(curve: Curve, branch: Branch, *, at_end: bool) -> Floats:
-    size = max(3, (branch.stop - branch.start) // 10)
-    part = slice(max(branch.start, branch.stop - size), branch.stop)
-    if not at_end:
-        part = slice(branch.start, min(branch.stop, branch.start + size))
-    values = curve.force[part]
+def _finite(values: Floats) -> Floats:
     return values[~np.isnan(values)]
-
-
-def _means(values: Floats, width: int) -> Floats:
-    return np.convolve(values, np.ones(width) / width, "valid")
 
 
 def _rms(values: Floats) -> float:

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, error_text
+from labpipe.errors import ProcessingError
 from labpipe.process.motion import Motion
 from labpipe.protocol.schema import CurveBlock, MachineCompliance
 from labpipe.protocol.schema import Slack as SlackBlock
@@ -21,7 +21,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
 from labpipe.records.estimates import Failure, or_failure
-from labpipe.records.quality import Finding, blocking, doubtful, info_note, warning
+from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
 from labpipe.results.failures import (
@@ -74,12 +74,16 @@ def build_curve(
     time = displacement.time
     force = test.clocks.sampled(unfiltered, time)  # filtered after its corners are known
     if np.isnan(force).all():
-        force_time = test.force.time
-        message = (
-            f"force from {force_time[0]:.3f} s to {force_time[-1]:.3f} s and motion from "
-            f"{time[0]:.3f} s to {time[-1]:.3f} s do not overlap"
+        note = Finding.of(
+            "process.no_overlap",
+            "align",
+            blocks=True,
+            force=test.force.time[0],
+            force_end=test.force.time[-1],
+            motion=time[0],
+            motion_end=time[-1],
         )
-        return None, [blocking("no_overlap", "align", message)]
+        return None, [note]
     moved = tuple(_branch_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
     branch, cycle = branch_numbers(len(time), moved)
     return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
@@ -126,11 +130,7 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
         test, more_findings = _subtract_slack(test, block.slack)
         findings += more_findings
     # Reported last, because slack shifts the origin of the displacement.
-    where = test.signals.force
-    return test, [
-        *findings,
-        *(warning(f"slip_{x.decision}", where, _slip_message(x)) for x in test.slips),
-    ]
+    return test, [*findings, *(_slip_note(test.signals.force, slip) for slip in test.slips)]
 
 
 def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
@@ -148,14 +148,15 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     outliers = find_spikes(signal.values)
     if not len(outliers):
         return signal, []
-    first = int(outliers[0])
-    place_text = f"at {signal.time[first]:.3f} s" if signal.has_time else f"in sample {first + 1}"
-    message = (
-        f"{len(outliers)} outliers of the force, the first {signal.values[first]:.4g} N "
-        f"{place_text}: replaced by interpolation"
+    sample = int(outliers[0])
+    note = Finding.of(
+        "process.stray_samples",
+        signals.force,
+        count=len(outliers),
+        first=float(signal.values[sample]),
+        place=f"at {signal.time[sample]:.3f} s" if signal.has_time else f"in sample {sample + 1}",
     )
-    bridge = replace(signal, values=bridge_spikes(signal.values, outliers))
-    return bridge, [warning("stray_samples", signals.force, message)]
+    return replace(signal, values=bridge_spikes(signal.values, outliers)), [note]
 
 
 def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Corrected:
@@ -171,11 +172,9 @@ def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Co
         other = curve.displacement - higher * curve.force
         signal = replace(signal, moved={**signal.moved, COMPLIANCE: other})
     largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
-    message = (
-        f"{1e6 * value:.4g} um/N x force subtracted from the displacement, at most {largest:.4g} um"
-    )
-    corrected = replace(_with_displacement(test, curve, signal), compliance=value)
-    return corrected, [info_note("compliance_removed", test.signals.displacement, message)]
+    where, size = test.signals.displacement, 1e6 * value
+    note = Finding.of("process.compliance_removed", where, size=size, largest=largest)
+    return replace(_with_displacement(test, curve, signal), compliance=value), [note]
 
 
 def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value: float) -> None:
@@ -190,10 +189,10 @@ def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value:
         return
     travel = float(curve.displacement[top] - curve.displacement[branch.start])
     pull = float(curve.force[top] - curve.force[branch.start])
-    expected = f"a compliance below that of this test, {1e6 * travel / pull:.4g} um/N in loading"
-    found = f"{1e6 * value:.4g} um/N, with which the specimen would get shorter"
-    remedy, place = "Check its unit, and the test of the stiff bar.", "curve.compliance"
-    raise ProcessingError(error_text(place, "", expected=expected, found=found, remedy=remedy))
+    most, stated = 1e6 * travel / pull, 1e6 * value
+    raise ProcessingError.about(
+        "process.too_compliant", "curve.compliance", most=most, stated=stated
+    )
 
 
 def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | None:
@@ -286,7 +285,9 @@ def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
     displacement, force = curve.displacement[stretch], curve.force[stretch]
     outcome = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
     if isinstance(outcome, Failure):
-        return test, [warning("slips_not_looked_for", test.signals.force, outcome.message)]
+        reason = outcome.message
+        note = Finding.of("process.slips_not_looked_for", test.signals.force, reason=reason)
+        return test, [note]
     slips = tuple(
         replace(slip, start=slip.start + stretch.start, stop=slip.stop + stretch.start)
         for slip in outcome
@@ -297,16 +298,16 @@ def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
     return _cut_at_slip(test, curve) if slips and decision is SlipDecision.CUT else test, []
 
 
-def _slip_message(slip: Slip) -> str:
-    treatments = {
-        SlipDecision.MARKED: "the curve stays as measured",
-        SlipDecision.REPAIRED: "added back to the rest of the curve",
-        SlipDecision.CUT: "the curve ends before it",
-    }
-    where = f"{1e3 * slip.position:.4g} mm"
-    return (
-        f"the force falls suddenly by {slip.drop:.3g} N at {where}, as if the specimen slipped in "
-        f"the grips: {treatments[slip.decision]}"
+def _slip_note(where: str, slip: Slip) -> Finding:
+    return Finding.of(
+        "process.slip_marked"
+        if slip.decision is SlipDecision.MARKED
+        else "process.slip_repaired"
+        if slip.decision is SlipDecision.REPAIRED
+        else "process.slip_cut",
+        where,
+        drop=slip.drop,
+        position=1e3 * slip.position,
     )
 
 
@@ -346,18 +347,21 @@ def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
     slack = measure_slack(test, decide)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
-        if slack.code == "no_toe":
-            return test, [warning("no_toe", where, slack.message)]
-        message = f"slack not found, so not subtracted ({slack.message})"
-        return test, [doubtful("slack_unknown", where, message, "displacement")]
+        is_steep = slack.code == "no_toe"
+        note = Finding.of(
+            "process.no_toe" if is_steep else "process.slack_unknown",
+            where,
+            *(() if is_steep else ("displacement",)),
+            reason=slack.message,
+        )
+        return test, [note]
     offset = slack.value
     corrected = replace(
         _with_displacement(test, curve, test.displacement.changed(lambda values: values - offset)),
         replicates=test.replicates and counted_from_taut(test.replicates, decide, slack),
         slips=tuple(_shift_slip(slip, offset) for slip in test.slips),
     )
-    message = f"{1e3 * offset:.4g} mm of slack subtracted from the displacement"
-    return corrected, [info_note("slack_removed", where, message)]
+    return corrected, [Finding.of("process.slack_removed", where, slack=1e3 * offset)]
 
 
 def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
@@ -379,16 +383,12 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
         return measured
     slack, trace = measured[0], traced(test)
     if np.isnan(slack.off).mean() > max_falling_share:
-        message = "with noise of this size the force may not rise in the linear region"
-        return Failure("not_rising", message)
+        return Failure.of("process.not_rising")
     start = loading_of(trace).start
     first, load = float(trace.displacement[start]), float(trace.force[start])
     if slack.value < first and not _preload_explains(slack, decide, trace, start):
-        return Failure(
-            "no_toe",
-            f"the line meets zero force at {1e3 * slack.value:.4g} mm, before the first sample at "
-            f"{1e3 * first:.4g} mm and {load:.4g} N: the curve is steepest at its beginning",
-        )
+        zero, first = 1e3 * slack.value, 1e3 * first
+        return Failure.of("process.steepest_at_begin", zero=zero, first=first, load=load)
     return slack
 
 

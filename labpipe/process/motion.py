@@ -5,19 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeAlias
 
 import numpy as np
 
 from labpipe.protocol.schema import Branches
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch
-from labpipe.records.quality import (
-    Finding,
-    blocking,
-    doubtful,
-)
-from labpipe.records.signals import Clocks, Signal, Stretch
+from labpipe.records.quality import Doubt, Finding
+from labpipe.records.signals import Clocks, Signal
 from labpipe.signal.clock_alignment import match_peaks, rough_peaks
 from labpipe.signal.corners import Corner, fit_corner, fit_stop
 from labpipe.signal.reversals import Reversal, fit_reversal
@@ -48,16 +43,17 @@ def strokes_of(motion: Signal, block: Branches) -> tuple[tuple[Stroke, ...], lis
     noise_factor = 5.0
     min_stroke, noise = block.min_stroke, noise_level(motion.values)
     strokes = find_strokes(motion.time, motion.values, min_stroke=min_stroke)
+    where = block.channel
     if noise_factor * noise > min_stroke:
-        message = (
-            f"the noise of the motion is {1e3 * noise:.3g} mm, too much to distinguish strokes of "
-            f"min_stroke, {1e3 * min_stroke:.3g} mm: is it the right channel?"
-        )
-        return (), [blocking("no_motion", block.channel, message)]
+        noise, min_stroke = 1e3 * noise, 1e3 * min_stroke
+        return (), [
+            Finding.of(
+                "process.motion_is_noise", where, blocks=True, noise=noise, min_stroke=min_stroke
+            )
+        ]
     if not strokes:
-        span = float(np.nanmax(motion.values) - np.nanmin(motion.values))
-        message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
-        return (), [blocking("no_motion", block.channel, message)]
+        span = 1e3 * float(np.nanmax(motion.values) - np.nanmin(motion.values))
+        return (), [Finding.of("process.no_motion", where, blocks=True, span=span)]
     return strokes, []
 
 
@@ -231,33 +227,26 @@ def check_turns(
         if number not in seen_turns:
             turn_time = float(motion.time[before.stop])
             earlier, later = seen_times[seen_times < turn_time], seen_times[seen_times > turn_time]
-            yield doubtful(
-                "turn_not_seen",
-                "travel",
-                f"the turn of the motion near {turn_time:.2f} s was not recorded",
-                "displacement",
-                "force",
-                *clock,
-                during=(
-                    float(earlier[-1] if len(earlier) else turn_time),
-                    float(later[0] if len(later) else turn_time),
-                ),
-                clock=motion.clock,
+            quantities = "displacement", "force", *clock
+            during = (
+                float(earlier[-1] if len(earlier) else turn_time),
+                float(later[0] if len(later) else turn_time),
             )
-    rounded = [corner for turn in turns for corner in _rounded_corners(motion, turn)]
-    rounded += _uncertain_waits(motion, [turn for turn in turns if turn.dwell > 0.0])
-    for stretch, message in rounded:
-        where, code = "travel", "turn_rounded"
-        yield doubtful(code, where, message, "displacement", during=stretch, clock=motion.clock)
+            yield Finding.of(
+                "process.turn_not_seen",
+                "travel",
+                *quantities,
+                during=during,
+                clock=motion.clock,
+                time=turn_time,
+            )
+    for finding in (corner for turn in turns for corner in _rounded_corners(motion, turn)):
+        yield finding
         if for_clock:
-            yield doubtful(code, where, message, "clock")
+            yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
 
 
-Rounded: TypeAlias = tuple[Stretch, str]
-"""Times at which a motion rounds a corner, and the message."""
-
-
-def _rounded_corners(motion: Signal, turn: Turn) -> Iterator[Rounded]:
+def _rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
     """Find turns at which the machine rounds the corner."""
     noise, speeds = noise_level(motion.values), _speeds(motion, turn)
     for width in CORNER_WIDTHS:
@@ -269,63 +258,19 @@ def _rounded_corners(motion: Signal, turn: Turn) -> Iterator[Rounded]:
             limit = 6.0 * noise / np.sqrt(len(deviations)) + MAX_CORNER_CUT
         else:
             cut = float(np.sqrt(np.mean(deviations**2)))
-            limit = float(
-                np.hypot(
-                    noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(deviations))),
-                    2.0 * MAX_CORNER_CUT,
-                )
-            )
+            scatter = noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(deviations)))
+            limit = np.hypot(scatter, 2.0 * MAX_CORNER_CUT)
         if cut > limit:
-            message = (
-                f"the travel rounds the corner at {turn.middle:.2f} s by {1e6 * cut:.0f} um: the "
-                "machine slows down or waits there, so that the time of the turn is less certain "
-                "than stated"
+            yield Finding.of(
+                "process.turn_rounded",
+                "travel",
+                "displacement",
+                during=(turn.arrival.time - width, turn.departure.time + width),
+                clock=motion.clock,
+                time=turn.middle,
+                cut=1e6 * cut,
             )
-            yield _around(turn, width), message
             return
-
-
-def _uncertain_waits(motion: Signal, turns: list[Turn]) -> list[Rounded]:
-    """Find short waits that a uniform deceleration explains as well."""
-    # Chi-square difference above which the machine waits.
-    min_chi_square_gain = 9.0
-    if not turns or sum(_wait_evidence(motion, turn) for turn in turns) > min_chi_square_gain:
-        return []
-    dwell = median(np.array([turn.dwell for turn in turns]))
-    message = (
-        f"the machine waits for {dwell:.2f} s at its turns, or decelerates for longer: the travel "
-        "does not show which, so that the time of the turn is less certain than stated"
-    )
-    return [(_around(turn, CORNER_WIDTHS[0]), message) for turn in turns]
-
-
-def _around(turn: Turn, width: float) -> Stretch:
-    return turn.arrival.time - width, turn.departure.time + width
-
-
-def _wait_evidence(motion: Signal, turn: Turn) -> float:
-    """Return the chi-square of a uniform deceleration minus that of a wait.
-
-    A motion with uniform deceleration is a parabola that touches the lines before and after at
-    equal times from their intersection; this time is fitted.
-    """
-    # Half lengths of the slow-down that are tried, as shares of the wait.
-    half_length_range, half_length_count = (0.4, 1.5), 23
-    first, last = _speeds(motion, turn)
-    met = (first * turn.arrival.time - last * turn.departure.time) / (first - last)
-    near = (np.abs(motion.time - met) <= half_length_range[1] * turn.dwell) & ~np.isnan(
-        motion.values
-    )
-    since = motion.time[near] - met
-    deviations = motion.values[near] - turn.arrival.value - first * (met - turn.arrival.time)
-    deviations -= np.where(since < 0.0, first, last) * since
-    waited = first * (turn.arrival.time - met) + np.where(since < 0.0, -first, -last) * since
-    waits = np.minimum(waited, 0.0) if first > 0.0 else np.maximum(waited, 0.0)
-    halves = np.linspace(*half_length_range, half_length_count)[:, None] * turn.dwell
-    slow = (last - first) / (4.0 * halves) * np.maximum(halves - np.abs(since), 0.0) ** 2
-    best = float(((deviations - slow) ** 2).sum(axis=1).min())
-    noise = max(noise_level(motion.values), 1e-3 * MAX_CORNER_CUT)
-    return (best - float(((deviations - waits) ** 2).sum())) / noise**2
 
 
 def _corner_deviations(

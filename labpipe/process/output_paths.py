@@ -6,7 +6,7 @@ import os
 from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 
-from labpipe.errors import UsageError, error_text
+from labpipe.errors import UsageError
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.records.result import TestResult
@@ -52,16 +52,11 @@ def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
     for file, recording in recordings:
         original = first.setdefault(recording, file)
         if original != file:
-            expected = "each recording once"
-            found = f"the same exports, byte for byte, as in {original}"
-            remedy = "Check `files` in both test sheets, or leave the copy out."
-            text = error_text(file, "", expected=expected, found=found, remedy=remedy)
-            copies[str(file)] = text
+            copies[str(file)] = str(UsageError.about("process.copy", file, original=original))
     return copies
 
 
 RESULT_FILE = "result.h5"
-_EXPECTED_TEST = "a test.yaml, a folder that holds one, or a result.h5"
 
 
 def find_tests(targets: Sequence[Path]) -> list[Path]:
@@ -82,11 +77,9 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
     """
     for target in targets:
         if target.is_file() and target.suffix not in {".yaml", ".yml", ".h5"}:
-            actual = f"a {target.suffix or 'nameless'} file"
-            remedy = "An export belongs to a test: `labpipe new` writes its test.yaml."
-            raise _usage_error(target, _EXPECTED_TEST, actual, remedy)
-    remedy = "`labpipe new` writes a test.yaml."
-    return _find_files(targets, SHEET_NAME, expected=_EXPECTED_TEST, none="neither", remedy=remedy)
+            kind = target.suffix or "nameless"
+            raise UsageError.about("process.export_for_a_test", target, kind=kind)
+    return _find_files(targets, SHEET_NAME)
 
 
 def find_results(targets: Sequence[Path]) -> list[Path]:
@@ -106,9 +99,7 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
         If a path does not exist, holds no processed test, or is in a folder that labpipe was
         writing.
     """
-    expected = f"a {RESULT_FILE}, or a folder with processed tests"
-    remedy = "`labpipe process` writes them from the exports of a test."
-    return _find_files(targets, RESULT_FILE, expected=expected, none="none", remedy=remedy)
+    return _find_files(targets, RESULT_FILE)
 
 
 def shared_folder(files: Sequence[Path]) -> Path:
@@ -161,33 +152,27 @@ def refuse_repeated(marks: Iterable[tuple[str, Path]], what: str) -> None:
     for mark, file in marks:
         earlier = first.setdefault(mark.casefold(), file)
         if earlier != file:
-            expected, actual = f"one test for each {what}", f"a second for {mark!r}"
-            remedy = (
-                f"{earlier} is the first: rename one of them in its test.yaml, or leave it out."
-            )
-            faults.append(error_text(file, "", expected=expected, found=actual, remedy=remedy))
+            error = UsageError.about("process.repeated", file, what=what, mark=mark, first=earlier)
+            faults.append(str(error))
     if faults:
         raise UsageError("\n".join(faults))
 
 
-def _find_files(
-    targets: Sequence[Path], name: str, *, expected: str, none: str, remedy: str
-) -> list[Path]:
+def _find_files(targets: Sequence[Path], name: str) -> list[Path]:
     """List given files, and files of a name in given folders."""
     files: dict[Path, Path] = {}
     for target in targets:
         if set(target.resolve().parts) & set(STAGES):
-            unfinished = "one that labpipe was writing when it was stopped"
-            raise _usage_error(target, expected, unfinished, "Process the test again.")
+            raise UsageError.about("process.unfinished", target)
         below = [target] if is_there(target) else files_below(target, name)
         if not below:
-            missing = none if target.is_dir() else "a pipe or a device"
-            missing = missing if target.exists() else "nothing of that name"
-            raise _usage_error(target, expected, missing, remedy)
+            found = "none" if target.is_dir() else "a pipe or a device"
+            found = found if target.exists() else "nothing of that name"
+            raise UsageError.about(
+                "process.no_test" if name == SHEET_NAME else "process.no_result",
+                target,
+                found=found,
+            )
         for file in below:
             files.setdefault(file.resolve(), file)
     return list(files.values())
-
-
-def _usage_error(target: Path, expected: str, actual: str, remedy: str) -> UsageError:
-    return UsageError(error_text(target, "", expected=expected, found=actual, remedy=remedy))

@@ -6,20 +6,20 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import isclose
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
 from labpipe.errors import LabpipeError, ReadError
+from labpipe.messages import sentence
 from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Source
 from labpipe.readers import read_export
 from labpipe.records.arrays import Floats
-from labpipe.records.recording import MarkerTracks, Recording
+from labpipe.records.recording import Channel, MarkerTracks, Recording
 
 Exports: TypeAlias = Mapping[Path, Recording]
 Sign: TypeAlias = tuple[str, int]
@@ -95,13 +95,10 @@ def match_protocols(
     Signs in the exports and their names have priority. If several protocols are left, the one of
     the majority of the first siblings that have one is chosen.
     """
-    fits = [
-        fit
-        for protocol in protocols
-        if (fit := _fit_protocol(exports, protocol, names, length, roles or {})) is not None
-    ]
-    best = max((_rank(fit) for fit in fits), default=None)
-    alike = [fit for fit in fits if _rank(fit) == best]
+    each = (_fit_protocol(exports, protocol, names, length, roles or {}) for protocol in protocols)
+    fits = [fit for fit in each if fit is not None]
+    ranks = [(not fit.faults, fit.uses) for fit in fits]
+    alike = [fit for fit, rank in zip(fits, ranks, strict=True) if rank == max(ranks)]
     likely = [fit for fit in alike if fit.weight >= 0] or alike
     if len(likely) < 2:
         return likely
@@ -112,13 +109,10 @@ def match_protocols(
         name = majority(counts)
         for fit in likely:
             if fit.protocol.name == name:
-                share = f"{counts[name]} of {sum(counts.values())} other tests here have it"
+                count, total = counts[name], sum(counts.values())
+                share = sentence("process.sign_siblings", count=count, total=total)
                 return [replace(fit, signs=(*fit.signs, (share, _DECISIVE_WEIGHT)))]
     return sorted(likely, key=lambda fit: fit.protocol.name)
-
-
-def _rank(fit: Fit) -> tuple[bool, int]:
-    return not fit.faults, fit.uses
 
 
 def majority(counts: Mapping[str, int]) -> str:
@@ -146,71 +140,38 @@ def _fit_protocol(
     """Assign the exports to the roles of a protocol; None if a role stays empty."""
     if set(stated) - set(protocol.sources):
         return None
-    unused = dict(exports)
-    by_role: dict[str, _RoleExports] = {}
+    unused, files = dict(exports), dict[str, tuple[str, ...]]()
+    recordings, faults, unclear = list[Recording](), list[str](), set[str]()
     for role, source in protocol.sources.items():
         candidates = {
-            path: recording
+            path: _read_channels(path, recording, source)
             for path, recording in unused.items()
-            if role not in stated or path.name in stated[role]
+            if recording.reader in source.reader
+            and path.name in stated.get(role, (path.name,))
+            and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
         }
-        of_role = _exports_of_role(candidates, source)
-        if of_role.paths:
-            by_role[role] = of_role
-            unused = {path: unused[path] for path in unused if path not in of_role.paths}
-        elif not source.optional:
+        parts = {path: part for path, part in candidates.items() if isinstance(part, Recording)}
+        paths = list(parts or candidates)
+        if not paths and not source.optional:
             return None
-    recordings = [of_role.recording for of_role in by_role.values() if of_role.recording]
-    faults = [of_role.fault for of_role in by_role.values() if of_role.fault]
+        for path in paths:
+            del unused[path]
+        if paths:
+            files[role] = tuple(path.name for path in paths)
+            whole = _joined(parts) if parts else candidates[paths[0]]
+            if isinstance(whole, Recording):
+                recordings.append(whole)
+            else:
+                faults.append(str(whole))
+                unclear |= {role} if len(paths) > 1 else set()
     clamp = None if protocol.markers is None else protocol.markers.clamp
     takes = [recording.markers for recording in recordings if recording.markers is not None]
     has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
     if clamp is not None and takes and not has_clamp:
-        faults.append(f"the take has no rigid body {clamp!r}, which 'markers.clamp' names")
-    return Fit(
-        protocol,
-        {role: tuple(path.name for path in of_role.paths) for role, of_role in by_role.items()},
-        tuple(faults),
-        tuple(_signs(protocol, recordings, names, length)),
-        uses=sum(len(of_role.paths) for of_role in by_role.values()) + has_clamp,
-        unclear=frozenset(role for role, of_role in by_role.items() if of_role.is_unclear),
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _RoleExports:
-    """The exports of a role, their recording, and what is wrong with them."""
-
-    paths: Sequence[Path] = ()
-    recording: Recording | None = None
-    fault: str = ""
-    is_unclear: bool = False
-
-
-def _exports_of_role(candidates: Exports, source: Source) -> _RoleExports:
-    """Find the exports of a role: one, or the parts of one recording."""
-    outcomes = {
-        path: _read_channels(path, recording, source)
-        for path, recording in candidates.items()
-        if recording.reader in source.reader
-        and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
-    }
-    valid = {path: read for path, read in outcomes.items() if isinstance(read, Recording)}
-    paths = list(valid or outcomes)
-    if not paths:
-        return _RoleExports()
-    names = [path.name for path in paths]
-    if len(paths) > 1:
-        with suppress(ReadError):
-            return _RoleExports(paths, join_exports([*valid.values()], names, paths[0].parent))
-        fault = f"{', '.join(names)} could each be it, and are not parts of one recording"
-        return _RoleExports(paths, fault=fault, is_unclear=True)
-    outcome = outcomes[paths[0]]
-    if isinstance(outcome, str):
-        return _RoleExports(paths, fault=outcome)
-    if is_empty(outcome):
-        return _RoleExports(paths, fault=f"{names[0]}: holds no samples")
-    return _RoleExports(paths, outcome)
+        faults.append(sentence("process.sign_no_clamp", clamp=clamp))
+    signs = tuple(_signs(protocol, recordings, names, length))
+    uses = sum(map(len, files.values())) + has_clamp
+    return Fit(protocol, files, tuple(faults), signs, uses, frozenset(unclear))
 
 
 def _read_channels(path: Path, recording: Recording, source: Source) -> Recording | str:
@@ -223,29 +184,39 @@ def _read_channels(path: Path, recording: Recording, source: Source) -> Recordin
         return str(error).splitlines()[0]
 
 
+def _joined(parts: Exports) -> Recording | str:
+    """Join the parts of one recording, or return why they are none."""
+    names = [path.name for path in parts]
+    with suppress(ReadError):
+        return join_exports([*parts.values()], names, Path())
+    if len(names) > 1:
+        return sentence("process.sign_unclear_role", names=", ".join(names))
+    return sentence("process.sign_no_samples", name=names[0])
+
+
 def _signs(
     protocol: Protocol, recordings: Sequence[Recording], names: Sequence[str], length: float | None
 ) -> Iterator[Sign]:
-    """Yield the signs for and against a protocol whose formats match."""
-    namesake = next((name for name in names if _names_protocol(name, protocol.name)), None)
-    if namesake is not None:
-        yield f"'{namesake}' is called like it", _DECISIVE_WEIGHT
-    stated_length = protocol.specimen.length
-    if stated_length and length and isclose(stated_length, length, rel_tol=1e-6):
-        yield f"length {1e3 * length:.4g} mm (it states the same)", 1
-    # Ratios: within the first a measured size supports a protocol; beyond the second it
-    # contradicts it.
+    """Yield the signs for and against a protocol whose formats match.
+
+    Within 5 % a size supports a protocol that states it; beyond 30 % it contradicts the protocol.
+    """
     match_deviation, mismatch_deviation = 0.05, 0.3
+    for name in [name for name in names if _names_protocol(name, protocol.name)][:1]:
+        yield sentence("process.sign_namesake", name=name), _DECISIVE_WEIGHT
+    sizes = [("length", "mm", length or np.nan, protocol.specimen.length)]
     for recording in recordings:
-        for what, unit, measured, stated in _sizes(protocol, recording):
-            if stated and measured is not None and np.isfinite(measured):
-                deviation = abs(measured / stated - 1.0)
-                text = f"{what} {1e3 * measured:.4g} {unit} (it states {1e3 * stated:.4g} {unit})"
-                if deviation <= match_deviation:
-                    yield text, 1
-                elif deviation > mismatch_deviation:
-                    yield text, -1
-        yield from _peak_signs(protocol, recording)
+        sizes += _sizes(protocol, recording)
+        yield from (("", -1) for channel in recording.channels if _is_odd_peak(protocol, channel))
+    for what, unit, size, stated in sizes:
+        deviation = abs(size / stated - 1.0) if stated else np.nan  # NaN if nothing was measured
+        if stated and deviation <= match_deviation:
+            facts = sentence(
+                "process.sign_size", what=what, unit=unit, size=1e3 * size, stated=1e3 * stated
+            )
+            yield facts, 1
+        elif deviation > mismatch_deviation and what != "length":
+            yield "", -1
 
 
 def _names_protocol(name: str, protocol: str) -> bool:
@@ -256,7 +227,7 @@ def _names_protocol(name: str, protocol: str) -> bool:
 
 def _sizes(
     protocol: Protocol, recording: Recording
-) -> Iterator[tuple[str, str, float | None, float | None]]:
+) -> Iterator[tuple[str, str, float, float | None]]:
     """Yield sizes that a recording shows: name, unit, and measured and stated size in SI."""
     rig, tracks = protocol.rig, recording.markers
     for channel in recording.channels:
@@ -267,11 +238,13 @@ def _sizes(
             if clock.unit == "s":
                 speed = _speed(clock.time[is_finite], places)
                 yield "speed", "mm/s", speed, rig.crosshead_speed
-    body = None if tracks is None else _clamp_positions(protocol, tracks)
-    if tracks is not None and body is not None:
-        travel = _largest(np.linalg.norm(body - _first_position(body), axis=1))
+    block = protocol.markers
+    body = None if tracks is None or block is None else tracks.body(block.clamp or "")
+    if tracks is not None and block is not None and body is not None:
+        origin = _first_position(body.position)
+        travel = _largest(np.linalg.norm(body.position - origin, axis=1))
         yield "travel of the clamp", "mm", travel, rig.stroke
-        reach = marked_length(protocol, tracks)
+        reach = _reach(tracks, f"{block.clamp}:", origin) - block.grip_offset + block.pull_offset
         yield "length seen by the markers", "mm", reach, protocol.specimen.length
 
 
@@ -283,35 +256,11 @@ def _speed(time: Floats, places: Floats) -> float:
     return float(travel[samples[1]] - travel[samples[0]]) / duration if duration > 0.0 else 0.0
 
 
-def _clamp_positions(protocol: Protocol, tracks: MarkerTracks) -> Floats | None:
-    clamp = None if protocol.markers is None else protocol.markers.clamp
-    body = None if clamp is None else tracks.body(clamp)
-    return None if body is None else body.position
-
-
-def marked_length(protocol: Protocol, tracks: MarkerTracks) -> float | None:
-    """Estimate the free length from the markers of a take.
-
-    Parameters
-    ----------
-    protocol : with the positions of the markers
-    tracks : of a take
-
-    Returns
-    -------
-    m, from the clamped end to the string; None without a clamp or markers.
-    """
-    block, body = protocol.markers, _clamp_positions(protocol, tracks)
-    if block is None or body is None:
-        return None
-    origin = _first_position(body)
-    distances = [
-        float(np.linalg.norm(_first_position(tracks.positions[:, i]) - origin))
-        for i, name in enumerate(tracks.names)
-        if not name.startswith(f"{block.clamp}:")
-    ]
-    finite = [distance for distance in distances if np.isfinite(distance)]
-    return max(finite) - block.grip_offset + block.pull_offset if finite else None
+def _reach(tracks: MarkerTracks, prefix: str, origin: Floats) -> float:
+    """Return the distance of the farthest marker that is none of the clamp, m."""
+    along = [i for i, name in enumerate(tracks.names) if not name.startswith(prefix)]
+    first = [_first_position(tracks.positions[:, i]) - origin for i in along]
+    return _largest(np.linalg.norm(np.reshape(first, (-1, 3)), axis=1))
 
 
 def _first_position(positions: Floats) -> Floats:
@@ -326,12 +275,9 @@ def _largest(values: Floats) -> float:
     return float(finite.max()) if len(finite) else float("nan")
 
 
-def _peak_signs(protocol: Protocol, recording: Recording) -> Iterator[Sign]:
-    for channel in recording.channels:
-        source = protocol.channels.get(channel.name)
-        peak = _largest(np.abs(channel.values))
-        if source is not None and source.peak_range is not None:
-            least, most = source.peak_range
-            if peak < least or peak > most:
-                text = f"{channel.name} goes to {peak:.3g} {channel.unit}, plausible is"
-                yield f"{text} {least:.3g} to {most:.3g}", -1
+def _is_odd_peak(protocol: Protocol, channel: Channel) -> bool:
+    source = protocol.channels.get(channel.name)
+    if source is None or source.peak_range is None:
+        return False
+    peak, (least, most) = _largest(np.abs(channel.values)), source.peak_range
+    return peak < least or peak > most

@@ -14,18 +14,18 @@ from types import MappingProxyType
 
 import numpy as np
 
-from labpipe.errors import ReadError, error_text, in_test_sheet
+from labpipe.errors import ReadError, in_test_sheet
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
+from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
 from labpipe.readers.load_frame.cards import lab_card_files
-from labpipe.readers.text_cells import has_dimension_of, is_unit
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.readers.text_cells import is_unit
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import GRAVITY, si_factor
+from labpipe.units import si_factor
 
 _NO_UNIT = frozenset({"", "-", "1", "count"})
 """Entries of programs for an unknown unit."""
@@ -36,67 +36,53 @@ _UNIT_SPELLINGS = MappingProxyType(
 """Spellings that labpipe does not know, also with an s, and the only unit that each can mean."""
 
 
-def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
-    """Describe what is wrong with the unit of a channel; empty if nothing is.
+def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str]:
+    """Describe what is wrong with the unit of a channel.
 
     No unit is stated, that of the export is unknown or of another quantity, or `unit` contradicts
     it and `wrong_unit_in_file` does not name it.
     """
-    stated, si_unit = channel.unit_in_file, _si_unit(source)
-    likely = _known_unit(stated)
-    if source.unit is None:
-        if stated and _same_unit(stated, stated, si_unit):
-            return ""
-        expected, found = f"a unit of the dimension of {si_unit}", repr(stated)
-        remedy = _unit_remedy(stated, likely, source)
-        if not stated:
-            expected, found = "a unit", "none in the file and none in the protocol"
-    else:
+    stated, si_unit, key = channel.unit_in_file, _si_unit(source), source.key
+    place, likely = f"channel {channel.path!r}", _known_unit(stated)
+    another = in_test_sheet(f"{key}.channel", "...")
+    if source.unit is not None:
         is_known = stated not in _NO_UNIT and is_unit(likely)
         is_same = _same_unit(likely, source.unit, si_unit)
         if is_same or not is_known or stated == source.wrong_unit_in_file:
-            return ""
-        expected = f"the unit that the export states, {stated!r}"
-        found = f"'{source.key}.unit: {source.unit}'"
-        is_alike = _same_unit(likely, likely, si_unit)
-        remedy = f"Write {likely} there" if is_alike else _another_channel(source)
-        wrong = in_test_sheet(f"{source.key}.wrong_unit_in_file", stated)
-        remedy += f". Only if the export's own unit is wrong, add {wrong}."
-    place = f"channel {channel.path!r}"
-    return error_text(path, place, expected=expected, found=found, remedy=remedy)
-
-
-def _unit_remedy(stated: str, likely: str, source: ChannelSource) -> str:
-    """Say what to do about the unit of an export, if the protocol states none."""
-    key, target = source.key, source.target_unit
-    if not stated:
-        unit = in_test_sheet(f"{key}.unit", target)
-        return f"Write the unit of its numbers, such as {unit}."
-    if has_dimension_of(stated, "kg") and target == "N":
-        unit = in_test_sheet(f"{key}.unit", stated)
-        weight = in_test_sheet(f"{key}.calibration", f"{{gain: {GRAVITY} N/kg}}")
-        return f"{stated} is a unit of mass. To take its weight, write {unit} and {weight}."
-    if stated not in _NO_UNIT and is_unit(stated):
-        return f"{_another_channel(source)}, or give '{key}.calibration'."
-    unit = likely if _same_unit(likely, likely, target) else "..."
-    return f"Write {in_test_sheet(f'{key}.unit', unit)}."
-
-
-def _unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
-    """Note that the unit of the protocol replaced that of the export."""
-    own, stated = source.unit, channel.unit_in_file
-    if own is None or not stated or own == stated or _same_unit(own, stated, _si_unit(source)):
+            return []
+        error = ReadError.about(
+            "process.unit_contradicts",
+            path,
+            place,
+            stated=stated,
+            key=f"{key}.unit: {source.unit}",
+            likely=likely,
+            another=another,
+            wrong=in_test_sheet(f"{key}.wrong_unit_in_file", stated),
+        )
+    elif not stated:
+        unit = in_test_sheet(f"{key}.unit", source.target_unit)
+        error = ReadError.about("process.no_unit", path, place, unit=unit)
+    elif _same_unit(stated, stated, si_unit):
         return []
-    message = f"the export says {stated!r}, the protocol {own!r}: that of the protocol was used"
-    return [QualityNote("unit_overridden", Severity.WARNING, channel.name, message)]
+    else:
+        target = source.target_unit
+        unit = in_test_sheet(f"{key}.unit", likely if _same_unit(likely, likely, target) else "...")
+        error = ReadError.about(
+            "process.unit_unusable",
+            path,
+            place,
+            si_unit=si_unit,
+            stated=stated,
+            unit=unit,
+            another=another,
+            calibration=f"{key}.calibration",
+        )
+    return [str(error)]
 
 
 def _si_unit(source: ChannelSource) -> str:
     return source.channel_unit or source.target_unit
-
-
-def _another_channel(source: ChannelSource) -> str:
-    return f"Name another channel with {in_test_sheet(f'{source.key}.channel', '...')}"
 
 
 def _known_unit(stated: str) -> str:
@@ -114,10 +100,6 @@ def _same_unit(one: str, other: str, si_unit: str) -> bool:
         return False
 
 
-_TWO_TESTS = (
-    "If these are two tests, use a folder for each; else name only one of the files under"
-    f" 'files' in {SHEET_NAME}."
-)
 DIALECT = "dialect"
 """Role of dialect cards of the lab among the inputs of a test."""
 
@@ -220,9 +202,8 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     named = zip(names, parts, strict=False)
     filled = [(folder / name, part) for name, part in named if not is_empty(part)]
     if not filled:
-        found = "none in this file" if len(parts) == 1 else "none in any of the parts"
-        remedy = "The test was aborted before its first sample; leave it out."
-        raise _refused(folder / names[0], "samples", found, remedy)
+        where = "this file" if len(parts) == 1 else "any of the parts"
+        raise ReadError.about("process.no_samples", folder / names[0], where=where)
     if len(filled) > 1:
         for path, part in filled:
             _require_time(path, part)
@@ -230,9 +211,14 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     for (path, before), (later_path, after) in pairwise(filled):
         ends, begins = float(before.clocks[0].time[-1]), float(after.clocks[0].time[0])
         if begins <= ends:
-            expected = f"a start after {ends:.6f} s, where {path.name} ends"
-            remedy = f"Parts of one recording share one clock. {_TWO_TESTS}"
-            raise _refused(later_path, expected, f"{begins:.6f} s", remedy, place="time")
+            raise ReadError.about(
+                "process.parts_overlap",
+                later_path,
+                "time",
+                ends=ends,
+                part=path.name,
+                begins=begins,
+            )
     ordered = [part for _, part in filled]
     notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]
     first = replace(ordered[0], notes=tuple(notes))
@@ -251,20 +237,13 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     return replace(first, clocks=(Clock(clock, time),), channels=channels)
 
 
-def _refused(path: Path, expected: str, found: str, remedy: str, *, place: str = "") -> ReadError:
-    return ReadError(error_text(path, place, expected=expected, found=found, remedy=remedy))
-
-
 def _require_time(path: Path, part: Recording) -> None:
     """Refuse a part that cannot be put in order of time."""
     if part.markers is not None or len(part.clocks) != 1:
-        expected = "a part of a recording: channels on one clock"
         found = "marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks"
-        raise _refused(path, expected, found, "Name one export for this role.")
+        raise ReadError.about("process.part_of_no_recording", path, found=found)
     if part.clocks[0].unit != "s":
-        expected = "a part of a recording with times, by which parts are put in order"
-        remedy = f"Export the test in one piece, or with its time. {_TWO_TESTS}"
-        raise _refused(path, expected, "rows without time", remedy)
+        raise ReadError.about("process.part_without_time", path)
 
 
 def is_empty(recording: Recording) -> bool:
@@ -306,9 +285,12 @@ def _channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
     if error.parts:
         listed = ", ".join(map(repr, error.parts[:max_listed]))
         more = " ..." if len(error.parts) > max_listed else ""
-        part = in_test_sheet(f"{source.key}.part", error.parts[0])
-        found, remedy = f"{len(error.parts)}: {listed}{more}", f"Choose one with {part}."
-        return error_text(path, "", expected="one specimen", found=found, remedy=remedy)
+        part, count = in_test_sheet(f"{source.key}.part", error.parts[0]), len(error.parts)
+        return str(
+            ReadError.about(
+                "process.several_parts", path, count=count, names=listed + more, part=part
+            )
+        )
     keys = [
         channel.key for channel in source.all_channels.values() if channel.channel == error.wanted
     ]
@@ -344,17 +326,19 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
             faults.append(_channel_fault(error, source, path))
             code = error.code
             continue
-        if fault := _unit_fault(channel, spec, path):
-            faults.append(fault)
+        if unit_fault := _unit_fault(channel, spec, path):
+            faults += unit_fault
             continue
         channels.append(_in_si(channel, name, spec))
-        notes += _unit_notes(channels[-1], spec)
+        own, stated = spec.unit, channel.unit_in_file
+        if own and stated and own != stated and not _same_unit(own, stated, _si_unit(spec)):
+            notes.append(QualityNote.of("process.unit_overridden", name, stated=stated, own=own))
         if not is_exact_name(spec.channel, channel):
             wanted = " or ".join(map(repr, spec.channel[:3]))
             wanted += " ..." if len(spec.channel) > 3 else ""
-            message = f"the export has none called {wanted}: {channel.path!r} was used"
+            used = channel.path
             spelling_notes.append(
-                QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
+                QualityNote.of("process.channel_spelt_otherwise", name, wanted=wanted, used=used)
             )
     if faults:
         raise ReadError("\n".join(dict.fromkeys(faults)), code=code)
@@ -396,5 +380,5 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return InputFile(role, name, digest, path.stat().st_size)
     except OSError as error:
-        found, remedy = error.strerror or "an error", "Check files: in test.yaml."
-        raise _refused(path, "an export that can be read", found, remedy) from error
+        found = error.strerror or "an error"
+        raise ReadError.about("process.export_unreadable", path, found=found) from error

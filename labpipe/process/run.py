@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import date
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -17,8 +17,7 @@ from typing import get_args
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import LabpipeError, ProcessingError, StoreError, code_of, error_text, refusal
-from labpipe.process.export_metadata import day_and_operator
+from labpipe.errors import LabpipeError, ProcessingError, StoreError, code_of, refusal
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.reading import dialect_cards, fingerprint, named_exports, read_inputs
 from labpipe.process.sanity_checks import instruments_of
@@ -32,6 +31,7 @@ from labpipe.protocol.load import (
 )
 from labpipe.protocol.schema import FigureName, Protocol
 from labpipe.protocol.values import is_name_of_a_test
+from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
@@ -42,6 +42,8 @@ from labpipe.store.summaries import SUMMARY_FILE as SUMMARY_FILE  # noqa: PLC041
 from labpipe.store.write import write_result
 
 FIGURES = "figures"
+_DAY_KEYS = ("date", "start_time", "Capture Start Time")
+"""Metadata keys of the recording date or time, always in ISO 8601."""
 PROCESSING_VERSION = 2
 """Incremented whenever the same exports, sheet and protocol give different numbers."""
 Say = Callable[[str], None]
@@ -70,26 +72,37 @@ class Processed:
         return sum(result.status is Status.FAILED for result in self.result.results)
 
 
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One test to be processed.
+
+    Parameters
+    ----------
+    sheet : its test.yaml, or a result.h5 whose raw group is processed again
+    goal : folder of its results; None for that of `labpipe process`
+    figures : whether to draw figures as SVG
+    png : whether to draw them as PNG as well
+    follow_links : whether exports may be links out of the folder of the test
+    run : key of its results, if it is known before
+    """
+
+    sheet: Path
+    goal: Path | None = None
+    figures: bool = True
+    png: bool = False
+    follow_links: bool = False
+    run: str = ""
+
+
 def process_test(
-    source: Path,
-    *,
-    out: Path | None = None,
-    goal: Path | None = None,
-    figures: bool = True,
-    png: bool = False,
-    follow_links: bool = False,
-    say: Say = lambda _: None,
+    source: Path, *, out: Path | None = None, figures: bool = True, say: Say = lambda _: None
 ) -> Processed:
     """Process one test.
 
     Parameters
     ----------
-    source : its test.yaml, or a result.h5 whose raw group is processed again
+    source, figures : see `Task`
     out : folder that gets a folder per test; None for `processed` beside `raw`
-    goal : folder of the results of this test; None for a folder in `out`
-    figures : whether to draw figures as SVG
-    png : whether to draw them as PNG as well
-    follow_links : whether exports may be links out of the folder of the test
     say : called with the name of each stage as it begins
 
     Returns
@@ -101,28 +114,44 @@ def process_test(
     LabpipeError
         If an input is bad; earlier results are then unchanged.
     """
+    return process(Task(source, out and out / name_of(source), figures), say)
+
+
+def process(task: Task, say: Say) -> Processed:
+    """Process one test as its task says.
+
+    Parameters
+    ----------
+    task : the test
+    say : see `process_test`
+
+    Raises
+    ------
+    LabpipeError
+        See `process_test`.
+    """
     say("read")
-    is_result, finished = source.suffix == ".h5", False
-    is_in_place = out is None if goal is None else goal == source.parent
-    if is_result and is_in_place and is_cut_off(source.parent):  # by a process that was killed
+    source, finished = task.sheet, False
+    is_in_place = source.suffix == ".h5" and task.goal in (None, source.parent)
+    if is_in_place and is_cut_off(source.parent):  # by a process that was killed
         with locked(source.parent), storing(source.parent):
             finished = finish_cut_off(source.parent)
-    raw, protocol = read_source(source, follow_links=follow_links)
+    raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
     result = reduce_test(raw, protocol)
-    folder = goal or results_folder_of(source, out, lambda: result.test)
-    owned = [FAILURE_FILE, *_outdated_figures(folder, result.run, is_drawn=figures)]
+    folder = task.goal or results_folder_of(source, None, lambda: result.test)
+    owned = [FAILURE_FILE, *_outdated_figures(folder, result.run, is_drawn=task.figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
             writing = compressor.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
             drawn: tuple[Path, ...] = ()
-            if figures:
+            if task.figures:
                 say("draw")
                 from labpipe.report.figures import save_figures
 
-                drawn = tuple(save_figures(result, stage / FIGURES, png=png))
+                drawn = tuple(save_figures(result, stage / FIGURES, png=task.png))
             writing.result()
     files = tuple(folder / path.relative_to(stage) for path in drawn)
     return Processed(folder, result, files, finished)
@@ -222,6 +251,34 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     )
 
 
+def day_and_operator(sheet: str, recordings: Mapping[str, Recording]) -> tuple[date | None, str]:
+    """Find the day and the operator of a test.
+
+    Parameters
+    ----------
+    sheet : text of its test sheet, whose date has priority
+    recordings : by role; the first one with a date is used
+
+    Returns
+    -------
+    The day, None if it is not stated anywhere; the operator, empty if the sheet does not name one.
+    """
+    sheet_data = parse_yaml(sheet, "test.yaml").data
+    entries = sheet_data if isinstance(sheet_data, Mapping) else {}
+    dates = [entries.get("date")]
+    dates += [recording.metadata.get(key) for recording in recordings.values() for key in _DAY_KEYS]
+    operator = entries.get("operator")
+    day = next(filter(None, map(_day, dates)), None)
+    return day, operator if isinstance(operator, str) else ""
+
+
+def _day(written: object) -> date | None:
+    try:
+        return date.fromisoformat(str(written)[:10])
+    except ValueError:
+        return None
+
+
 def name_of(source: Path) -> str:
     """Read the name of a test.
 
@@ -263,7 +320,7 @@ def key_of(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str
     """
     exports = [list(file) for file in inputs]
     parts = [PROCESSING_VERSION, exports, test_yaml, protocol_yaml]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    return sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def _outdated_figures(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
@@ -304,12 +361,13 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """Read a test from the raw group of an earlier result."""
     raw = read_raw(result_path)
     if not is_name_of_a_test(raw.test):
-        raise _bad_result(
-            result_path, "test", "the name of a test, such as A2-085-1", repr(raw.test)
+        expected, found = "the name of a test, such as A2-085-1", repr(raw.test)
+        raise StoreError.about(
+            "process.bad_result", result_path, "test", expected=expected, found=found
         )
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
-        recording = raw.recordings.get(role, Recording(""))
+        recording, place = raw.recordings.get(role, Recording("")), f"raw/{role}"
         tracks = [] if recording.markers is None else [recording.markers.time]
         times = [*(clock.time for clock in recording.clocks), *tracks]
         names = [channel.name for channel in recording.channels]
@@ -317,17 +375,12 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
             found = ", ".join(map(repr, names)) or "none"
-            raise _bad_result(result_path, f"raw/{role}", expected, found)
+            raise StoreError.about(
+                "process.bad_result", result_path, place, expected=expected, found=found
+            )
         if not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
-            found = "decreasing times, or times that are not numbers"
-            raise _bad_result(result_path, f"raw/{role}", "increasing times", found)
+            raise StoreError.about("process.bad_times", result_path, place)
     return raw, protocol
-
-
-def _bad_result(path: Path, place: str, expected: str, found: str) -> StoreError:
-    remedy = "Process the test again from its exports."
-    text = error_text(path, place, expected=expected, found=found, remedy=remedy)
-    return StoreError(text, code="bad_result")
 
 
 def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
@@ -352,28 +405,6 @@ def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -
     if not above:
         return Path("processed") / name()
     return above[0].parent / "processed" / folder.relative_to(above[0])
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One test to be processed.
-
-    Parameters
-    ----------
-    sheet : its test.yaml, or a result.h5 whose raw group is processed again
-    goal : folder of its results; None for that of `labpipe process`
-    figures : whether to draw figures as SVG
-    png : whether to draw them as PNG as well
-    follow_links : whether exports may be links out of the folder of the test
-    run : key of its results, if it is known before
-    """
-
-    sheet: Path
-    goal: Path | None = None
-    figures: bool = True
-    png: bool = False
-    follow_links: bool = False
-    run: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -417,14 +448,7 @@ def attempt(
         A fault of labpipe itself, if the test is alone; failure.json has it as well.
     """
     try:
-        done = process_test(
-            task.sheet,
-            goal=task.goal,
-            figures=task.figures,
-            png=task.png,
-            follow_links=task.follow_links,
-            say=say,
-        )
+        done = process(task, say)
     except LabpipeError as error:
         return refuse(task, error.code, str(error))
     except Exception as error:
@@ -496,14 +520,15 @@ def _fault_text(code: str, test: Path, error: Exception) -> str:
     if code == "system_refused":
         return f"{test}: {refusal(error)}"
     if code == "out_of_memory":
-        expected, found = "a test that fits into memory", "out of memory"
-        remedy = "Close other programs, choose fewer --jobs, or leave the test out."
-        return error_text(test, "", expected=expected, found=found, remedy=remedy)
+        return str(LabpipeError.about("process.out_of_memory", test))
     frames = traceback.extract_tb(error.__traceback__)
     own_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
     frame = (own_frames or frames)[-1]
-    error_message = " ".join(str(error).split())
-    found = f"a fault of labpipe itself ({type(error).__name__}: {error_message})"
+    message = " ".join(str(error).split())
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    remedy = f"Report it ({place}) with the exports of the test; processed alone, it says more."
-    return error_text(test, "", expected="no error", found=found, remedy=remedy)
+    kind = type(error).__name__
+    return str(
+        LabpipeError.about(
+            "process.fault_of_labpipe", test, kind=kind, message=message, place=place
+        )
+    )

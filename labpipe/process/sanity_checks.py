@@ -10,27 +10,21 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.errors import in_test_sheet
+from labpipe.messages import sentence
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import Motion
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, means_from
 from labpipe.records.curve import Branch, Direction, Shape
 from labpipe.records.declarations import LIMITS, Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import (
-    Finding,
-    Findings,
-    doubtful,
-    info_note,
-    not_available,
-    warning,
-)
+from labpipe.records.quality import Finding, Findings
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.beam import held_at_rest
 from labpipe.signal.filters import moving_average, seconds_to_window
-from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
+from labpipe.signal.rests_and_jumps import moves_at_end
 from labpipe.signal.turning_points import noise_level
 from labpipe.units import GRAVITY
 
@@ -54,41 +48,64 @@ def check_rig(
     """
     if branches and protocol.branches is not None:
         yield from _check_motion(signals.raw[protocol.branches.channel], protocol, branches)
-    force = signals.filtered.get(signals.force)
+    force, specimen, block = (
+        signals.filtered.get(signals.force),
+        protocol.specimen,
+        protocol.markers,
+    )
     if force is None or protocol.curve is None:
         return
     if protocol.rig.string is not None:  # the force can fall by the weight on the string only
         weight = protocol.rig.string.counterweight * GRAVITY
-        self_weight = GRAVITY * (protocol.specimen.mass_per_length or 0.0)
-        weight += held_at_rest(self_weight, protocol.specimen.length or 0.0)
+        weight += held_at_rest(GRAVITY * (specimen.mass_per_length or 0.0), specimen.length or 0.0)
         yield from _check_negative(_per_second(force), -1.2 * weight - 2e-3, "a string cannot push")
-    if protocol.specimen.span is not None and force.has_time and not is_blocked:
-        reason = "a load that presses on a specimen cannot pull it"
-        means = _per_second(force)
-        yield from _check_negative(
-            means, -protocol.limits.pulling_force * float(np.nanmax(means)), reason
+    if specimen.span is not None and force.has_time and not is_blocked:
+        means, reason = _per_second(force), "a load that presses on a specimen cannot pull it"
+        least = -protocol.limits.pulling_force * float(np.nanmax(means))
+        yield from _check_negative(means, least, reason)
+    if specimen.length is None or block is None or block.clamp is None or shape is None:
+        return
+    seen, stated = shape.length, specimen.length
+    if abs(seen - stated) > max(2e-3, 0.02 * stated):
+        yield Finding.of(
+            "process.length_unexpected",
+            "specimen.length",
+            "displacement",
+            seen=1e3 * seen,
+            stated=1e3 * stated,
         )
-    length, block = protocol.specimen.length, protocol.markers
-    if length is not None and block is not None and block.clamp is not None and shape is not None:
-        yield from _check_length(shape, length)
 
 
 def _check_motion(
     motion: Signal, protocol: Protocol, branches: tuple[Branch, ...]
 ) -> Iterator[Finding]:
-    rig = protocol.rig
-    cycles = len({branch.cycle for branch in branches})
+    rig, first = protocol.rig, branches[0]
+    cycles, speed = len({branch.cycle for branch in branches}), rig.crosshead_speed
     if rig.cycles is not None and cycles != rig.cycles:
-        message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
-        yield warning("cycles_unexpected", "rig.cycles", message)
-    if rig.stroke is not None and not is_full_stroke(motion, rig.stroke):
-        stroke = 1e3 * float(np.nanmax(motion.values) - np.nanmin(motion.values))
-        message = f"a stroke of {stroke:.4g} mm measured, {1e3 * rig.stroke:.4g} mm expected"
-        yield warning("stroke_unexpected", "rig.stroke", message)
-    if rig.crosshead_speed is not None and motion.has_time:
-        yield from _check_speed(
-            motion, rig.crosshead_speed, branches[0], protocol.limits.speed_deviation
+        yield Finding.of(
+            "process.cycles_unexpected", "rig.cycles", measured=cycles, expected=rig.cycles
         )
+    if rig.stroke is not None and not is_full_stroke(motion, rig.stroke):
+        measured, expected = 1e3 * _travel(motion.values), 1e3 * rig.stroke
+        yield Finding.of(
+            "process.stroke_unexpected", "rig.stroke", measured=measured, expected=expected
+        )
+    if speed is not None and motion.has_time:
+        moved = _travel(motion.values[first.start : first.stop])
+        measured = moved / max(first.stop_time - first.start_time, 1e-9)
+        if abs(measured - speed) > protocol.limits.speed_deviation * speed:
+            yield Finding.of(
+                "process.speed_unexpected",
+                "rig.crosshead_speed",
+                "displacement",
+                "force",
+                measured=1e3 * measured,
+                expected=1e3 * speed,
+            )
+
+
+def _travel(values: Floats) -> float:
+    return float(np.nanmax(values) - np.nanmin(values))
 
 
 def is_full_stroke(motion: Signal, expected: float | None) -> bool:
@@ -99,31 +116,14 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
     motion : the channel that splits the branches
     expected : m
     """
-    stroke = float(np.nanmax(motion.values) - np.nanmin(motion.values))
-    return expected is not None and abs(stroke - expected) <= 0.02 * expected
-
-
-def _check_speed(
-    motion: Signal, expected: float, first: Branch, deviation: float
-) -> Iterator[Finding]:
-    """Report a speed that differs from that of the rig: a wrong unit, column or test."""
-    part = slice(first.start, first.stop)
-    moved = np.nanmax(motion.values[part]) - np.nanmin(motion.values[part])
-    speed = float(moved) / max(first.stop_time - first.start_time, 1e-9)
-    if abs(speed - expected) > deviation * expected:
-        message = (
-            f"{1e3 * speed:.4g} mm/s measured over the first branch, {1e3 * expected:.4g} mm/s "
-            "expected: look at rig.crosshead_speed, and at unit and name of the displacement"
-        )
-        yield doubtful("speed_unexpected", "rig.crosshead_speed", message, "displacement", "force")
+    return expected is not None and abs(_travel(motion.values) - expected) <= 0.02 * expected
 
 
 def _check_negative(smooth: Floats, least: float, why: str) -> Iterator[Finding]:
     """Report a force whose means over a second fall below the minimum of its load."""
     lowest = float(np.nanmin(smooth))
     if lowest < least - 5.0 * noise_level(smooth):
-        message = f"the force falls to {lowest:.4g} N, but {why}: the zero is wrong or drifts"
-        yield doubtful("force_negative", "force", message, "force")
+        yield Finding.of("process.force_negative", "force", "force", lowest=lowest, why=why)
 
 
 def _per_second(force: Signal) -> Floats:
@@ -132,17 +132,6 @@ def _per_second(force: Signal) -> Floats:
     blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
     window = max(1, seconds_to_window(1.0, force.time[::size]))
     return moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
-
-
-def _check_length(shape: Shape, expected: float) -> Iterator[Finding]:
-    """Compare the arc length from clamped end to pull point with the free length."""
-    if abs(shape.length - expected) > max(2e-3, 0.02 * expected):
-        message = (
-            f"{1e3 * shape.length:.4g} mm from clamped end to pull point, the sheet says "
-            f"{1e3 * expected:.4g} mm: look at specimen.length, grip_offset, pull_offset and at "
-            "the outermost marker"
-        )
-        yield doubtful("length_unexpected", "specimen.length", message, "displacement")
 
 
 def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
@@ -154,19 +143,21 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
     motion : with clocks that are joined
     limits : of the lab
     """
-    branches, clocks = motion.branches, motion.clocks
-    if not branches:
+    if not motion.branches:
         return
-    begins, ends = branches[0].start_time, branches[-1].stop_time
+    begins, ends = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zeroed.items():
-        start, stop = (clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
+        start, stop = (motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
         if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
-            message = (
-                f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
-                f"moves from {begins:.2f} s to {ends:.2f} s"
+            yield Finding.of(
+                "process.zero_not_at_rest",
+                name,
+                "force" if name == signals.force else "displacement",
+                start=start,
+                stop=stop,
+                begins=begins,
+                ends=ends,
             )
-            quantity = "force" if name == signals.force else "displacement"
-            yield doubtful("zero_not_at_rest", name, message, quantity)
 
 
 def check_mid_span(
@@ -188,25 +179,19 @@ def check_mid_span(
     begins = motion.branches[0].start_time
     delay = (rest_times if fit is None else fit.to_marker_time(rest_times))[-1] - begins
     if delay > limits.zero_overlap:
-        message = (
-            f"the shape at rest was taken up to {delay:.2f} s after loading began: check the start "
-            "of the cameras, and 'over' of the step three-point-shape"
-        )
-        without_span = replace(prepared, span=Failure("no_rest", message))
-        return without_span, [not_available("no_rest", "markers", message)]
-    seen_travel, measured_travel = (
-        float(np.nanmax(value) - np.nanmin(value))
-        for value in (mid_span.values, motion.signal.values)
-    )
-    if abs(seen_travel - measured_travel) <= limits.mid_span_deviation * measured_travel:
+        note = Finding.of("process.no_rest", "markers", delay=delay)
+        return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
+    seen, measured = _travel(mid_span.values), _travel(motion.signal.values)
+    if abs(seen - measured) <= limits.mid_span_deviation * measured:
         return prepared, []
-    message = (
-        f"cameras see mid-span sink by {1e3 * seen_travel:.4g} mm, the displacement is "
-        f"{1e3 * measured_travel:.4g} mm: check specimen.span, markers that are not on the "
-        "specimen, the units of both exports, rig.crosshead_speed and rig.stroke if no frame "
-        "measured it, and the distance of the load from the specimen"
+    facts = Finding.of(
+        "process.mid_span_differs",
+        "mid_span",
+        "displacement",
+        seen=1e3 * seen,
+        measured=1e3 * measured,
     )
-    return prepared, [doubtful("mid_span_differs", "mid_span", message, "displacement")]
+    return prepared, [facts]
 
 
 def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Finding]:
@@ -225,104 +210,159 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     (energy, stiffness) are not affected. A force that has both signs, with more than a fifth of the
     largest in each, has no wrong sign, nor has its motion.
     """
-    curve, branches, clocks = protocol.curve, motion.branches, motion.clocks
-    if curve is None or not branches:
+    max_opposite_share, error_factor = 0.2, 10.0  # of the largest force; of a block mean
+    curve, displacement = protocol.curve, signals.raw[signals.displacement]
+    if curve is None or not motion.branches:
         return []
-    displacement = signals.raw[signals.displacement]
     time = displacement.time
-    force = clocks.sampled(signals.raw[signals.force], time)
-    loading = _loading_flags(time, force, branches)
-    lowest = _largest(force)
-    if loading is None or lowest is None:
-        return []
-    wrong = {"force": lowest} if lowest < 0.0 else {}
-    first = displacement.values[(time >= branches[0].start_time) & (time <= branches[0].stop_time)]
-    if signals.displacement in protocol.channels and _is_falling(
-        displacement.values[loading], first
-    ):
-        wrong["displacement"] = float(np.nanmin(displacement.values))
-    if curve.reverse is not None:
-        wrong = {name: value for name, value in wrong.items() if name in curve.reverse}
-    joined = clocks.force is not None
-    return list(_sign_doubts(signals, wrong, curve.reverse or (), joined=joined)) if wrong else []
-
-
-def _loading_flags(time: Floats, force: Floats, branches: tuple[Branch, ...]) -> Flags | None:
-    """Flag samples of the branch in which the absolute force grows most; None if it never does."""
-    largest, loading = 0.0, None
-    for branch in branches:
-        inside = (time >= branch.start_time) & (time <= branch.stop_time)
-        sizes = np.abs(_means(force[inside]))
-        grown = float(sizes.max() - sizes[0]) if len(sizes) else 0.0
-        if grown > largest:
-            largest, loading = grown, inside
-    return loading
-
-
-def _largest(force: Floats) -> float | None:
-    """Return the force of largest absolute value, N; None if it has both signs, or is noise."""
-    # Share of the largest force above which the force goes both ways.
-    max_opposite_share = 0.2
-    # Standard errors of a block mean.
-    error_factor = 10.0
+    force = motion.clocks.sampled(signals.raw[signals.force], time)
+    parts = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
+    sizes = [np.abs(_means(force[part])) for part in parts]
+    growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
     means = _means(force)
-    if len(means) < 2:
-        return None
-    noise = noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
+    if len(means) < 2 or not max(growths) > 0.0:
+        return []
+    noise = error_factor * noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
     top = float(means[int(np.argmax(np.abs(means)))])
-    other = float((-np.sign(top) * means).max())
-    if (
-        float(np.ptp(means)) <= error_factor * noise
-        or other > max_opposite_share * abs(top) + error_factor * noise
+    opposite = float((-np.sign(top) * means).max())
+    if np.ptp(means) <= noise or opposite > max_opposite_share * abs(top) + noise:
+        return []
+    wrong = {"force": f"the force goes to {top:.3g} N"} if top < 0.0 else {}
+    loading, first = parts[int(np.argmax(growths))], parts[0]
+    if signals.displacement in protocol.channels and all(
+        _falls(displacement.values[part]) for part in (loading, first)
     ):
-        return None
-    return top
+        lowest = 1e3 * float(np.nanmin(displacement.values))
+        wrong["displacement"] = f"the displacement goes to {lowest:.3g} mm"
+    if curve.reverse is not None:
+        wrong = {name: text for name, text in wrong.items() if name in curve.reverse}
+    is_reversed, names = bool(curve.reverse), ", ".join(wrong)
+    remedy = sentence(
+        "process.signs_reversed" if is_reversed else "process.signs_to_reverse",
+        names=names if is_reversed else in_test_sheet("curve.reverse", f"[{names}]"),
+    )
+    clock = ("clock",) if motion.clocks.force is not None else ()  # joined at peaks of the force
+    return [
+        Finding.of(
+            "process.force_reversed" if name == "force" else "process.displacement_reversed",
+            getattr(signals, name),
+            f"{name}_sign" if len(wrong) > 1 else name,
+            *(clock if name == "force" else ()),
+            signs=" and ".join(wrong.values()),
+            remedy=remedy,
+        )
+        for name in wrong
+    ]
 
 
 def _means(values: Floats) -> Floats:
-    """Return means of the finite values over blocks."""
-    block_count = 200
+    """Return means of the finite values over at most 200 blocks."""
     finite = values[~np.isnan(values)]
-    if not len(finite):
-        return finite
-    blocks = np.array_split(finite, min(block_count, len(finite)))
-    return np.array([block.mean() for block in blocks])
+    starts = np.linspace(0, len(finite), min(200, len(finite)), endpoint=False).astype(np.int64)
+    return means_from(finite, starts) if len(finite) else finite
 
 
-def _is_falling(*branches: Floats) -> bool:
-    """Check whether a displacement falls in every one of some branches."""
-    finite = [branch[~np.isnan(branch)] for branch in branches]
-    return all(len(values) > 1 and bool(values[-1] < values[0]) for values in finite)
+def _falls(values: Floats) -> bool:
+    finite = values[~np.isnan(values)]
+    return len(finite) > 1 and bool(finite[-1] < finite[0])
 
 
-def _sign_doubts(
-    signals: Signals, wrong: dict[str, float], reversed_names: tuple[str, ...], *, joined: bool
-) -> Iterator[Finding]:
-    units = {"force": ("N", 1.0), "displacement": ("mm", 1e3)}
-    description = " and ".join(
-        f"the {name} goes to {units[name][1] * value:.3g} {units[name][0]}"
-        for name, value in wrong.items()
-    )
-    if set(reversed_names) & set(wrong):
-        remedy = (
-            f"'curve.reverse' turns {' and '.join(wrong)}, which have the right sign without it"
+def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
+    """Report a record that begins under load and mark the results that depend on its start.
+
+    Parameters
+    ----------
+    signals : of the test, with the levels that zeros subtracted
+    motion : with clocks that are joined
+    has_slack : whether slack was subtracted from the displacement
+
+    Yields
+    ------
+    Doubts of signals that were zeroed by a line through the first rows, and of the work done before
+    (quantity ``start``).
+
+    Notes
+    -----
+    A record that begins at rest is not doubted, because its load cell may have an offset; nor is a
+    test in cycles that return to the load at its beginning. A small force is a load if it lies on
+    one line through zero with the displacement, within a factor of three.
+    """
+    record = _first_branch(signals, motion) if motion.branches else None
+    if record is None:
+        return
+    time, force, path, inside = record
+    load, share = float(force[inside][0]), float(force[inside][0] / np.ptp(force))
+    if share > 0.5 and force[inside][-1] < 0.5 * load:
+        yield Finding.of(
+            "process.begins_with_unloading",
+            signals.force,
+            "force",
+            "displacement",
+            "start",
+            load=load,
         )
-    else:
-        line = in_test_sheet("curve.reverse", f"[{', '.join(wrong)}]")
-        remedy = f"write {line} to reverse it, or [] there if the sign is correct"
-    message = f"{description} while the specimen is loaded: {remedy}"
-    names = {"force": signals.force, "displacement": signals.displacement}
-    for name in wrong:
-        quantity = f"{name}_sign" if len(wrong) > 1 else name
-        yield doubtful(f"{name}_reversed", names[name], message, quantity)
-    if joined and "force" in wrong:  # clocks are joined at its peaks
-        yield doubtful("force_reversed", signals.force, message, "clock")
+        return
+    ends = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
+    returns = len(ends) > 0 and (np.abs(ends - load) <= 0.5 * load).all()
+    if returns or not _is_loaded(force[inside], path[inside], float(np.ptp(path)), share):
+        return
+    # The slack correction restores the zero of displacement if the zero of the force is correct.
+    lined = [name for name in signals.quantities if name in signals.lined]
+    restored = () if signals.force in lined or not has_slack else (signals.displacement,)
+    doubtful = [signals.quantities[name] for name in lined if name not in restored]
+    first = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
+    for quantities, during in ((["start"], first), (doubtful, None)):
+        if quantities:
+            yield Finding.of(
+                "process.begins_under_load",
+                signals.force,
+                *quantities,
+                during=during,
+                load=load,
+                share=share,
+                place=1e3 * float(path[0]),
+                zeroed=f"; {' and '.join(lined)} zeroed there" if lined else "",
+            )
+
+
+def _first_branch(signals: Signals, motion: Motion) -> tuple[Floats, Floats, Floats, Flags] | None:
+    """Return time, force and path as exported, positive in loading, and flags of the first branch.
+
+    None without force and travel, or if the record begins at rest, or without force.
+    """
+    noise_factor, min_samples = 5.0, 4
+    time = signals.raw[signals.displacement].time
+    force, path = (
+        motion.clocks.sampled(signals.raw[name], time) + signals.taken_off.get(name, 0.0)
+        for name in (signals.force, signals.displacement)
+    )
+    is_finite = np.isfinite(force) & np.isfinite(path)
+    time, force, path = time[is_finite], force[is_finite], path[is_finite]
+    start, stop = motion.branches[0].start_time, motion.branches[0].stop_time
+    inside = (time >= start) & (time <= stop)
+    if inside.sum() < min_samples or not np.ptp(force) > 0.0 or not np.ptp(path) > 0.0:
+        return None
+    force = force * np.sign(force[int(np.argmax(np.abs(force)))])
+    path = path * (np.sign(path[inside][-1] - path[inside][0]) or 1.0)
+    begins_at_rest = start - time[0] > 3.0 * (time[-1] - time[0]) / len(time)
+    is_zero = not force[inside][0] > noise_factor * noise_level(force)
+    return None if begins_at_rest or is_zero else (time, force, path, inside)
+
+
+def _is_loaded(force: Floats, path: Floats, path_range: float, share: float) -> bool:
+    """Check whether the first force of a branch is a load, not an offset of the load cell."""
+    min_load_share, min_path_share, sure_share = 0.02, 0.01, 0.1  # of the ranges
+    line_factor, near_share, min_samples = 3.0, 0.05, 4
+    size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= near_share * path_range)))
+    steps = path[:size] - path[:size].mean()
+    on_line = float(steps @ force[:size]) / max(float(steps @ steps), 1e-300) * path[0]
+    is_on_line = force[0] / line_factor <= on_line <= line_factor * force[0]
+    has_moved = path[0] >= min_path_share * path_range
+    return share >= sure_share or bool(share >= min_load_share and has_moved and is_on_line)
 
 
 _CUT_FILES = {"truncated", "rows_differ"}
 """Notes of readers of exports whose last rows may be missing."""
-RETURN_SHARE = 0.1
-"""Of the stroke, within which a motion has returned; of a hold, within which two are merged."""
 
 
 def find_cut_ends(
@@ -370,7 +410,7 @@ def file_is_cut(findings: Findings) -> bool:
 
 
 def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
-    """Report holds of the motion in the middle of the test.
+    """Report holds of the motion at its turns, and at its end away from the start.
 
     Parameters
     ----------
@@ -378,70 +418,29 @@ def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[
     motion : rests before its first branch and at its first position are not holds
     limits : of the lab
     """
-    # Without times, a hold is noted from this number of rows.
-    min_hold_rows = 5.0
-    moved = motion.signal
-    unit, least = ("s", limits.hold_time) if moved.has_time else ("rows", min_hold_rows)
-    stretches = _holds(moved, motion.branches) if motion.branches else []
-    long_holds = [hold for hold in stretches if hold[1] - hold[0] >= least]
-    if not long_holds:
+    min_rows, return_share, still_share = 5.0, 0.1, 0.01  # without times; of the stroke
+    moved, branches = motion.signal, motion.branches
+    if not branches:
         return
-    durations = sorted({f"{stop - start:.4g}" for start, stop in long_holds}, key=float)
-    how_long = durations[0] if len(durations) == 1 else f"{durations[0]} to {durations[-1]}"
-    frequency = "once" if len(long_holds) == 1 else f"{len(long_holds)} times"
-    place = float(np.interp(sum(long_holds[0]) / 2.0, moved.time, moved.values))
-    message = (
-        f"the motion stands {frequency} in the middle of the test, for {how_long} {unit}; first at "
-        f"{1e3 * place:.4g} mm, from {long_holds[0][0]:.4g} {unit} on"
-    )
-    yield info_note("hold", where, message)
-
-
-def _holds(motion: Signal, branches: tuple[Branch, ...]) -> list[tuple[float, float]]:
-    """Return begin and end, s, of holds between, in and after the branches."""
-    # Parts of a branch over which the motion is averaged.
-    part_count = 40
-    # Share of the stroke within which the motion has not left the start, or is back.
-    home_share = 0.02
-    stretches = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
-    size = max(1, int(np.median([branch.stop - branch.start for branch in branches])) // part_count)
-    speed = float(np.median([_branch_speed(motion, branch) for branch in branches]))
-    stroke, began = np.ptp(motion.values[~np.isnan(motion.values)]), branches[0].start
-    ended = motion.values[~np.isnan(motion.values)][-1]
-    is_back = abs(float(ended - motion.values[began])) <= RETURN_SHARE * stroke
-    for branch in branches:
-        goes_on = branch is branches[-1] and not is_back
-        part = slice(branch.start, None if goes_on else branch.stop)
-        is_outer = branch in (branches[0], branches[-1])
-        is_finite = ~np.isnan(motion.values[part])
-        time, values = motion.time[part][is_finite], motion.values[part][is_finite]
-        for start, stop in standing_stretches(time, values, size=size, speed=speed):
-            distance = abs(float(np.median(values[start:stop]) - motion.values[began]))
-            if (
-                not is_outer or distance > home_share * stroke
-            ):  # not a rest before or after the test
-                stretches.append((float(time[start]), float(time[stop - 1])))
-    return _merge_stretches(stretches)
-
-
-def _branch_speed(motion: Signal, branch: Branch) -> float:
-    """Return the median speed of the faster half of a branch, m/s."""
-    values = motion.values[branch.start : branch.stop : max(1, (branch.stop - branch.start) // 10)]
-    duration = (branch.stop_time - branch.start_time) / max(1, len(values) - 1)
-    steps = np.abs(np.diff(values))
-    steps = np.sort(steps[~np.isnan(steps)])
-    return float(np.median(steps[len(steps) // 2 :])) / duration if len(steps) and duration else 0.0
-
-
-def _merge_stretches(stretches: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Sort stretches and merge those that nearly touch."""
-    merged: list[tuple[float, float]] = []
-    for start, stop in sorted(stretches):
-        if merged and start - merged[-1][1] <= RETURN_SHARE * (stop - start):
-            merged[-1] = (merged[-1][0], max(stop, merged[-1][1]))
-        else:
-            merged.append((start, stop))
-    return merged
+    unit, least = ("s", limits.hold_time) if moved.has_time else ("rows", min_rows)
+    is_finite = ~np.isnan(moved.values)
+    time, values = moved.time[is_finite], moved.values[is_finite]
+    ends = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
+    last, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
+    is_away = abs(values[-1] - moved.values[branches[0].start]) > return_share * stroke
+    if is_away and len(last) and np.ptp(last) <= still_share * stroke:
+        ends.append((branches[-1].stop_time, float(time[-1])))
+    holds = [(start, stop) for start, stop in ends if stop - start >= least]
+    if holds:
+        yield Finding.of(
+            "process.hold",
+            where,
+            count=len(holds),
+            longest=max(stop - start for start, stop in holds),
+            unit=unit,
+            place=1e3 * float(np.interp(sum(holds[0]) / 2.0, time, values)),
+            start=holds[0][0],
+        )
 
 
 def _is_unfinished(
@@ -520,11 +519,15 @@ def check_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
     for where, certificate, quantities in _certificates(protocol):
         due = certificate.due
         if due is not None and tested is not None and tested > due:
-            message = (
-                f"calibration {certificate.number} of {certificate.date} expired on {due}, "
-                f"before the test on {tested}: have the instrument calibrated"
+            yield Finding.of(
+                "process.calibration_overdue",
+                where,
+                *quantities,
+                number=certificate.number,
+                date=certificate.date,
+                due=due,
+                tested=tested,
             )
-            yield doubtful("calibration_overdue", where, message, *quantities)
 
 
 def _certificates(protocol: Protocol) -> Iterator[tuple[str, Certificate, tuple[str, ...]]]:
@@ -538,13 +541,7 @@ def _certificates(protocol: Protocol) -> Iterator[tuple[str, Certificate, tuple[
             yield name, channel.certificate, (quantity_of.get(name, name),)
     cameras = protocol.sources.get("markers")
     if cameras is not None and cameras.certificate is not None:
-        yield "markers", cameras.certificate, tuple(_camera_quantities(protocol))
-
-
-def _camera_quantities(protocol: Protocol) -> Iterator[str]:
-    """Yield the quantities that cameras measure; the displacement only if nothing else does."""
-    yield "mid_span"
-    curve = protocol.curve
-    step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-    if curve is None or curve.displacement not in {*protocol.channels, *step_channels}:
-        yield "displacement"
+        steps = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+        is_only = curve is None or curve.displacement not in {*protocol.channels, *steps}
+        quantities = ("mid_span", "displacement") if is_only else ("mid_span",)
+        yield "markers", cameras.certificate, quantities

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import Fault, ReadError, UsageError, error_text, nearest
+from labpipe.messages import sentence
 from labpipe.process.sheet_inference import (
     InferredTest,
     file_names,
@@ -25,14 +26,8 @@ _PLAIN = ("date", "operator")
 _NEEDED = ("test", "protocol", "type", "spool", "sample")
 DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
 """Dimensions of a specimen that have a column of their own."""
-BUNDLE = {
-    "bundle_wires": "wires",
-    "bundle_number": "number",
-    "arrangement": "arrangement",
-    "tape": "tape",
-    "taping": "taping",
-    "conduit": "conduit",
-    "conduit_bore": "conduit_bore",
+BUNDLE = {"bundle_wires": "wires", "bundle_number": "number"} | {
+    key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
 }
 """Columns of a harness bundle and their keys in its block."""
 LABELS = "labels."
@@ -61,10 +56,7 @@ class WrittenSheet:
 
 
 def write_inferred_sheets(
-    folder: Path,
-    stated: Mapping[str, str],
-    *,
-    overwrite: bool = False,
+    folder: Path, stated: Mapping[str, str], *, overwrite: bool = False
 ) -> Iterator[WrittenSheet]:
     """Infer and write the test sheet of a folder, or of each folder of a campaign.
 
@@ -86,17 +78,11 @@ def write_inferred_sheets(
     StoreError
         If the file cannot be written.
     """
-    unknown = [_unknown(column, folder, column) for column in stated if not _is_column(column)]
-    if unknown:
-        raise UsageError("\n".join(unknown))
+    _raise_all(UsageError, (x for name in stated for x in _unknown(name, name, folder, name)))
     below = folders_of_tests(folder)
     existing = [path for path in below or [folder] if (path / SHEET_NAME).exists()]
     if existing == [folder] and not overwrite:
-        remedy, actual, path = "Edit it, or ask to overwrite it.", "an existing one", folder
-        message = error_text(
-            path / SHEET_NAME, "", expected="no such file yet", found=actual, remedy=remedy
-        )
-        raise UsageError(message)
+        raise UsageError.about("process.sheet_exists", folder / SHEET_NAME)
     if not below:
         yield write_inferred_sheet(infer_test(folder, stated))
         return
@@ -121,24 +107,26 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
         If the file cannot be written.
     """
     path, data = test.folder / SHEET_NAME, _inferred_data(test)
-    faults = _faults(test.values, {}, data, path, left_open=test.open)
-    if faults:
-        raise UsageError("\n".join(faults))
+    _raise_all(UsageError, _faults(test.values, {}, data, path, left_open=test.open))
     _write(path, data)
     return WrittenSheet(path, False, test.remarks, test.open)
+
+
+def _raise_all(error: type[UsageError | ReadError], faults: Iterator[str]) -> None:
+    if texts := list(faults):
+        raise error("\n".join(texts))
 
 
 def _inferred_data(test: InferredTest) -> dict[str, object]:
     """Arrange inferred values into the blocks of a test sheet; None for those to be filled in."""
     open_values = dict.fromkeys(key for key in test.open if key in (*_NEEDED, *DIMENSIONS))
     files = {role: test.files.get(role) for role in ROLES if role in {*test.files, *test.open}}
-    shared = dict(test.blocks.get("specimen", {}))
     data = _sheet_data({**test.values, **open_values}, files)
-    specimen = shared | _block(data, "specimen")
-    if labels := _block(shared, "labels") | _block(_block(data, "specimen"), "labels"):
-        specimen["labels"] = labels
+    shared, own = test.blocks.get("specimen", {}), _block(data, "specimen")
+    labels = _block(shared, "labels") | _block(own, "labels")
+    data["specimen"] = {**shared, **own} | ({"labels": labels} if labels else {})
     overrides = test.blocks.get("overrides")
-    return data | {"specimen": specimen} | ({"overrides": overrides} if overrides else {})
+    return data | ({"overrides": overrides} if overrides else {})
 
 
 def _block(data: Mapping[str, object], key: str) -> dict[str, object]:
@@ -170,9 +158,8 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
     """
     table = read_campaign_sheet(sheet)
     columns = [_column(cell.text) for cell in table.heading]
-    if faults := list(_heading_faults(table.heading, [name for name, _ in columns], sheet)):
-        raise ReadError("\n".join(faults))
-    tests, names = [], set[str]()
+    _raise_all(ReadError, _heading_faults(table.heading, [name for name, _ in columns], sheet))
+    faults, tests, names = list[str](), [], set[str]()
     for row in table.rows:
         cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
         values = {name: _with_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
@@ -181,23 +168,20 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
         data, test = _sheet_data(values, files), values.get("test", "")
         faults += _faults(values, places, data, sheet, beside=folder / test)
         if test and test.casefold() in names:  # some file systems take A1 and a1 for one folder
-            place, remedy = places["test"], "Give each test another name."
-            actual = f"{test!r} again"
             faults.append(
-                error_text(sheet, place, expected="each test once", found=actual, remedy=remedy)
+                str(ReadError.about("process.row_twice", sheet, places["test"], test=test))
             )
         names.add(test.casefold())
         tests.append((folder / test / SHEET_NAME, data, files))
-    if faults:
-        raise ReadError("\n".join(faults))
+    _raise_all(ReadError, iter(faults))
     sheets = []
     for path, data, files in tests:
         kept = path.exists() and not overwrite
         missing = [x for names in files.values() for x in names if not (path.parent / x).exists()]
-        remarks = (f"not there yet: {', '.join(missing)}",) if missing and not kept else ()
+        remark = sentence("process.not_there_yet", names=", ".join(missing))
         if not kept:
             _write(path, data)
-        sheets.append(WrittenSheet(path, kept, remarks))
+        sheets.append(WrittenSheet(path, kept, (remark,) if missing and not kept else ()))
     return sheets
 
 
@@ -213,30 +197,26 @@ def _with_unit(text: str, unit: str) -> str:
     return f"{text} {unit}" if unit and is_number else text
 
 
-def _is_column(name: str) -> bool:
-    return name in COLUMNS or "." in name
-
-
 def _heading_faults(heading: Sequence[Cell], names: Sequence[str], sheet: Path) -> Iterator[str]:
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
-        if not _is_column(name):
-            yield _unknown(cell.text, sheet, cell.place)
-        elif name in names[:number]:
-            actual, remedy = f"{name!r} again", "Remove or rename one of them."
-            yield error_text(
-                sheet, cell.place, expected="each column once", found=actual, remedy=remedy
-            )
+        yield from _unknown(name, cell.text, sheet, cell.place)
+        if name in names[:number]:
+            yield str(ReadError.about("process.column_twice", sheet, cell.place, name=name))
     for name in _NEEDED:
         if name not in names:
-            place, expected = heading[0].place, f"a column {name!r}"
-            yield error_text(sheet, place, expected=expected, found="none", remedy="Add it.")
+            yield str(ReadError.about("process.column_missing", sheet, heading[0].place, name=name))
 
 
-def _unknown(name: str, file: Path, place: str) -> str:
-    near_columns = nearest(name, list(COLUMNS))
-    expected = f"one of {', '.join(repr(word) for word in near_columns)}, ..., or a dotted key"
-    remedy = f"Did you mean {near_columns[0]!r}?"
-    return error_text(file, place, expected=expected, found=repr(name), remedy=remedy)
+def _unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
+    """Describe a column that is neither known nor a dotted key."""
+    if name not in COLUMNS and "." not in name:
+        columns = nearest(written, list(COLUMNS))
+        near = ", ".join(map(repr, columns))
+        yield str(
+            ReadError.about(
+                "process.column_unknown", file, place, near=near, name=written, likely=columns[0]
+            )
+        )
 
 
 def _faults(
@@ -247,24 +227,21 @@ def _faults(
     *,
     beside: Path | None = None,
     left_open: Sequence[str] = (),
-) -> list[str]:
+) -> Iterator[str]:
     """Describe the faults of one test, each with its cell or option, except open values."""
     faults = [
         fault for fault in test_sheet_faults(data) if not set(map(str, fault.path)) & set(left_open)
     ]
     protocol = values.get("protocol")
     path = find_protocol(protocol, beside=beside or file.parent) if protocol else None
-    texts = []
     for fault in [*faults, path] if isinstance(path, Fault) else faults:
         column = _column_of(fault)
         place = places.get(column) or places.get("test")
         place = f"{place} ({column})" if place else column
-        expected, remedy = fault.expected, fault.remedy
+        expected, found, remedy = fault.expected, fault.found, fault.remedy
         if fault.missing:
-            expected, remedy = f"a value for {column!r}", "Fill it in."
-        found = "none" if fault.missing else fault.found
-        texts.append(error_text(file, place, expected=expected, found=found, remedy=remedy))
-    return [text.rstrip() for text in texts]
+            expected, found, remedy = f"a value for {column!r}", "none", "Fill it in."
+        yield error_text(file, place, expected=expected, found=found, remedy=remedy).rstrip()
 
 
 def _column_of(fault: Fault) -> str:
@@ -288,8 +265,8 @@ def _sheet_data(
         return {key: values[column] for column, key in columns.items() if column in values}
 
     labels = {key: key.removeprefix(LABELS) for key in values if key.startswith(LABELS)}
-    dotted = [key for key in values if "." in key and key not in labels]
     because = block({"because": "because"})
+    overridden = [key for key in values if "." in key and key not in labels]
     specimen = block({key: key for key in (*_NEEDED[2:], *DIMENSIONS)})
     blocks = {"bundle": block(BUNDLE), "labels": block(labels)}
     data = block({key: key for key in _NEEDED[:2]})
@@ -299,7 +276,7 @@ def _sheet_data(
         role: names[0] if names is not None and len(names) == 1 else names and list(names)
         for role, names in files.items()
     } or None
-    overrides = {key: {"value": values[key]} | because for key in dotted}
+    overrides = {key: {"value": values[key]} | because for key in overridden}
     return data | ({"overrides": overrides} if overrides else {})
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias, assert_never
 
 import numpy as np
 
 from labpipe.errors import ProcessingError, in_test_sheet
+from labpipe.messages import sentence
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import with_rising_force
 from labpipe.process.zeros import (
@@ -34,41 +34,18 @@ from labpipe.records.declarations import (
     TravelFromSpeed,
     Zero,
 )
-from labpipe.records.quality import Finding, doubtful, info_note
+from labpipe.records.quality import Finding
 from labpipe.records.signals import Filter, Signal, Signals
-from labpipe.signal.corners import Corner, fit_corner
+from labpipe.signal.corners import Corner
 from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
     in_pieces,
-    moving_average,
     seconds_to_window,
     window_length,
 )
 from labpipe.signal.reversals import fit_reversal
-from labpipe.signal.turning_points import noise_level, sharpest_turn
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A stroke up and down at constant speed.
-
-    Parameters
-    ----------
-    start, turn : s
-    speed : m/s
-    """
-
-    start: float
-    turn: float
-    speed: float
-
-    def travel(self, time: Floats) -> Floats:
-        """Return the displacement at given times, m; 0 before the start and after the return."""
-        loading_time = self.turn - self.start
-        up = np.clip(time - self.start, 0.0, loading_time)
-        down = np.clip(time - self.turn, 0.0, loading_time)
-        return np.asarray(self.speed * (up - down), dtype=np.float64)
+from labpipe.signal.turning_points import sharpest_turn
 
 
 def travel_from_speed(
@@ -98,41 +75,39 @@ def travel_from_speed(
     standard error later, or are faster by the uncertainty of the speed.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
-        message = "expected rig.crosshead_speed and rig.stroke"
-        raise ValueError(message)
-    force, duration = (
-        with_rising_force(signals.raw[step.force]),
-        rig.stroke / rig.crosshead_speed,
-    )
+        raise ValueError(sentence("process.speed_needs_rig"))
+    force, duration = with_rising_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
     corner = _turn(force, step)
-    drive = Drive(corner.time - duration, corner.time, rig.crosshead_speed)
+    start, speed = corner.time - duration, rig.crosshead_speed
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
-    travel = drive.travel(time)
-    moved = {
-        TURN: drive.travel(time - corner.time_error),
-        SPEED: (1.0 + step.speed_uncertainty) * travel,
-    }
-    signal = Signal(time, travel, "m", force.clock, moved=moved)
-    summary = (
-        f"not measured: {1e3 * rig.crosshead_speed:.4g} mm/s over {duration:.4g} s up to the "
-        f"corner of the force at {corner.time:.3f} s (standard error {1e3 * corner.time_error:.2g} "
-        "ms), and back"
+
+    def travel(late: float) -> Floats:
+        """Return the displacement if loading began late: 0 before it and after the return."""
+        up = np.clip(time - start - late, 0.0, duration)
+        down = np.clip(time - corner.time - late, 0.0, duration)
+        return np.asarray(speed * (up - down), dtype=np.float64)
+
+    values = travel(0.0)
+    moved = {TURN: travel(corner.time_error), SPEED: (1.0 + step.speed_uncertainty) * values}
+    signal = Signal(time, values, "m", force.clock, moved=moved)
+    note = Finding.of(
+        "process.displacement_from_speed",
+        step.channel,
+        speed=1e3 * speed,
+        duration=duration,
+        time=corner.time,
+        error=1e3 * corner.time_error,
     )
-    half_width = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
-    findings = [
-        info_note("displacement_from_speed", step.channel, summary),
-        *_start(force, drive, step.channel),
-        *_rest(force, drive, half_width),
-    ]
-    return signals.with_new(step.channel, signal), findings
+    delay = float(force.time[0]) - start
+    within = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
+    late = Finding.of("process.start_missed", "force", "force", delay=delay, within=within)
+    return signals.with_new(step.channel, signal), [note, late] if delay > within else [note]
 
 
 def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
-    # s
-    max_time_error = 0.5
+    max_time_error = 0.5  # s
     if not force.has_time:
-        message = f"{step.force}: a speed needs times, but the export has none"
-        raise ValueError(message)
+        raise ValueError(sentence("process.needs_times", channel=step.force, what="a speed"))
     near = sharpest_turn(force.time, force.values, width=step.window)
     reversal = None
     if near is not None:
@@ -140,61 +115,8 @@ def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
         inside = force.time[part], force.values[part]
         reversal = fit_reversal(*inside, near=near, window=step.window)
     if reversal is None or not reversal.corner.time_error < max_time_error:
-        message = (
-            f"{step.force}: expected a corner where it turns from rising to falling, which says "
-            "when the frame turned, found none: look whether it is the right channel, and whether "
-            "the unloading was recorded"
-        )
-        raise ValueError(message)
+        raise ValueError(sentence("process.no_turn", channel=step.force))
     return reversal.corner
-
-
-def _start(force: Signal, drive: Drive, channel: str) -> Iterator[Finding]:
-    """Compare the take-off of the force with the start from speed and stroke."""
-    # Share of the loading time.
-    max_start_share = 0.02
-    take_off, duration = _take_off(force, drive.turn), drive.turn - drive.start
-    if take_off is None:
-        message = "the force does not rise from rest, so that the start cannot be checked"
-        yield info_note("start_not_seen", channel, message)
-        return
-    late = take_off.time - drive.start
-    if abs(late) <= max_start_share * duration + 3.0 * take_off.time_error:
-        return
-    message = (
-        f"the force rises for {drive.turn - take_off.time:.2f} s before it turns, not for the "
-        f"{duration:.2f} s of the rig: check rig.crosshead_speed and rig.stroke"
-    )
-    yield doubtful("speed_unexpected", "rig.crosshead_speed", message, "displacement", "force")
-
-
-def _rest(force: Signal, drive: Drive, half_width: float) -> Iterator[Finding]:
-    """Report a force whose record begins after loading: its zero is not known."""
-    delay = float(force.time[0]) - drive.start
-    if delay > half_width:
-        message = (
-            f"the record of the force begins {delay:.2f} s after the motion, known to "
-            f"{half_width:.2f} s: it was zeroed under load, so that forces are too small"
-        )
-        yield doubtful("start_missed", "force", message, "force")
-
-
-def _take_off(force: Signal, turn: float) -> Corner | None:
-    """Find the corner at which the force leaves its level at rest."""
-    # s of rest required before the take-off; also the smoothing window.
-    rest_time = 1.0
-    window = max(1, seconds_to_window(rest_time, force.time))
-    smooth = moving_average(force.values, window=min(window, len(force.time) | 1))
-    rest = force.time <= force.time[0] + rest_time
-    level = float(np.nanmean(force.values[rest]))
-    noise = noise_level(force.values) / np.sqrt(window) + 1e-9 * float(np.ptp(smooth))
-    rising = (smooth - level > 5.0 * noise) & (force.time < turn)
-    # The last sample at rest, so that single outliers have no effect.
-    still = np.flatnonzero(~rising & (force.time < turn))
-    if not len(still) or force.time[still[-1]] - force.time[0] < rest_time:
-        return None
-    near = float(force.time[still[-1]])
-    return fit_corner(force.time, force.values, near=near, window=3.0 * rest_time)
 
 
 Stepped: TypeAlias = tuple[Prepared, list[Finding]]
@@ -253,7 +175,7 @@ def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
     try:
         return take_step(prepared, step, protocol)
     except ValueError as error:
-        remedy = "Check the exports with `labpipe inspect`, and this step of the protocol."
+        remedy = sentence("process.step_remedy")
         if isinstance(error, ShortStretchError):
             remedy = f"Write {in_test_sheet(f'{step.key}.over', f'{error.needed:.2g} s')}."
         message = f"{step.key} ({step.step}): {error}. {remedy}"
@@ -298,7 +220,12 @@ def _take_marker_step(
     protocol: Protocol,
 ) -> Stepped:
     # Tests without markers do not load these modules.
-    from labpipe.process.camera_steps import fit_shapes, repair, turn_into_specimen
+    from labpipe.process.camera_steps import (
+        bend_between_supports,
+        fit_shapes,
+        repair,
+        turn_into_specimen,
+    )
 
     match step:
         case RepairMarkers():
@@ -308,8 +235,6 @@ def _take_marker_step(
         case FitShape():
             return fit_shapes(prepared, step, protocol.markers)
         case ThreePointShape():
-            from labpipe.process.span_steps import bend_between_supports
-
             return bend_between_supports(prepared, step, protocol)
 
 
@@ -337,9 +262,13 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
     if len(finite) < (min_samples := required_samples(other_values)):
         time_step = _step_of(signal)
-        message = (
-            f"{step.channel}: {len(finite)} samples in the {duration:.4g} s to zero on, "
-            f"{min_samples} are needed, and there are {1.0 / time_step:.4g} per second"
+        message = sentence(
+            "process.short_stretch",
+            channel=name,
+            count=len(finite),
+            duration=duration,
+            needed=min_samples,
+            rate=1.0 / time_step,
         )
         raise ShortStretchError(message, (min_samples + 0.5) * time_step)
     stretch = {name: (start, start + duration)}
@@ -356,10 +285,17 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
         method = (
             f"the mean over the {rest_time:.3g} s before the motion" if rest_samples else method
         )
-    summary = f"zero at {round(level, 12):.6g} {signal.unit}, {method} at the {step.at}"
-    if len(finite) < MIN_SAMPLES_NOISE_UNKNOWN:
-        summary += f", {len(finite)} samples: their noise is taken from the rest of the record"
-    return signals.without_level(name, level, error), [info_note("zeroed", name, summary)]
+    is_short = len(finite) < MIN_SAMPLES_NOISE_UNKNOWN
+    note = Finding.of(
+        "process.zeroed_on_few" if is_short else "process.zeroed",
+        name,
+        level=round(level, 12),
+        unit=signal.unit,
+        method=method,
+        end=step.at,
+        count=len(finite),
+    )
+    return signals.without_level(name, level, error), [note]
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
@@ -375,8 +311,7 @@ def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
 def _need_time(signal: Signal, name: str, what: str) -> None:
     """Refuse a length in seconds if the export has no time."""
     if not signal.has_time:
-        message = f"{name}: {what} needs times, but the export has none"
-        raise ValueError(message)
+        raise ValueError(sentence("process.needs_times", channel=name, what=what))
 
 
 def _filter(
@@ -390,16 +325,15 @@ def _filter(
         case Smooth():
             window = _window(step.span, signal, protocol)
             length = f" ({window * _step_of(signal):.4g} s)" if signal.has_time else ""
-            summary = f"moving average over {window} samples{length}"
-            filter_step, findings = (Smoothing(window), 1), [info_note("smoothed", name, summary)]
+            filter_step = Smoothing(window), 1
+            findings = [Finding.of("process.smoothed", name, window=window, length=length)]
         case LowPass():
             _need_time(signal, name, "a cutoff in Hz")
             filter_step = Butterworth(step.cutoff, 1.0 / _step_of(signal), step.order), 1
         case Decimate():
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
-            summary = f"every {step.factor}th sample kept ({step.method})"
-            filter_step = Smoothing(window), step.factor
-            findings = [info_note("decimated", name, summary)]
+            filter_step, kept = (Smoothing(window), step.factor), step.factor
+            findings = [Finding.of("process.decimated", name, kept=kept, method=step.method)]
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.changed(lambda values: in_pieces(values, (), [filter_step]))
     return signals.with_filtered(name, signal, filter_step), findings
@@ -423,7 +357,6 @@ def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
         return seconds_to_window(span.value, signal.time)
     speed, stroke = protocol.rig.crosshead_speed, protocol.rig.stroke
     if speed is None or (span.kind == "branch" and stroke is None):
-        message = f"span: a span of {span.kind} needs rig.crosshead_speed and rig.stroke"
-        raise ValueError(message)
+        raise ValueError(sentence("process.span_needs_rig", kind=span.kind))
     travel = span.value if span.kind == "travel" else span.value * (stroke or 0.0)
     return seconds_to_window(travel / speed, signal.time)

@@ -16,9 +16,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date
 
+from labpipe.errors import in_test_sheet
+from labpipe.messages import sentence
 from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.clock_joining import join_clocks
-from labpipe.process.consistency import check_consistency
+from labpipe.process.consistency import check_break, check_consistency
 from labpipe.process.curve_corrections import (
     align_signals,
     bridge_outliers,
@@ -27,6 +29,7 @@ from labpipe.process.curve_corrections import (
 )
 from labpipe.process.motion import Motion, branches_between, strokes_of
 from labpipe.process.sanity_checks import (
+    check_begin,
     check_due,
     check_mid_span,
     check_rest,
@@ -38,7 +41,7 @@ from labpipe.process.sanity_checks import (
     is_full_stroke,
 )
 from labpipe.process.steps import run_steps
-from labpipe.process.zeros import check_begin, check_break, check_zeros, rezero_at_rest
+from labpipe.process.zeros import rezero_at_rest
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape, Limits
@@ -47,6 +50,7 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.beam import BendingStiffness
+from labpipe.results.kinds import Kind
 from labpipe.results.reduced_test import LoadString, ReducedTest, Setup
 from labpipe.results.shapes import MomentCurvature
 from labpipe.uncertainty.intervals import Measured
@@ -137,7 +141,7 @@ def split_motion(
     branches = branches_between(motion, strokes, turns)
     findings += new_findings
     if prepared.span is not None:
-        from labpipe.process.span_steps import align_cameras  # only these tests load it
+        from labpipe.process.camera_steps import align_cameras  # only these tests load it
 
         min_stroke = block.min_stroke
         prepared, others, new_findings = align_cameras(
@@ -206,8 +210,10 @@ def with_curve(
     findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)
-    findings += check_zeros(test.signals, test.clocks, curve, findings, protocol.limits)
-    findings += check_consistency(test.signals.force, curve, protocol.limits)
+    contradictions = Findings() + check_consistency(test.signals, curve, protocol.limits)
+    if any(finding.code == "frozen_channel" for finding in findings.entries):
+        contradictions = contradictions.without("zero_jump")  # it ends in a jump
+    findings += contradictions.entries
     test, new_findings = correct_curve(replace(test, curve=curve), block)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
@@ -275,12 +281,7 @@ def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
         computed = entry.compute(test)
-        numbers = list(computed.results)
-        if any(result.status is Status.FAILED for result in numbers):
-            from labpipe.process.remedies import with_remedy  # most tests do not need it
-
-            numbers = [with_remedy(result, entry, test, protocol) for result in numbers]
-        results += numbers
+        results += [_with_remedy(result, entry, protocol) for result in computed.results]
         lines += computed.lines
         test = replace(
             test,
@@ -288,3 +289,19 @@ def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
             findings=test.findings + computed.findings,
         )
     return ReductionOfTest(test, tuple(results), tuple(lines))
+
+
+def _with_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
+    """Add to a result that the record cannot give how to leave it out."""
+    codes = {"not_reached", "too_few_samples", "no_break"}
+    if result.status is not Status.FAILED or not codes & {reason.code for reason in result.reasons}:
+        return result
+    names = [getattr(other, "name", other.result) for other in protocol.results]
+    number = protocol.results.index(entry)
+    key = names[number] if names.count(names[number]) == 1 else number
+    remedy = sentence("process.remedy", override=in_test_sheet(f"results.{key}", "null"))
+    reasons = [
+        replace(reason, message=reason.message + remedy) if reason.code in codes else reason
+        for reason in result.reasons
+    ]
+    return replace(result, reasons=tuple(reasons))

@@ -144,28 +144,25 @@ PULLS = {
         COARSE,
         ends_in(bent_over(COARSE - 0.3e-3, knee=0.6e-3, most=76.0), 0.02, 0.0),
         {*SLACK, "stiffness"},
-        {"curve.slack.to", "results.stiffness.to"},
+        {"results.slack", "results.stiffness"},
     ),
     "begins late, never breaks": (
         LATE,
         3.0 + bent_over(LATE, knee=60e-3, most=12.0),
         {*SLACK, *BREAK, "stiffness"},
-        {
-            *("curve.slack", "results.slack", "results.failure", "results.energy-to-break"),
-            *("results.stiffness.from", "results.stiffness.to"),
-        },
+        {"results.slack", "results.failure", "results.energy-to-break", "results.stiffness"},
     ),
     "stops in mid-break": (
         FINE,
         ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), 0.73, 0.72),
         BREAK,
-        {"curve.failure.force_below"},
+        {"results.failure", "results.energy-to-break"},
     ),
     "stops while it necks": (
         FINE,
         ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), *np.linspace(1.0, 0.7, 40)),
         BREAK,
-        {"curve.failure.force_below", "curve.failure.within"},
+        {"results.failure", "results.energy-to-break"},
     ),
 }
 

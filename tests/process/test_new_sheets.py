@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
-from labpipe.process.export_metadata import (
+from labpipe.process.protocol_match import Fit, all_protocols, match_protocols
+from labpipe.process.sheet_inference import (
     FOLDER,
     Fact,
+    InferredTest,
     combine_facts,
     day_in,
     facts_of_export,
     facts_of_folder,
+    infer_test,
+    infer_tests,
 )
-from labpipe.process.protocol_match import Fit, all_protocols, match_protocols
-from labpipe.process.sheet_inference import InferredTest, infer_test, infer_tests
 from labpipe.process.sheet_writing import (
     new_from_sheet,
     write_inferred_sheet,

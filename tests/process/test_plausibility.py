@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from labpipe.process.calibrated_signals import check_channels
-from labpipe.process.export_metadata import day_and_operator
 from labpipe.process.motion import Motion
+from labpipe.process.run import day_and_operator
 from labpipe.process.sanity_checks import (
     check_due,
     check_rest,
