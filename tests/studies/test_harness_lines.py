@@ -21,7 +21,7 @@ from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.rod.rotations import matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_responses import (
+from labpipe.mechanics.studies.harness_numbers import (
     curvature_after_release,
     largest_unbending,
     max_residual_curvature,

@@ -144,18 +144,28 @@ def coarse_doubt(
     """
     numbers, steps = numbers_of(path, prepared), len(path.states) - 1
     if other.path.status == "failed":
-        return _unsolved_doubt(
-            "too_coarse", numbers, other.path, f"{other.steps_text} steps", steps
+        reason = Reason.of(
+            "mechanics.studies.unsolved_steps",
+            steps=other.steps_text,
+            failure=other.path.reasons[0].code,
+            count=steps,
+            wanted=2 * steps,
         )
+        return _doubt_about_all(reason, numbers)
     too_far = _excess_changes(numbers, numbers_of(other.path, other.prepared), prepared, intervals)
     if not too_far:
         return None
     wanted = steps * math.ceil(max(too_far.values()))
-    message = (
-        f"{_change_text(f'{other.steps_text} steps', 'it', 1.0)}, most at "
-        f"{_worst_place(path, prepared, other)}: {steps} steps are too few; take {wanted}"
+    reason = Reason.of(
+        "mechanics.studies.too_coarse",
+        steps=other.steps_text,
+        change=MAX_CHANGE,
+        of_band=MAX_CHANGE_OF_BAND,
+        place=_worst_place(path, prepared, other),
+        count=steps,
+        wanted=wanted,
     )
-    return Doubt(Reason("too_coarse", message), tuple(too_far))
+    return Doubt(reason, tuple(too_far))
 
 
 def few_elements_doubt(
@@ -173,35 +183,31 @@ def few_elements_doubt(
     numbers, steps = numbers_of(path, prepared), len(path.states) - 1
     count, other = len(prepared.line.lengths), follow(half.line, half.boundaries, steps=steps)
     if other.status == "failed":
-        return _unsolved_doubt("coarse_elements", numbers, other, "half as many elements", count)
+        reason = Reason.of(
+            "mechanics.studies.unsolved_elements",
+            failure=other.reasons[0].code,
+            count=count,
+            wanted=2 * count,
+        )
+        return _doubt_about_all(reason, numbers)
     too_far = _excess_changes(
         numbers, numbers_of(other, half), prepared, intervals, share=error_share
     )
     if not too_far:
         return None
-    wanted = max(2 * count, math.ceil(count * math.sqrt(max(too_far.values()))))
-    changed = _change_text("half as many elements", "a number", 1.0 / error_share)
-    worst = max(too_far, key=lambda name: too_far[name])
-    message = f"{changed}, most {worst}: {count} elements are too few; take {wanted}"
-    # another number may be unchanged by chance
-    return Doubt(Reason("coarse_elements", message), tuple(number.name for number in numbers))
-
-
-def _unsolved_doubt(
-    code: str, numbers: Sequence[Number], other: RodPath, change: str, count: int
-) -> Doubt:
-    message = (
-        f"with {change} the line cannot be solved ({other.reasons[0].code}), so that {count} "
-        f"cannot be checked: take {2 * count}"
+    reason = Reason.of(
+        "mechanics.studies.few_elements",
+        change=MAX_CHANGE / error_share,
+        of_band=MAX_CHANGE_OF_BAND / error_share,
+        worst=max(too_far, key=lambda name: too_far[name]),
+        count=count,
+        wanted=max(2 * count, math.ceil(count * math.sqrt(max(too_far.values())))),
     )
-    return Doubt(Reason(code, message), tuple(number.name for number in numbers))
+    return _doubt_about_all(reason, numbers)  # another number may be unchanged by chance
 
 
-def _change_text(change: str, what: str, times: float) -> str:
-    return (
-        f"{change} change {what} by more than {100.0 * MAX_CHANGE * times:g} % (or "
-        f"{100.0 * MAX_CHANGE_OF_BAND * times:g} % of its band)"
-    )
+def _doubt_about_all(reason: Reason, numbers: Sequence[Number]) -> Doubt:
+    return Doubt(reason, tuple(number.name for number in numbers))
 
 
 def _excess_changes(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, error_text
+from labpipe.errors import ProcessingError
 from labpipe.mechanics.rod.bands import LineBands, StateBands, bands_of
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath
@@ -23,12 +23,19 @@ from labpipe.mechanics.studies.harness_convergence import (
 )
 from labpipe.mechanics.studies.harness_line import Inputs, PreparedLine, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
+    LOWEST_POINT,
+    POSITIONS,
+    RADIUS,
+    RADIUS_ON_PATH,
     Bend,
     BendLimit,
     Doubt,
     bend_limit,
     element_doubt,
+    evaluate_number,
+    fields_of,
     jump_doubt,
+    number_names,
     numbers_of,
     reasons_of,
     reference_size,
@@ -36,16 +43,8 @@ from labpipe.mechanics.studies.harness_numbers import (
     sharpest,
     unloading_doubt,
 )
-from labpipe.mechanics.studies.harness_responses import (
-    LOWEST_POINT,
-    POSITIONS,
-    RADIUS,
-    RADIUS_ON_PATH,
-    evaluate_number,
-    fields_of,
-    number_names,
-)
 from labpipe.mechanics.studies.harness_section import Material
+from labpipe.messages import sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -294,13 +293,9 @@ def _follow_with_bands(
         bands = harness_bands(follow_line, material, steps)
         path, prepared = solutions[0] if solutions else follow_line(0, material.best)
     except ValueError as error:
-        message = error_text(
-            *(file, "line"),
-            expected="a line that fits its boundaries",
-            found=f"this: {error}",
-            remedy="Check the line and its boundaries.",
-        )
-        raise ProcessingError(message) from error
+        raise ProcessingError.about(
+            "mechanics.studies.line_does_not_fit", file, "line", error=error
+        ) from error
     return path, prepared, bands
 
 
@@ -473,15 +468,11 @@ def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason 
         return None
     faults = [f"{lost} have no equilibrium"] if lost else []
     if off.get(most, 0.0) > max_cause_error:
-        faults.append(
-            f"{most} differs by {off[most]:.2g} times half the width of its band, "
-            f"root mean square (allowed is {max_cause_error:g})"
-        )
-    message = (
-        f"the causes of the bands do not add up: of {count} draws with all causes "
-        f"at once, {' and '.join(faults)}; bands may be too narrow or shifted"
+        name = "mechanics.studies.cause_error"
+        faults.append(sentence(name, number=most, error=off[most], most=max_cause_error))
+    return Reason.of(
+        "mechanics.studies.causes_do_not_add", count=count, faults=" and ".join(faults)
     )
-    return Reason("causes_do_not_add", message)
 
 
 def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:

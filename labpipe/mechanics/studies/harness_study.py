@@ -20,11 +20,12 @@ from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine
-from labpipe.mechanics.studies.harness_numbers import curvature_of, radius_of
-from labpipe.mechanics.studies.harness_responses import (
+from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
+    curvature_of,
     heights_of,
+    radius_of,
     residual_curvature,
 )
 from labpipe.mechanics.studies.harness_section import input_file, material_of
