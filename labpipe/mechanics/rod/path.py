@@ -85,7 +85,8 @@ class Reason:
     @classmethod
     def of(cls, name: str, /, *, step: int, **facts: object) -> Reason:
         """Make a reason; its fields `place` and `other` are nodes."""
-        nodes = {key: int(str(facts.pop(key))) for key in ("place", "other") if key in facts}
+        places = [key for key in ("place", "other") if key in facts]
+        nodes = {key: int(str(facts.pop(key))) for key in places}
         return cls(name, step, nodes, facts)
 
     @property

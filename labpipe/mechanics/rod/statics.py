@@ -285,7 +285,7 @@ class _Walk:
     def _leave_unstable(self, time: float) -> None:
         """Leave an unstable equilibrium, unless it whirls."""
         if self._has_reason("whirls") or self.check.whirls(self.now.balance):
-            self._doubt_stability("mechanics.rod.whirls")
+            self._doubt_stability(is_whirling=True)
         else:
             self._relax(time, is_unstable=True)
 
@@ -310,7 +310,7 @@ class _Walk:
                 "mechanics.rod.no_equilibrium", step=self.step, place=node, pull=pulls[node]
             )
             raise NoEquilibriumError(reason)
-        self._doubt_stability("mechanics.rod.unstable")
+        self._doubt_stability(is_whirling=False)
 
     def _relax_to_rest(self, time: float, kick: float) -> bool:
         """Relax the line through decreasing drag; false where it does not come to rest."""
@@ -388,13 +388,17 @@ class _Walk:
 
     # ---- results ------------------------------------------------------------------------------
 
-    def _doubt_stability(self, template: str) -> None:
+    def _doubt_stability(self, *, is_whirling: bool) -> None:
         """Accept an unstable equilibrium, with one reason."""
         push = np.zeros(self.assembly.places.total)
         mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
         moves = split_unknowns(push if mode is None else mode)[0]
         node = int(np.argmax(np.linalg.norm(moves, axis=1)))
-        reason = Reason.of(template, step=self.step, place=node)
+        reason = Reason.of(
+            "mechanics.rod.whirls" if is_whirling else "mechanics.rod.unstable",
+            step=self.step,
+            place=node,
+        )
         if not self._has_reason(reason.code):
             self.reasons.append(reason)
 

@@ -1,4 +1,4 @@
-"""Convergence of a harness in steps and elements, by a solution with half as many.
+"""Convergence of a harness in steps and elements, by solutions with half as many.
 
 Sliders and friction depend on the path, which is straight in each step. The error of steps falls at
 least linearly with their size, so that it is at most the change by half as many steps. Steps at
@@ -50,6 +50,34 @@ class ConvergenceWalk:
     def steps_text(self) -> str:
         """Return the number of steps, as text."""
         return "twice as many" if np.any(self.times % 1.0 > 0.0) else "half as many"
+
+
+def convergence_doubts(
+    path: RodPath, prepared: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
+) -> Iterator[Doubt | None]:
+    """Yield the doubts about numbers that depend on the numbers of steps and elements.
+
+    Of a line with a history, half as many of both are tried at once, and each alone only if the
+    numbers then change.
+
+    Parameters
+    ----------
+    path, prepared : of the solution
+    half : the same line, of half as many elements
+    intervals : by name, of those numbers that have one
+    """
+    steps, has_history = len(path.states) - 1, depends_on_history(prepared)
+    if has_history:
+        other = walk_with_other_steps(half, steps)
+        numbers = numbers_of(path, prepared)
+        if other.path.status != "failed" and not _excess_changes(
+            numbers, numbers_of(other.path, other.prepared), prepared, intervals
+        ):
+            return
+    yield few_elements_doubt(path, prepared, half, intervals)
+    if has_history:
+        other = walk_with_other_steps(prepared, steps)
+        yield coarse_doubt(path, prepared, other, intervals)
 
 
 def depends_on_history(prepared: PreparedLine) -> bool:
@@ -159,8 +187,8 @@ def coarse_doubt(
     reason = Reason.of(
         "mechanics.studies.too_coarse",
         steps=other.steps_text,
-        change=MAX_CHANGE,
-        of_band=MAX_CHANGE_OF_BAND,
+        change=100.0 * MAX_CHANGE,
+        of_band=100.0 * MAX_CHANGE_OF_BAND,
         place=_worst_place(path, prepared, other),
         count=steps,
         wanted=wanted,
@@ -197,8 +225,8 @@ def few_elements_doubt(
         return None
     reason = Reason.of(
         "mechanics.studies.few_elements",
-        change=MAX_CHANGE / error_share,
-        of_band=MAX_CHANGE_OF_BAND / error_share,
+        change=100.0 * MAX_CHANGE / error_share,
+        of_band=100.0 * MAX_CHANGE_OF_BAND / error_share,
         worst=max(too_far, key=lambda name: too_far[name]),
         count=count,
         wanted=max(2 * count, math.ceil(count * math.sqrt(max(too_far.values())))),

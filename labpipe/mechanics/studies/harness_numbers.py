@@ -442,7 +442,7 @@ def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
     fell = np.diff(path.lost_in_jumps, prepend=0.0)
     step_text = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
     names = (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
-    return Doubt(Reason.of("mechanics.studies.jumped", steps=step_text, share=share), names)
+    return Doubt(Reason.of("mechanics.studies.jumped", steps=step_text, share=100.0 * share), names)
 
 
 def element_doubt(path: RodPath, line: Line) -> Doubt | None:
