@@ -86,7 +86,7 @@ class Reason:
     def of(cls, name: str, /, *, step: int, **facts: object) -> Reason:
         """Make a reason; its fields `place` and `other` are nodes."""
         places = [key for key in ("place", "other") if key in facts]
-        nodes = {key: int(str(facts.pop(key))) for key in places}
+        nodes: dict[str, int] = {key: int(str(facts.pop(key))) for key in places}
         return cls(name, step, nodes, facts)
 
     @property
