@@ -209,7 +209,7 @@ class _Walk:
             is_lost = equilibrium is not None and not self._is_stable(equilibrium)
             was_refused, before = equilibrium is None or is_lost, was_refused
             if was_refused and not is_last and not (is_lost and self._is_doubtful):
-                part = max(smallest, part * (0.25 if before else 0.5))
+                part *= 0.5
                 continue
             self._move_on(time, equilibrium, is_lost=is_lost)
             if equilibrium is not None and (self._is_doubtful if is_lost else not before):
