@@ -514,7 +514,7 @@ class Plateau(Kind):
         replicates = test.replicates
         if replicates is None:
             raise UnavailableError(NO_LOADING)
-        length = Input(TANGENT, _shortened, law="step")
+        length = Input(TANGENT, _shortened, law="ends")
         more = replace(replicates, inputs=(*replicates.inputs, length))
         decide = partial(self._decide_onset, initial=initial.decide)
         decide(replicates.measured)
