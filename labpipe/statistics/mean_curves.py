@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, special
 
-from labpipe.records.arrays import Floats, means_from
+from labpipe.records.arrays import Floats, block_means
 from labpipe.records.group import Band, NestedMean, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.statistics.group_notes import sample_keys
@@ -353,20 +353,3 @@ def _turning(residuals: Floats) -> float:
     unit = residuals[:, norm > 1e-12 * size] / norm[norm > 1e-12 * size]
     cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
     return float(np.sum(np.arccos(cosine)))
-
-
-def block_means(values: Floats, points: int) -> Floats:
-    """Average blocks of consecutive samples.
-
-    Parameters
-    ----------
-    values : shape (n,); a NaN makes its mean NaN
-    points : smallest number of means, if there are as many samples
-
-    Returns
-    -------
-    Between `points` and twice as many; the last block includes the remainder.
-    """
-    size = max(1, len(values) // points)
-    starts = np.arange(0, max(len(values) - size + 1, 1), size)
-    return means_from(values, starts) if len(values) else values
