@@ -25,6 +25,8 @@ N_STATIONS = 24
 """Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
 N_LOADING_POINTS = 32
 """Of a loading curve."""
+TOLERANCE = 1e-5
+"""Last change of the moments, as a share of the largest; the next would be 1e-9."""
 FIRST_LOADING = 0.7
 """Deflection over length at which about something begins to unload."""
 
@@ -43,6 +45,7 @@ class LoadingCurve(ArrayRecord):
     stiffness : N/m, slope of tension against deflection
     tension_change : shape (parameters, n), N, derivative at constant deflection by each of the
         law's parameters
+    states : along the wire, from which a similar law is solved faster
     """
 
     deflection: Vector
@@ -53,6 +56,7 @@ class LoadingCurve(ArrayRecord):
     clamp_moment: Vector
     stiffness: Vector
     tension_change: Annotated[Floats, "parameters", "n"]
+    states: LoadingStates | None = None
 
     @property
     def force(self) -> Floats:
@@ -106,7 +110,13 @@ class LoadingStates:
 
 
 def load_cantilever(
-    table: LoadingTable, length: float, rig: StringRig | None, self_weight: float, deflection: float
+    table: LoadingTable,
+    length: float,
+    rig: StringRig | None,
+    self_weight: float,
+    deflection: float,
+    *,
+    near: LoadingStates | None = None,
 ) -> LoadingCurve:
     """Load a wire from rest to a deflection.
 
@@ -118,6 +128,7 @@ def load_cantilever(
         load normal to the clamped axis that holds the tip level at rest
     self_weight : N/m, may be 0
     deflection : m, of the tip from rest
+    near : of a similar law, otherwise the same, to start from
 
     Returns
     -------
@@ -132,7 +143,7 @@ def load_cantilever(
     crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
     farthest = min(deflection, FIRST_LOADING * length)
     wanted = farthest * (np.arange(1, N_LOADING_POINTS + 1) / N_LOADING_POINTS) ** crowding
-    states = loading_states(table, length, rig, self_weight, wanted)
+    states = loading_states(table, length, rig, self_weight, wanted, near=near)
     stop = states.count_loading()
     rise = states.tension[0] - states.rest_tension
     rest_slope = float(rise / states.deflection[0])  # before slip
@@ -151,6 +162,7 @@ def load_cantilever(
         clamp_moment=from_rest(float(states.rest[0]), states.moment[:, 0]),
         stiffness=from_rest(rest_slope, states.tension_change[0]),
         tension_change=np.hstack([np.zeros((len(change), 1)), change]),
+        states=states,
     )
 
 
@@ -163,6 +175,7 @@ def loading_states(
     *,
     n_stations: int = N_STATIONS,
     with_changes: bool = True,
+    near: LoadingStates | None = None,
 ) -> LoadingStates:
     """Find the equilibria of a wire at rest and at given deflections.
 
@@ -172,6 +185,7 @@ def loading_states(
     deflections : shape (n,), m, from rest, in the direction of the pull, increasing
     n_stations : along the wire
     with_changes : whether to compute `tension_change`
+    near : as for `load_cantilever`
 
     Raises
     ------
@@ -183,14 +197,22 @@ def loading_states(
     tip_force = 0.375 * self_weight * length
     at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
     level = Wire(table.bend, stations, self_weight, at_rest)
-    start = (tip_force - 0.5 * level.beyond) * from_tip
-    begin = tip_force + (0.0 if rig is None else rig.weight)
-    first = _solve(level, at_rest, start[None], np.array([begin]))
+    if near is None:
+        begin = tip_force + (0.0 if rig is None else rig.weight)
+        start = (tip_force - 0.5 * level.beyond) * from_tip
+        first = _solve(level, at_rest, start[None], np.array([begin]))
+    else:
+        first = _solve(level, at_rest, near.rest[None], np.array([near.rest_tension]))
     rest, tension = first[0][0], float(first[1][0])
     loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
-    clamp = _clamp_moments(table, length, deflections)
-    guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
-    moment, tensions = _solve_all(loaded, at, np.append(rest, tension), guess)
+    solution = (
+        None if near is None else solve(loaded, near.moment, near.tension, tolerance=TOLERANCE)
+    )
+    if solution is None:
+        clamp = _clamp_moments(table, length, deflections)
+        guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
+        solution = _solve_all(loaded, at, np.append(rest, tension), guess)
+    moment, tensions = solution
     bent = bend_wire(loaded, moment, tensions)
     tension_change = np.zeros((0, len(deflections)))
     if with_changes:
@@ -239,9 +261,8 @@ def _solve_all(
 
 
 def _solve(wire: Wire, at: AtDeflection, moment: Floats, tension: Floats) -> tuple[Floats, Floats]:
-    moment_tolerance = 1e-5  # the next change would be 1e-9
     wire = replace(wire, condition=at)
-    solution = solve(wire, moment, tension, tolerance=moment_tolerance)
+    solution = solve(wire, moment, tension, tolerance=TOLERANCE)
     if solution is None:
         farthest = at.deflection[-1]
         where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"

@@ -27,7 +27,12 @@ from labpipe.mechanics.wire.bending_law import moment_curvature
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, tube_moment
-from labpipe.mechanics.wire.first_loading import LoadingCurve, force_at, load_cantilever
+from labpipe.mechanics.wire.first_loading import (
+    LoadingCurve,
+    LoadingStates,
+    force_at,
+    load_cantilever,
+)
 from labpipe.mechanics.wire.friction import Contacts, slip_onsets
 from labpipe.mechanics.wire.materials import RambergOsgood, elastic_share, helix_factor
 from labpipe.records.arrays import Floats
@@ -334,11 +339,15 @@ COLUMNS = len(PARAMETERS) + 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelForce:
-    """Forces of one curve, shape (n,), N, their derivatives, shape (3, n), N, and slope, N/m."""
+    """Forces of one curve, shape (n,), N, their derivatives, shape (3, n), N, and slope, N/m.
+
+    `states` are those of the wire, from which other parameters are solved faster.
+    """
 
     force: Floats
     change: Floats
     slope: Floats
+    states: LoadingStates | None
 
 
 def loading_curve(
@@ -349,6 +358,7 @@ def loading_curve(
     deflection: float,
     *,
     self_weight: float = 0.0,
+    near: LoadingStates | None = None,
 ) -> LoadingCurve:
     """Compute a loading curve that reaches a deflection.
 
@@ -359,6 +369,7 @@ def loading_curve(
     length, deflection : m
     rig : as for `load_cantilever`
     self_weight : N/m, of the wire; the deflection is then from rest
+    near : as for `load_cantilever`
 
     Raises
     ------
@@ -370,15 +381,24 @@ def loading_curve(
     reach, _ = parts.reach(values)
     end = min(reach, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
     table = loading_table(parts, values, end)
-    curve = load_cantilever(table, length, rig, self_weight, deflection)
+    curve = load_cantilever(table, length, rig, self_weight, deflection, near=near)
     _require_known(parts, values, float(curve.clamp_curvature.max()))
     return curve
 
 
 def model_forces(
-    parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...]
+    parts: WireParts,
+    values: Floats,
+    curves: tuple[MeasuredCurve, ...],
+    near: list[ModelForce] | None = None,
 ) -> list[ModelForce]:
     """Compute the force of the model at every point of the curves, without the samples' factors.
+
+    Parameters
+    ----------
+    parts, values : as for `loading_curve`
+    curves : measured
+    near : forces at similar values, to start from
 
     Raises
     ------
@@ -392,14 +412,17 @@ def model_forces(
         deflections = np.concatenate([curves[i].deflection for i in numbers])
         first = curves[numbers[0]]
         deepest = float(np.max(np.abs(deflections)))
-        weight = first.self_weight
-        curve = loading_curve(parts, values, first.length, first.rig, deepest, self_weight=weight)
+        curve = loading_curve(
+            *(parts, values, first.length, first.rig, deepest),
+            self_weight=first.self_weight,
+            near=near[numbers[0]].states if near else None,
+        )
         force, change = force_at(curve, deflections)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
         rise = np.interp(np.abs(deflections), curve.deflection, curve.stiffness)
         parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
         for number, *part in zip(numbers, *parts_of, strict=True):
-            forces[number] = ModelForce(*part)
+            forces[number] = ModelForce(*part, curve.states)
     return [force for force in forces if force is not None]
 
 

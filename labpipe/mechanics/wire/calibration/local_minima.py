@@ -211,7 +211,7 @@ def _first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats], free:
 def _without_offsets(point: Point, levels: Levels) -> Point:
     """Return the point, without offsets where samples do not scatter."""
     offsets = point.offsets if levels.scatter > 0.0 else np.zeros_like(point.offsets)
-    return Point(point.logs, point.gain, offsets)
+    return replace(point, offsets=offsets)
 
 
 def _are_close(one: Levels, other: Levels) -> bool:

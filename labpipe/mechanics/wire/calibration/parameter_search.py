@@ -84,11 +84,13 @@ class Point:
     logs : shape (3,), of the parameters
     gain : of the load cell, in logarithms
     offsets : shape (samples,), of the samples, in logarithms
+    near : forces of the model nearby, from which it is solved faster
     """
 
     logs: Floats
     gain: float
     offsets: Floats
+    near: list[ModelForce] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +171,8 @@ def _max_steps(fit: Fit, lowest: float) -> int:
 
 
 def _evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
-    models = model_forces(problem.parts, np.exp(point.logs), problem.curves)
+    models = model_forces(problem.parts, np.exp(point.logs), problem.curves, point.near)
+    point = replace(point, near=models)
     grams = products(problem, levels.correlation, point, models)
     data = float(grams[:, -1, -1].sum()) / levels.noise
     prior = float(problem.precision @ (point.logs - problem.centre) ** 2)
@@ -217,7 +220,8 @@ def _try(problem: Problem, levels: Levels, point: Point) -> Fit | None:
 
 def _move(problem: Problem, point: Point, step: Floats) -> Point:
     logs = np.clip(point.logs + step[:P], problem.lower, problem.upper)
-    return Point(logs, point.gain + float(step[P]), point.offsets + step[P + 1 :])
+    offsets = point.offsets + step[P + 1 :]
+    return replace(point, logs=logs, gain=point.gain + float(step[P]), offsets=offsets)
 
 
 def _normal_equations(
