@@ -122,7 +122,7 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
     slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
-    monkeypatch.setattr("labpipe.mechanics.wire.calibration.parameter_search._MAX_STEPS", 1)
+    monkeypatch.setattr("labpipe.mechanics.wire.calibration.search._MAX_STEPS", 1)
     choices = {"copper_scale": FIXED, "insulation_modulus": ParameterChoice(3e9)}
     assert "search_unsettled" in codes(calibrated(THREE[:1], Settings(choices, scatter=0.03)))
 

@@ -11,13 +11,12 @@ import pytest
 from labpipe.mechanics.wire.bending_law import moment_curvature
 from labpipe.mechanics.wire.calibration.law_components import (
     WireParts,
-    gram,
     loading_curve,
     loading_table,
-    model_forces,
     split_wire,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import shared_errors
+from labpipe.mechanics.wire.calibration.objective import gram, model_forces
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Layer, compressed, concentric
 from labpipe.mechanics.wire.first_loading import force_at

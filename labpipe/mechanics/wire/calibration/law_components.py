@@ -1,4 +1,4 @@
-"""The law of a wire as a sum of scalable parts, and the forces that follow from it.
+"""The law of a wire as a sum of scalable parts, and the loading curve that follows from it.
 
 First loading without tension in the wire is additive,
 
@@ -16,7 +16,6 @@ friction angle by less than 0.1 %. For more rings their ratios are kept, and F s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import groupby
 from typing import TypeAlias
 
 import numpy as np
@@ -24,13 +23,11 @@ from scipy.interpolate import CubicSpline
 
 from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.wire.bending_law import moment_curvature
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, tube_moment
 from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
     LoadingStates,
-    force_at,
     load_cantilever,
 )
 from labpipe.mechanics.wire.friction import Contacts, slip_onsets
@@ -333,23 +330,6 @@ def _copper_moment(part: CopperPart, scale: float, curvature: Floats) -> Pair:
     return secant * curvature, secant + bend
 
 
-COLUMNS = len(PARAMETERS) + 2
-"""Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelForce:
-    """Forces of one curve, shape (n,), N, their derivatives, shape (3, n), N, and slope, N/m.
-
-    `states` are those of the wire, from which other parameters are solved faster.
-    """
-
-    force: Floats
-    change: Floats
-    slope: Floats
-    states: LoadingStates | None
-
-
 def loading_curve(
     parts: WireParts,
     values: Floats,
@@ -384,91 +364,3 @@ def loading_curve(
     curve = load_cantilever(table, length, rig, self_weight, deflection, near=near)
     _require_known(parts, values, float(curve.clamp_curvature.max()))
     return curve
-
-
-def model_forces(
-    parts: WireParts,
-    values: Floats,
-    curves: tuple[MeasuredCurve, ...],
-    near: list[ModelForce] | None = None,
-) -> list[ModelForce]:
-    """Compute the force of the model at every point of the curves, without the samples' factors.
-
-    Parameters
-    ----------
-    parts, values : as for `loading_curve`
-    curves : measured
-    near : forces at similar values, to start from
-
-    Raises
-    ------
-    ValueError
-        If a curve goes beyond first loading.
-    """
-    forces: list[ModelForce | None] = [None] * len(curves)
-    order = sorted(range(len(curves)), key=lambda i: _setup_key(curves[i]))
-    for _, members in groupby(order, key=lambda i: _setup_key(curves[i])):
-        numbers = list(members)
-        deflections = np.concatenate([curves[i].deflection for i in numbers])
-        first = curves[numbers[0]]
-        deepest = float(np.max(np.abs(deflections)))
-        curve = loading_curve(
-            *(parts, values, first.length, first.rig, deepest),
-            self_weight=first.self_weight,
-            near=near[numbers[0]].states if near else None,
-        )
-        force, change = force_at(curve, deflections)
-        ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
-        rise = np.interp(np.abs(deflections), curve.deflection, curve.stiffness)
-        parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
-        for number, *part in zip(numbers, *parts_of, strict=True):
-            forces[number] = ModelForce(*part, curve.states)
-    return [force for force in forces if force is not None]
-
-
-def _setup_key(curve: MeasuredCurve) -> tuple[float, ...]:
-    rig, place = curve.rig, (curve.length, curve.self_weight)
-    if rig is None:
-        return place
-    return (*place, rig.string_length, rig.weight, rig.anchor_x, rig.anchor_height)
-
-
-def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float) -> Floats:
-    """Return the whitened Gram matrix of derivatives, model and residual, shape (5, 5).
-
-    Parameters
-    ----------
-    curve, model : measured and modelled
-    factor : of the sample and the load cell on the model's force
-    correlation : of neighbouring points
-
-    Notes
-    -----
-    Errors N that the points share make the covariance R + N N', R being that of the noise. With
-    whitened columns W, N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury), as if each error
-    were fitted with its standard deviation as prior. They are in units of the stated noise: where
-    residuals show more noise, the shared errors grow alike.
-    """
-    force = factor * model.force
-    columns = np.column_stack([factor * model.change.T, force, curve.force - force])
-    return whitened_products(curve, columns, model.slope, correlation)
-
-
-def whitened_products(
-    curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
-) -> Floats:
-    """Return the Gram matrix of columns of forces in units of the stated noise, see `gram`.
-
-    Parameters
-    ----------
-    curve : measured
-    columns : shape (points, n), N
-    slope : shape (points,), N/m, of the curve
-    correlation : of neighbouring points
-    """
-    noise = np.asarray(curve.noise)[:, None]
-    white = whiten(columns / noise, correlation)
-    shared = whiten(shared_errors(curve, slope).T / noise, correlation)
-    seen = shared.T @ white
-    held = np.eye(shared.shape[1]) + shared.T @ shared
-    return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))

@@ -29,15 +29,16 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from labpipe.mechanics.wire.calibration.law_components import model_forces, whitened_products
-from labpipe.mechanics.wire.calibration.parameter_search import (
+from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     Point,
     Problem,
+    model_forces,
     products,
-    search,
+    whitened_products,
 )
+from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import (
     Uncertainty,
     correlation_of,

@@ -18,7 +18,7 @@ import numpy as np
 
 from labpipe.mechanics.wire.calibration.fit import CalibrationFit
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum
-from labpipe.mechanics.wire.calibration.parameter_search import (
+from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     P,
@@ -26,8 +26,8 @@ from labpipe.mechanics.wire.calibration.parameter_search import (
     Problem,
     normal_matrix,
     scaled,
-    search,
 )
+from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import quantiles
 from labpipe.records.arrays import Flags, Floats
 
