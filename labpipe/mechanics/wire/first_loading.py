@@ -197,17 +197,12 @@ def loading_states(
     tip_force = 0.375 * self_weight * length
     at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
     level = Wire(table.bend, stations, self_weight, at_rest)
-    if near is None:
-        begin = tip_force + (0.0 if rig is None else rig.weight)
-        start = (tip_force - 0.5 * level.beyond) * from_tip
-        first = _solve(level, at_rest, start[None], np.array([begin]))
-    else:
-        first = _solve(level, at_rest, near.rest[None], np.array([near.rest_tension]))
+    begin = tip_force + (0.0 if rig is None else rig.weight)
+    start = (tip_force - 0.5 * level.beyond) * from_tip
+    first = _solve(level, at_rest, start[None], np.array([begin]))
     rest, tension = first[0][0], float(first[1][0])
     loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
-    solution = (
-        None if near is None else solve(loaded, near.moment, near.tension, tolerance=TOLERANCE)
-    )
+    solution = None if near is None else _solve_near(loaded, near)
     if solution is None:
         clamp = _clamp_moments(table, length, deflections)
         guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
@@ -229,6 +224,17 @@ def loading_states(
         curvature=bent.curvature[:, 0],
         tension_change=tension_change,
     )
+
+
+def _solve_near(wire: Wire, near: LoadingStates) -> tuple[Floats, Floats] | None:
+    """Solve from states of a similar law; None where that leads far away, such as to a curl."""
+    max_change_share = 0.3  # of the largest moment
+    solution = solve(wire, near.moment, near.tension, tolerance=TOLERANCE)
+    if solution is None:
+        return None
+    change = np.abs(solution[0] - near.moment).max(axis=1)
+    is_near = change <= max_change_share * np.abs(near.moment).max(axis=1)
+    return solution if is_near.all() else None
 
 
 def _clamp_moments(table: LoadingTable, length: float, deflections: Floats) -> Floats:
