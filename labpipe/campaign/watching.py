@@ -36,7 +36,7 @@ from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, des
 from labpipe.errors import LabpipeError, ProcessingError, error_text
 from labpipe.process.protocol_match import all_protocols
 from labpipe.process.run import draw_figures
-from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
+from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
 
 T = TypeVar("T")
 _MODULES = (

@@ -11,9 +11,9 @@ from string import Formatter
 from labpipe.messages import rooms_with_templates, templates_of
 
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
-TAKES_A_TEMPLATE = {"about", "of", "sentence"}
+TAKES_A_TEMPLATE = {"about", "of", "refused", "sentence"}
 """Functions whose first argument names a template, or chooses one of several."""
-OTHER_ARGUMENTS = {"during", "clock", "blocks"}
+OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
 
 
 def test_templates_and_calls_agree(repository: Path) -> None:
