@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.bending.bent_frames import held_at_rest
 from labpipe.errors import in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import Motion
@@ -29,6 +28,7 @@ from labpipe.records.quality import (
 )
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
+from labpipe.results.bent_frames import held_at_rest
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
 from labpipe.signal.turning_points import noise_level

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from math import hypot
-from typing import NoReturn, ParamSpec, TypeVar
+from typing import NoReturn, ParamSpec, Self, TypeVar
 
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
@@ -48,6 +48,11 @@ class UnavailableError(Exception):
     def __init__(self, failure: Failure) -> None:
         super().__init__(failure.message)
         self.failure = failure
+
+    @classmethod
+    def of(cls, name: str, /, **facts: object) -> Self:
+        """Make the error from a template of a room: see `labpipe.records.quality.Reason.of`."""
+        return cls(Failure.of(name, **facts))
 
 
 def fail(code: str, message: str) -> NoReturn:

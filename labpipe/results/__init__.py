@@ -1,33 +1,36 @@
 """All kinds of results of a protocol, as one record each.
 
-A new one is a dataclass in the module of its family, and its name in the list at the end of that
-module; grammar, checks, JSON Schema, descriptions and reference page derive from `KINDS`.
+A new one is a dataclass in the module of its family, and its name in this list; grammar, checks,
+JSON Schema, descriptions and reference page derive from `KINDS`.
 """
 
 from __future__ import annotations
 
-from labpipe.results import (
-    beam,
-    cycles,
-    failures,
-    kinds,
-    plateau,
-    shapes,
-    slack_and_slips,
-    stiffness,
-    two_lines,
+from labpipe.results.beam import BendingStiffness
+from labpipe.results.cycles import Energy, PeakDisplacement, PeakForce, ResidualDisplacement
+from labpipe.results.failures import EnergyToBreak, FailureResult
+from labpipe.results.kinds import ClockResult, Kind
+from labpipe.results.plateau import Plateau
+from labpipe.results.shapes import MidSpan, MomentCurvature, TipTravel, Twist
+from labpipe.results.slack_and_slips import SlackResult, SlipResults
+from labpipe.results.stiffness import (
+    ComplianceResult,
+    Hardening,
+    InitialStiffness,
+    LineStiffness,
+    LoadingStiffness,
+    Modulus,
+    NormalisedStiffness,
+    UnloadingStiffness,
 )
-from labpipe.results.kinds import Kind
+from labpipe.results.two_lines import Kink, TwoSegments
 
 KINDS: tuple[type[Kind], ...] = (
-    *kinds.KINDS,
-    *stiffness.KINDS,
-    *two_lines.KINDS,
-    *cycles.KINDS,
-    *failures.KINDS,
-    *slack_and_slips.KINDS,
-    *plateau.KINDS,
-    *beam.KINDS,
-    *shapes.KINDS,
+    ClockResult,
+    *(UnloadingStiffness, LoadingStiffness, Hardening, InitialStiffness, LineStiffness),
+    *(NormalisedStiffness, Modulus, ComplianceResult, TwoSegments, Kink),
+    *(PeakForce, PeakDisplacement, Energy, ResidualDisplacement, FailureResult, EnergyToBreak),
+    *(SlipResults, SlackResult, Plateau, BendingStiffness),
+    *(TipTravel, MomentCurvature, MidSpan, Twist),
 )
 """In the order of the reference page."""

@@ -11,12 +11,13 @@ from typing import Annotated, ClassVar, Final, Literal
 import numpy as np
 
 from labpipe.errors import Fault
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import Distance, Length, Output, Ratio, Snake, StiffnessName
-from labpipe.records.estimates import Failure, fail, or_failure
+from labpipe.records.estimates import Failure, UnavailableError, or_failure
 from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest, Stiffness
-from labpipe.results.stiffness import OfStiffness
+from labpipe.results.stiffness import Context, OfStiffness
 from labpipe.uncertainty.extractors import Trace, combine
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
@@ -52,11 +53,9 @@ def beam_factor(length: float, support: str) -> float:
     0.01
     """
     if support not in DIVISORS:
-        message = f"expected a support out of {', '.join(DIVISORS)}, found {support!r}"
-        raise ValueError(message)
+        raise ValueError(sentence("results.bad_support", known=", ".join(DIVISORS), found=support))
     if not length > 0.0:
-        message = f"expected a length above 0, found length={length}"
-        raise ValueError(message)
+        raise ValueError(sentence("results.bad_length", length=length))
     return length**3 / DIVISORS[support]
 
 
@@ -157,20 +156,16 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
     falling = np.flatnonzero(np.diff(deflection) <= 0.0)
     last = int(falling[0]) if len(falling) else len(deflection) - 1
     if high > deflection[last]:
-        fail(
-            "beyond_elastica",
-            f"an elastic beam on this span slips through at {1e3 * deflection[last]:.4g} mm, the "
-            f"stiffness goes up to {1e3 * high:.4g} mm",
-        )
+        at, high = 1e3 * deflection[last], 1e3 * high
+        raise UnavailableError.of("results.slips_through", at=at, high=high)
     deflections = np.linspace(low, high, window_samples)
     loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
     slope = float(np.polynomial.Polynomial.fit(deflections, loads, 1).convert().coef[1])
     ratio = slope * rollers.span**3 / 48.0
     if ratio < min_ratio:
-        fail(
-            "beyond_elastica",
-            f"from {1e3 * low:.4g} mm to {1e3 * high:.4g} mm the load on an elastic beam rises "
-            f"{ratio:.2g} times as fast as at first, at least {min_ratio} is needed",
+        low, high = 1e3 * low, 1e3 * high
+        raise UnavailableError.of(
+            "results.beyond_elastica", low=low, high=high, ratio=ratio, needed=min_ratio
         )
     return ratio
 
@@ -187,9 +182,6 @@ _ORDER = ("large-deflection", "roller-radius", "roller-friction")
 
 
 _FORMULAS = {"cantilever": ("length", "L^3 / 3"), "three-point": ("span", "L^3 / 48")}
-
-
-_EXAMPLES = {"length": "114.3 mm", "span": "152.4 mm"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,28 +231,27 @@ class BendingStiffness(OfStiffness):
                 remedy = f"Add 'roller: {{{key}: ...}}'."
                 yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
-    @property
-    def method(self) -> str:
-        """With the name of the stiffness, and the length."""
+    def methods(self, test: ReducedTest) -> tuple[str]:
+        """Return the formula with its length."""
+        del test
         key, formula = _FORMULAS[self.support]
-        return f"{self.of} x {formula}, L = specimen.{key}"
+        return (f"{self.of} x {formula}, L = specimen.{key}",)
 
     def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the bending stiffness from a stiffness and its length."""
         key, sizes = _FORMULAS[self.support][0], test.setup.sizes
         if key not in sizes:
-            example = f"'{key}: {_EXAMPLES[key]}'"
-            message = f"specimen.{key} is missing: write it into the test sheet, such as {example}"
-            fail(f"no_{key}", message)
+            is_span = key == "span"
+            raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
         self._ratio(sizes, stiffness.window)
         return test.measure_one(
             combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
         )
 
-    def remark(self, test: ReducedTest, stiffness: Stiffness) -> str:
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Name the corrections with their sizes."""
         ratio = or_failure(self._ratio)(test.setup.sizes, stiffness.window)
-        return "" if isinstance(ratio, Failure) else ratio[1]
+        return Context(remark="" if isinstance(ratio, Failure) else ratio[1])
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
@@ -292,6 +283,3 @@ class BendingStiffness(OfStiffness):
         if "roller-friction" in taken and self.roller is not None:
             friction = self.roller.friction or 0.0
         return Rollers(span, radius, friction)
-
-
-KINDS = (BendingStiffness,)

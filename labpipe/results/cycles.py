@@ -15,7 +15,7 @@ from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure, fail, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
@@ -137,10 +137,9 @@ def unloaded(
     limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
-        fail("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
+        raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
     if above[-1] >= len(f) - 3:
-        message = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
-        fail("force_not_zero", message)
+        raise UnavailableError.of("results.force_not_zero", end=f[-3:].mean(), limit=limit)
     goes_on = bool(np.median(f[-_MIN_SAMPLES:]) < -limit)
     if goes_on if like is None else like.how == "through zero":
         return _through_zero(finite, t, f, limit)
@@ -156,11 +155,16 @@ def unloaded(
     has_stopped = falls and slope * (t[-1] - zero) < -3.0 * limit
     rests = has_stopped and _is_slack(t[rest], d, f[rest], rest, limit)
     if rests if like is None else like.how == "at rest" and rest.any():
-        mean = partial(_mean, rest=samples_of(finite[rest]))
+        at_rest = samples_of(finite[rest])
+
+        def mean(displacement: Floats, force: Floats) -> Floats:
+            del force
+            return np.asarray(displacement[..., at_rest].mean(axis=-1))
+
         return Unloaded("at rest", limit, int(rest.sum()), mean)
     near = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
     if near.sum() < _MIN_SAMPLES:
-        fail("too_few_samples", f"{int(near.sum())} samples in the 1 s to {zero:.3f} s")
+        raise UnavailableError.of("results.few_before_zero", count=int(near.sum()), zero=zero)
     of_foot, of_near = ((samples_of(finite[part]), from_end[part]) for part in (foot, near))
     of = partial(_follow, foot=of_foot if falls else None, near=of_near)
     each = partial(
@@ -199,12 +203,6 @@ def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: flo
     noise = values - values.mean() - slope * centred_time
     still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(path))
     return abs(slope) * float(np.ptp(centred_time)) <= still
-
-
-def _mean(displacement: Floats, force: Floats, *, rest: Samples) -> Floats:
-    del force
-    value: Floats = displacement[..., rest].mean(axis=-1)
-    return value
 
 
 def _follow(
@@ -277,12 +275,13 @@ class OfCycle(Kind):
     the loading, 1 its end, 2 the end of unloading."""
 
     @abstractmethod
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """Return the function from the number of a cycle to the choice of its samples.
+    def decider(self, test: ReducedTest, number: int) -> Decide:
+        """Return the choice of the samples of a cycle.
 
         Parameters
         ----------
-        test : for facts that do not depend on the curve, and data that its cycles share
+        test : for facts that do not depend on the curve
+        number : of the cycle, from 1
         """
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
@@ -299,16 +298,13 @@ class OfCycle(Kind):
         """Measure a number per cycle."""
         if not test.cycles:
             raise test.unavailable(NO_LOADING)
-        decider = self.decider(test)
-        return Computed(tuple(self._of_cycle(test, branches, decider) for branches in test.cycles))
+        return Computed(tuple(self._of_cycle(test, branches) for branches in test.cycles))
 
-    def _of_cycle(
-        self, test: ReducedTest, branches: list[Branch], decider: Callable[[int], Decide]
-    ) -> Result:
+    def _of_cycle(self, test: ReducedTest, branches: list[Branch]) -> Result:
         number = branches[0].cycle
         return self.number(
             test,
-            or_failure(test.measure_one)(decider(number), self.plain(test, branches)),
+            or_failure(test.measure_one)(self.decider(test, number), self.plain(test, branches)),
             during=_time_of_part(branches, self.reads),
             doubts=cut_short(test, branches[: self.complete_branches], self.outputs[0].rests_on)
             + self.doubts(test, branches),
@@ -337,8 +333,7 @@ def gap_at_peak(test: ReducedTest, branches: list[Branch], what: Quantity) -> tu
     top = int(np.nanargmax(signed_values))
     if not np.isnan(signed_values[max(top - 1, 0) : top + 2]).any():
         return ()
-    message = f"samples beside the largest {what} of the cycle are missing"
-    return (Reason("gap_at_peak", message),)
+    return (Reason.of("results.gap_at_peak", quantity=what),)
 
 
 def _time_of_part(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
@@ -375,9 +370,7 @@ def cut_short(
     if quantities == ("force",) and _is_past_peak(test, part):
         return ()
     end_text = f"{ends:.3f} s" if curve.time_unit == "s" else f"sample {round(ends) + 1}"
-    return (
-        Reason("partial_cycle", f"the record ends at {end_text}, while still {part.direction}"),
-    )
+    return (Reason.of("results.partial_cycle", end=end_text, direction=part.direction),)
 
 
 def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
@@ -451,16 +444,16 @@ class Energy(OfCycle):
     complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples for the integral of the force over a cycle."""
         del test
-        return lambda number: partial(_work_over_cycle, number=number)
 
+        def decide(trace: Trace) -> Reading:
+            branches = cycle_of(trace, number)
+            unloading_of(branches)
+            return work_over(trace, stretch_of_cycle(trace, branches))
 
-def _work_over_cycle(trace: Trace, number: int) -> Reading:
-    branches = cycle_of(trace, number)
-    unloading_of(branches)
-    return work_over(trace, stretch_of_cycle(trace, branches))
+        return decide
 
 
 def unloading_of(branches: list[Branch]) -> Branch:
@@ -472,7 +465,7 @@ def unloading_of(branches: list[Branch]) -> Branch:
         ``partial_cycle`` without one.
     """
     if len(branches) < 2:
-        fail("partial_cycle", "the cycle has no unloading branch")
+        raise UnavailableError.of("results.no_unloading")
     return branches[1]
 
 
@@ -492,7 +485,7 @@ def work_over(trace: Trace, stretch: slice) -> Reading:
     min_loop_samples = 3
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
-        fail("gap", f"{missing} samples of the cycle have no force or no displacement")
+        raise UnavailableError.of("results.gap_in_cycle", count=missing)
     require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
@@ -519,28 +512,22 @@ class ResidualDisplacement(OfCycle):
     force_below: Force
     reads: ClassVar = (1.0, 2.0)
 
-    @property
-    def method(self) -> str:
-        """Describe the method with the limit of the force."""
-        return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
+    method: ClassVar = (
+        "displacement once the force is back at zero, within {force_below:g} N or less"
+    )
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest, number: int) -> Decide:
         """Use the limit of zero force, and the kind of end, of the measured curve."""
+        measured = or_failure(self._ends)(traced(test), number)
+        like = None if isinstance(measured, Failure) else measured
 
-        def decide(number: int) -> Decide:
-            like = or_failure(self._ends)(traced(test), number)
-            return partial(
-                self._read, number=number, like=None if isinstance(like, Failure) else like
-            )
+        def decide(trace: Trace) -> Reading:
+            ending, part = self._ends(trace, number, like), cycle_of(trace, number)[1]
+            branch = slice(part.start, part.stop)
+            in_noise = on_part(ending.of_each, branch) if ending.of_each else None
+            return Reading(on_part(ending.of, branch), ending.n, in_noise)
 
         return decide
-
-    def _read(self, trace: Trace, number: int, like: Unloaded | None) -> Reading:
-        """Choose the samples for the displacement at zero force after unloading."""
-        ending, part = self._ends(trace, number, like), cycle_of(trace, number)[1]
-        branch = slice(part.start, part.stop)
-        in_noise = on_part(ending.of_each, branch) if ending.of_each else None
-        return Reading(on_part(ending.of, branch), ending.n, in_noise)
 
     def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded:
         parts = on_branch(trace, unloading_of(cycle_of(trace, number)))
@@ -596,7 +583,7 @@ def _largest(
     sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
     seen = sense * values[stretch]
     if np.isnan(seen).all():
-        fail("no_sample", "every sample of the stretch is blank")
+        raise UnavailableError.of("results.no_sample")
     travel = sense_of(trace, trace.displacement) * trace.displacement[stretch]
     reach = _reach_beyond_top(seen, travel) / steps
 
@@ -631,9 +618,9 @@ class PeakForce(OfCycle):
     reads: ClassVar = (0.0, 1.25)
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the largest sample of the force."""
-        return lambda number: partial(peak_of, test, number=number)
+        return partial(peak_of, test, number=number)
 
     def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
@@ -685,13 +672,10 @@ class PeakDisplacement(OfCycle):
     reads: ClassVar = (0.9, 1.1)
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the largest sample of the displacement."""
-        return lambda number: partial(_largest, test, quantity="displacement", number=number)
+        return partial(_largest, test, quantity="displacement", number=number)
 
     def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
         return gap_at_peak(test, branches, "displacement")
-
-
-KINDS = (PeakForce, PeakDisplacement, Energy, ResidualDisplacement)

@@ -69,24 +69,27 @@ def final_loss(
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
     if not len(f) or not f.max() > 0.0:
-        max_force = float(f.max()) + 0.0 if len(f) else 0.0
-        return Failure("no_tension", f"the force is nowhere above zero, at most {max_force:.4g} N")
+        return Failure.of("results.no_tension", largest=float(f.max()) + 0.0 if len(f) else 0.0)
     peak = float(f.max())
     last = int(np.flatnonzero(f >= rule.force_below * peak)[-1])
     if last == len(f) - 1:
-        text = f"the force ends at {f[-1]:.4g} N, {f[-1] / peak:.0%} of its peak {peak:.4g} N"
-        return Failure("no_break", f"{text}; below {rule.force_below:.0%} counts as lost")
+        end, share = f[-1], f[-1] / peak
+        return Failure.of(
+            "results.no_break", end=end, share=share, peak=peak, force_below=rule.force_below
+        )
     if goes_back is not None and goes_back[finite[last]]:
-        return Failure("no_break", "the force goes down while the displacement goes back")
-    fallen = f[last] - float(f[last + 1 : max(_reach(t, last, rule.within), last + 2)].min())
+        return Failure.of("results.goes_back")
+    later = int(np.searchsorted(t, t[last] + rule.within, side="right"))
+    fallen = f[last] - float(f[last + 1 : max(later, last + 2)].min())
     first = _back_to_first(t, f, last, rule, peak)
     if first == last and fallen < rule.loss * peak:
-        message = (
-            f"the force goes below {rule.force_below:.0%} of its peak {peak:.4g} N slowly: it is "
-            f"nowhere lost there by {rule.loss:.0%} within {1e3 * rule.within:.4g} ms; if such "
-            "specimens break so, state a longer curve.failure.within"
+        return Failure.of(
+            "results.lost_slowly",
+            force_below=rule.force_below,
+            peak=peak,
+            loss=rule.loss,
+            within=1e3 * rule.within,
         )
-        return Failure("no_break", message)
     return int(finite[first])
 
 
@@ -117,11 +120,6 @@ def last_above(force: Floats, share: float) -> Any:
     """Return the last sample with at least a share of the largest one, of rows (..., n)."""
     holds = force >= share * np.max(force, axis=-1, keepdims=True)
     return force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
-
-
-def _reach(time: Floats, sample: int, within: float) -> int:
-    """Return the first sample later than `within` after another."""
-    return int(np.searchsorted(time, time[sample] + within, side="right"))
 
 
 def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
@@ -191,11 +189,13 @@ class FailureResult(Kind):
         failure = _failure(test)
         place, force = test.measure(partial(_at_failure, test))
         doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
-        at_end, (of_place, of_force) = (during[1], during[1]), self.methods(test)
-        return Computed((
-            self.number(test, place, method=of_place, during=at_end, doubts=doubts),
-            self.number(test, force, method=of_force, output=1, during=during, doubts=doubts),
-        ))  # fmt: skip
+        at_end = during[1], during[1]
+        return Computed(
+            (
+                self.number(test, place, during=at_end, doubts=doubts),
+                self.number(test, force, output=1, during=during, doubts=doubts),
+            )
+        )
 
 
 def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
@@ -317,10 +317,7 @@ def loading_before(curve: Curve | Trace, sample: int) -> Branch:
 
 def _doubts_of_steps(failure: FailurePoint) -> tuple[Reason, ...]:
     """Return a doubt if the failure was not the first sudden loss of force."""
-    if failure.lost_before == 0.0:
-        return ()
-    message = "a part of the force was suddenly lost before, and never recovered"
-    return (Reason("lost_in_steps", message),)
+    return (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -358,6 +355,3 @@ def _work(test: ReducedTest, trace: Trace) -> Reading:
         return (np.asarray(work.numbers(trace)[0] + more, dtype=np.float64),)
 
     return Reading(numbers, work.n)
-
-
-KINDS = (FailureResult, EnergyToBreak)

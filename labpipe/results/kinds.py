@@ -9,9 +9,9 @@ Grammar, cross-checks, JSON Schema, descriptions and the reference page derive f
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -50,21 +50,16 @@ class Computed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind(ABC):
-    """A kind of result; its fields are the settings of an entry in a protocol."""
+    """A kind of result; its fields are the settings of an entry in a protocol.
+
+    ``method`` says in words how the outputs are made, with the settings as fields; ``over_mm`` is
+    the setting ``over`` in millimetres.
+    """
 
     result: ClassVar[str]
     outputs: ClassVar[tuple[Output, ...]]
     needs: ClassVar[Needs] = Needs(branches=True)
-
-    @property
-    def method(self) -> str:
-        """How the outputs are made, in words."""
-        return ""
-
-    def methods(self, test: ReducedTest) -> tuple[str, ...]:
-        """Return the method of each output."""
-        del test
-        return (self.method,) * len(self.outputs)
+    method: ClassVar[str] = ""
 
     @abstractmethod
     def measure(self, test: ReducedTest) -> Computed:
@@ -80,6 +75,11 @@ class Kind(ABC):
             If the test has none of the outputs.
         """
 
+    def methods(self, test: ReducedTest) -> tuple[str, ...]:
+        """Return the method of each output."""
+        del test
+        return (self.method,) * len(self.outputs)
+
     def compute(self, test: ReducedTest) -> Computed:
         """Measure the numbers of a test, or return all outputs as not available.
 
@@ -90,20 +90,22 @@ class Kind(ABC):
         try:
             return self.measure(test)
         except UnavailableError as error:
+            parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
             return Computed(
                 tuple(
-                    self.number(
-                        test,
-                        error.failure,
-                        output=place,
-                        method=method,
-                        part="" if output.first is None else f".{output.first}",
-                    )
-                    for place, (output, method) in enumerate(
-                        zip(self.outputs, self.methods(test), strict=True)
-                    )
+                    self.number(test, error.failure, output=place, part=part)
+                    for place, part in enumerate(parts)
                 )
             )
+
+    def numbers(
+        self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
+    ) -> tuple[Result, ...]:
+        """Give several outputs in order, from the `first`, what `number` gives one."""
+        return tuple(
+            self.number(test, outcome, output=place, **common)
+            for place, outcome in enumerate(outcomes, start=first)
+        )
 
     def number(
         self,
@@ -127,15 +129,17 @@ class Kind(ABC):
             without an interval gets the normal one
         errors : further standard errors
         output : place in `outputs`; settings are filled into its name
-        method : by default `Kind.method`
+        method : by default that of `Kind.methods`
         during : s, on the clock of the curve, the interval that it was read from; None for all
         doubts : further reasons to doubt it
         part : of the name, such as ``.1``
         remark : on the number of this test
         """
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
-        declared, method = self.outputs[output], method or self.method
-        name, made_of = declared.name.format_map(settings) + part, getattr(self, "of", "")
+        lengths = {f"{name}_mm": 1e3 * x for name, x in settings.items() if isinstance(x, float)}
+        declared = self.outputs[output]
+        name, made_of = declared.name.format_map(settings) + part, settings.get("of", "")
+        method = method or self.methods(test)[output].format_map(settings | lengths)
         outcome, budget = _completed(outcome, errors or {})
         if isinstance(outcome, Failure):
             seen = test.doubts_of((*declared.rests_on, *_BOTH_SIGNS), during)
@@ -143,10 +147,14 @@ class Kind(ABC):
             both = [*why, outcome] if outcome.code in _TOO_SHORT else [outcome, *why]
             reasons, failed = tuple(dict.fromkeys(both)), Status.FAILED
             return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
-        rests = (*declared.rests_on, *_SIGNS_OF_UNIT.get(declared.unit, ()))
+        signs = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}.get(declared.unit, ())
         known = outcome.doubts if isinstance(outcome, Measured) else ()
         own = [reason for quantity, reason in known if quantity in ("", *declared.rests_on)]
-        reasons = tuple(dict.fromkeys([*test.doubts_of(rests, during), *doubts, *own]))
+        seen = test.doubts_of((*declared.rests_on, *signs), during)
+        reasons = tuple(dict.fromkeys([*seen, *doubts, *own]))
+        drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
+        added = f"{sum(drops):.3g} N of slips added back"
+        remarks = remark, added if drops and declared.is_raised_by_slips else ""
         return Result(
             name,
             value=outcome.value,
@@ -157,7 +165,7 @@ class Kind(ABC):
             method=method,
             n=outcome.n,
             made_of=made_of,
-            remark="; ".join(filter(None, (remark, _added_back(test, declared)))),
+            remark="; ".join(filter(None, remarks)),
             estimate=outcome.estimate if isinstance(outcome, Measured) else None,
             budget=budget,
         )
@@ -171,13 +179,9 @@ def force_scale(test: ReducedTest, outcome: Outcome) -> Errors:
 
 
 _BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
-_SIGNS_OF_UNIT = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}
-"""Signs that a number of a unit depends on."""
+"""Signs that a number depends on: of newtons the first, of metres the second."""
 _CURVE_ERRORS = frozenset(
-    {
-        *("frozen_channel", "saturation", "force_reversed", "displacement_reversed"),
-        "begins_under_load",
-    }
+    ["frozen_channel", "saturation", "force_reversed", "displacement_reversed", "begins_under_load"]
 )
 """Doubts that may explain a failure: the curve itself is wrong."""
 _TOO_SHORT = frozenset({"not_reached", "no_travel"})
@@ -194,15 +198,9 @@ def _completed(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contrib
             budget = tuple(contribution(*change) for change in changes.items() if change[1])
         outcome = add_errors(outcome, *errors.values())
     if not isinstance(outcome, Failure) and not np.isfinite([outcome.value, outcome.error]).all():
-        message = f"value {outcome.value}, standard error {outcome.error}"
-        return Failure("not_finite", message), ()
+        reason = Failure.of("results.not_finite", value=outcome.value, error=outcome.error)
+        return reason, ()
     return outcome, budget
-
-
-def _added_back(test: ReducedTest, output: Output) -> str:
-    drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
-    is_raised = drops and output.is_raised_by_slips
-    return f"{sum(drops):.3g} N of slips added back" if is_raised else ""
 
 
 def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
@@ -217,9 +215,8 @@ def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tupl
     inside = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
     if not inside:
         return ()
-    positions_text = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
-    message = f"slipped in the grips at {positions_text}, and the curve stays as measured"
-    return (Reason("slip_in_window", message),)
+    places = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
+    return (Reason.of("results.slip_in_window", places=places),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,18 +235,10 @@ class ClockResult(Kind):
         """Return offset and drift of force time against marker time."""
         fit = test.clocks.force
         if fit is None:
-            raise test.unavailable(Failure("one_clock", "there is only one clock"))
+            raise test.unavailable(Failure.of("results.one_clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
         if np.isnan(fit.drift_interval.lower):
-            drift = Failure("one_event", "one turning point gives an offset but no drift")
-        return Computed(
-            tuple(
-                self.number(test, outcome, output=place, method=fit.method)
-                for place, outcome in enumerate((offset, drift))
-            )
-        )
-
-
-KINDS: tuple[type[Kind], ...] = (ClockResult,)
+            drift = Failure.of("results.one_event")
+        return Computed(self.numbers(test, (offset, drift), method=fit.method))

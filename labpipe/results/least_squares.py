@@ -7,19 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, ratio
-from labpipe.records.estimates import fail
+from labpipe.records.estimates import UnavailableError
 
 
 def require_samples(count: int, needed: int, where: str = " in the stretch") -> None:
     """Raise ``too_few_samples`` for fewer samples than a number needs."""
     if count < needed:
-        fail("too_few_samples", f"{count} samples{where}, {needed} are needed")
+        raise UnavailableError.of(
+            "results.too_few_samples", count=count, where=where, needed=needed
+        )
 
 
 def require_travel(values: Floats, quantity: str = "displacement") -> None:
     """Raise ``no_travel`` for a constant quantity."""
     if np.ptp(values) == 0.0:
-        fail("no_travel", f"the {quantity} does not change over the stretch")
+        raise UnavailableError.of("results.no_travel", quantity=quantity)
 
 
 def slope_of_line(x: Floats, y: Floats) -> Floats:

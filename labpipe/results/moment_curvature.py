@@ -20,13 +20,14 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, curves_at, held_at_rest
-from labpipe.bending.law_table import measure_bending
 from labpipe.errors import in_test_sheet
+from labpipe.messages import sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, QualityNote, Severity, info_note
+from labpipe.records.quality import Finding, QualityNote
+from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, curves_at, held_at_rest
+from labpipe.results.measured_law import measure_bending
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY
@@ -72,13 +73,10 @@ class AtRest:
     @property
     def load(self) -> str:
         """Return the load at the tip in words, with its numbers."""
+        weight, counterweight = 1e3 * self.weight, 1e3 * (self.weight - self.own_weight)
         if self.own_weight == 0.0:
-            return f"the counterweight of {1e3 * self.weight:.3g} mN"
-        counterweight = 1e3 * (self.weight - self.own_weight)
-        return (
-            f"the load at its tip of {1e3 * self.weight:.3g} mN "
-            f"(counterweight {counterweight:.3g} mN, 3/8 of the wire's weight)"
-        )
+            return sentence("results.counterweight", weight=weight)
+        return sentence("results.load_at_tip", weight=weight, counterweight=counterweight)
 
     @property
     def load_alone(self) -> str:
@@ -132,22 +130,15 @@ class AtRest:
         """Return the evidence in words."""
         facts = []
         if np.isfinite(self.sag):
-            facts.append(
-                f"its tip stood {1e3 * self.sag:.2g} mm below the axis of the clamp, where "
-                f"{self.load_alone} bends it by {1e3 * self.reach:.3g} mm"
-            )
+            sag, reach, load = 1e3 * self.sag, 1e3 * self.reach, self.load_alone
+            facts.append(sentence("results.tip_below", sag=sag, load=load, reach=reach))
         if np.isfinite(self.ahead):
-            facts.append(
-                f"the clamp is {1e3 * self.ahead:.2g} mm ahead of it when the string pulls"
-            )
+            facts.append(sentence("results.clamp_ahead", ahead=1e3 * self.ahead))
         if np.isfinite(self.slackened):
-            facts.append(
-                f"later the string goes slack at {1e3 * self.slackened:.3g} mN against the force "
-                "at rest"
-            )
+            facts.append(sentence("results.slackened", force=1e3 * self.slackened))
         elif np.isfinite(self.lowest):
-            facts.append(f"the lowest force is {1e3 * self.lowest:.3g} mN against that at rest")
-        return "; ".join(facts) if facts else "the test shows neither travel nor shape"
+            facts.append(sentence("results.lowest_force", force=1e3 * self.lowest))
+        return "; ".join(facts) or sentence("results.no_evidence")
 
     @property
     def why_not_straight(self) -> str:
@@ -155,19 +146,12 @@ class AtRest:
         state = self.state
         if state in ("taut", "off the wire"):
             return ""
-        below = "" if np.isnan(self.sag) else f", its tip {1e3 * self.sag:.3g} mm below"
+        sag, ahead, reach = 1e3 * self.sag, 1e3 * self.ahead, 1e3 * self.reach
         if self.ahead > MIN_SLACK_TRAVEL:
-            return (
-                f"its string was slack at rest: the clamp travels {1e3 * self.ahead:.3g} mm before "
-                f"the tip follows, and until then the wire hung under {self.load}{below}; a first "
-                "loading begins with a straight wire that the string holds"
-            )
+            below = "" if np.isnan(self.sag) else f", its tip {sag:.3g} mm below"
+            return sentence("results.string_was_slack", ahead=ahead, load=self.load, below=below)
         if state != "unknown" or self.share > HANGING_SHARE:
-            return (
-                f"its wire hung at rest: the tip stood {1e3 * self.sag:.3g} mm below the axis of "
-                f"the clamp, where {self.load} bends the wire by about {1e3 * self.reach:.3g} mm; "
-                "a first loading begins with a straight wire that the string holds"
-            )
+            return sentence("results.wire_hung", sag=sag, load=self.load, reach=reach)
         return ""
 
 
@@ -225,17 +209,10 @@ def at_rest(
 def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
     """Yield notes on a wire that is assumed to have been straight at rest."""
     if not rest.is_known:
-        message = (
-            "the test has neither the travel of the clamp nor a shape, so it is not known whether "
-            "the string held the wire straight at rest; it is taken to have done so"
-        )
-        yield QualityNote("rest_unknown", Severity.WARNING, test, message)
+        yield QualityNote.of("results.rest_unknown", test)
     elif rest.sag > LEANING_SHARE * rest.reach:
-        message = (
-            f"at rest the tip stood {1e3 * rest.sag:.3g} mm below the axis of the clamp: the wire "
-            f"is taken as straight, and its string as carrying all of {rest.load_alone}"
-        )
-        yield QualityNote("wire_not_straight", Severity.WARNING, test, message)
+        sag, load = 1e3 * rest.sag, rest.load_alone
+        yield QualityNote.of("results.wire_not_straight", test, sag=sag, load=load)
 
 
 def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
@@ -309,8 +286,12 @@ class Held:
     @property
     def note(self) -> QualityNote:
         """Note for the results."""
-        severity = Severity.WARNING if self.state == "unknown" else Severity.INFO
-        return QualityNote("string_at_rest", severity, "rig.string", self.why)
+        is_unknown = self.state == "unknown"
+        return QualityNote.of(
+            "results.string_not_known" if is_unknown else "results.string_at_rest",
+            "rig.string",
+            why=self.why,
+        )
 
 
 def held(rest: AtRest) -> Held:
@@ -326,31 +307,33 @@ def held(rest: AtRest) -> Held:
     """
     load, state = rest.weight, rest.state
     weight = load - rest.own_weight
-    if state == "taut":
-        why = f"the string was taut at rest and carried {rest.load}"
-        return Held(state, load, weight, None, f"{why}: {rest.facts}")
-    if state == "slack":
-        why = f"the string carried nothing at rest: the wire hung under {rest.load}"
-        return Held(state, 0.0, weight, None, f"{why}: {rest.facts}")
-    if state == "off the wire":
-        why = (
-            "the string carried nothing at rest, yet the wire did not hang: the counterweight is "
-            "taken not to pull at it"
+    if state == "unknown":
+        taken, other = (0.0, load) if rest.ahead > MIN_SLACK_TRAVEL else (load, 0.0)
+        why = sentence(
+            "results.string_unknown",
+            load=rest.load,
+            taken="all of it" if taken else "nothing",
+            facts=rest.facts,
+            remedy=in_test_sheet("rig.string.at_rest", "taut"),
         )
-        return Held(state, 0.0, 0.0, None, f"{why}: {rest.facts}")
+        return Held(state, taken, weight, other, why)
     if state == "part":
-        tension = rest.carries
-        why = f"the string carried {1e3 * tension:.3g} mN of {rest.load} at rest"
-        other = tension - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
-        return Held(state, tension, weight, other, f"{why}: {rest.facts}")
-    taken, other = (0.0, load) if rest.ahead > MIN_SLACK_TRAVEL else (load, 0.0)
-    why = (
-        f"it is not known whether the string carried {rest.load} at rest; it is "
-        f"taken to have carried {'nothing' if taken == 0.0 else 'all of it'}, and the other is in "
-        f"the intervals: {rest.facts}. If you know, write "
-        f"{in_test_sheet('rig.string.at_rest', 'taut')}, or slack"
+        carried, error = rest.carries, sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
+        tension = 1e3 * carried
+        why = sentence(
+            "results.string_carried_part", tension=tension, load=rest.load, facts=rest.facts
+        )
+        return Held(state, carried, weight, carried - error, why)
+    if state == "off the wire":
+        why = sentence("results.string_off_the_wire", facts=rest.facts)
+        return Held(state, 0.0, 0.0, None, why)
+    is_taut = state == "taut"
+    why = sentence(
+        "results.string_was_taut" if is_taut else "results.string_carried_nothing",
+        load=rest.load,
+        facts=rest.facts,
     )
-    return Held(state, taken, weight, other, why)
+    return Held(state, load if is_taut else 0.0, weight, None, why)
 
 
 def stated(at_rest: Literal["taut", "slack"], weight: float, own_weight: float = 0.0) -> Held:
@@ -365,13 +348,8 @@ def stated(at_rest: Literal["taut", "slack"], weight: float, own_weight: float =
     tension = weight + own_weight if at_rest == "taut" else 0.0
     held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own_weight > 0.0)
     carried = held_up if at_rest == "taut" else "nothing"
-    return Held(
-        at_rest,
-        tension,
-        weight,
-        None,
-        f"the string was {at_rest} at rest and carried {carried}: so rig.string.at_rest states it",
-    )
+    why = sentence("results.string_stated", state=at_rest, carried=carried)
+    return Held(at_rest, tension, weight, None, why)
 
 
 def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
@@ -383,9 +361,9 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
     """
     curve, shape, first = test.curve, test.shape, test.first_loading
     if curve is None or shape is None or first is None:
-        return Failure("no_cycle", "there is no loading with a shape and a force"), []
+        return Failure.of("results.no_bent_loading"), []
     if not test.setup.has_markers:
-        return Failure("no_moment_curvature", "expected a block markers:"), []
+        return Failure.of("results.no_marker_block"), []
     start, stop = test.signals.zeroed["deflection"]
     rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
     pull, other, notes = _tip_pull(test, curve, shape, first, rest)
@@ -414,17 +392,9 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
         bending = measure_bending(frames)
     except ValueError as error:
         return Failure("no_moment_curvature", str(error)), notes
-    return bending, [*notes, *_weight_notes(test), _law_note(bending)]
-
-
-def _weight_notes(test: ReducedTest) -> list[Finding]:
-    if test.setup.mass_per_length is not None:
-        return []
-    message = (
-        "specimen.mass_per_length is not stated: moments leave out the specimen's own weight, "
-        "which matters most in the first millimetres"
-    )
-    return [info_note("weight_not_stated", "specimen.mass_per_length", message)]
+    if test.setup.mass_per_length is None:
+        notes.append(Finding.of("results.weight_not_stated", "specimen.mass_per_length"))
+    return bending, [*notes, _law_note(bending)]
 
 
 def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
@@ -451,11 +421,7 @@ def _tip_pull(
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
     own_weight = held_at_rest(self_weight, shape.length)
     if string is None:
-        message = (
-            "rig.string is not stated: the force is taken normal to the clamped axis, with nothing "
-            "hanging at the tip"
-        )
-        note = info_note("force_taken_normal", "rig.string", message)
+        note = Finding.of("results.force_taken_normal", "rig.string")
         return TipPull(None, 0.0, own_weight, tip, self_weight), None, [note]
     weight = GRAVITY * string.counterweight
     if weight + own_weight == 0.0:
@@ -471,15 +437,20 @@ def _tip_pull(
 
 
 def _law_note(bending: Bending) -> Finding:
-    cloud, law = bending.cloud, bending.law
-    message = (
-        f"{cloud.curvature.size} points, each a mean over {cloud.frames_per_mean} frames, at "
-        f"{len(cloud.arc_length)} places"
-    )
+    cloud, law, of_law = bending.cloud, bending.law, ""
     if law is not None:
-        message += (
-            f"; law from {law.n_frames} frames of the first loading up to {law.curvature[-1]:.3g} "
-            f"1/m, markers {1e6 * law.residual:.3g} um rms off its shapes, curvatures up to "
-            f"{law.floor:.2g} 1/m are noise"
+        of_law = sentence(
+            "results.law_of_frames",
+            frames=law.n_frames,
+            largest=law.curvature[-1],
+            residual=1e6 * law.residual,
+            floor=law.floor,
         )
-    return info_note("moment_curvature", "shape", message)
+    return Finding.of(
+        "results.moment_curvature",
+        "shape",
+        points=cloud.curvature.size,
+        frames=cloud.frames_per_mean,
+        places=len(cloud.arc_length),
+        law=of_law,
+    )

@@ -12,8 +12,8 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.causes import TANGENT
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import CURVE, Length, Output, Share, StiffnessName
-from labpipe.records.estimates import Failure, UnavailableError, fail, or_failure
-from labpipe.records.quality import Finding, Reason, info_note
+from labpipe.records.estimates import Failure, UnavailableError, or_failure
+from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import cut_short
@@ -83,8 +83,7 @@ class Tangents:
         d = displacement[samples]
         if not len(d) or np.ptp(d) < 2.0 * length:
             reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
-            message = f"the branch is {reached:.4g} mm long, twice {1e3 * length:.4g} mm is needed"
-            fail("not_reached", message)
+            raise UnavailableError.of("results.too_short", reached=reached, length=1e3 * length)
         low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
         stretches = _Stretches.of(d, np.arange(high, low, -length / _TANGENTS_PER_LENGTH), length)
         stretches.require_first()
@@ -295,7 +294,7 @@ class _Stretches:
         count = int(self.products[0, 0, 0])
         require_samples(count, _MIN_TANGENT_SAMPLES)
         if not self.is_enough[0]:
-            fail("no_travel", "the displacement jumps over the stretch")
+            raise UnavailableError.of("results.displacement_jumps")
 
     def spread(self, weights: Floats) -> Floats:
         """Expand weights (p, m) of the samples of each stretch to all samples (p, k)."""
@@ -362,6 +361,7 @@ class Plateau(Kind):
         Output("plateau_displacement", "m", "Displacement at the plateau"),
         Output("plateau_force", "N", "Plateau force"),
     )
+    method: ClassVar = "slope over the last {over_mm:g} mm of first loading / {of}"
     slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
     of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
         "initial_stiffness"
@@ -374,16 +374,11 @@ class Plateau(Kind):
         is_available = computed.results[0].value is not None
         return computed if is_available else replace(computed, results=computed.results[:1])
 
-    @property
-    def method(self) -> str:
-        """Of the slope at the end."""
-        return f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
-
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""
         initial = test.stiffnesses.get(self.of)
         if initial is None:
-            raise test.unavailable(Failure("no_stiffness", f"{self.of} is not available"))
+            raise test.unavailable(Failure.of("results.no_stiffness", name=self.of))
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
         tangents, _ = self._begun(traced(test), initial.decide)
         first = test.cycles[0][:1]
@@ -405,7 +400,7 @@ class Plateau(Kind):
         slope = initial(trace)
         value = float(slope.numbers(trace)[0])
         if value <= 0.0:
-            fail("no_stiffness", f"the slope at the start is {value:.4g} N/m")
+            raise UnavailableError.of("results.no_initial_slope", value=value)
         return Tangents.of(*_loading(trace), length=self.over), slope
 
     def _decide_end(self, trace: Trace, *, initial: Choose) -> Reading:
@@ -445,7 +440,7 @@ class Plateau(Kind):
             return tangents.onset(f, begin, d, slope_below=self.slope_below)
 
         if np.isnan(plain(trace)[1]):
-            fail("no_plateau", "never steeper, or too few samples around the onset")
+            raise UnavailableError.of("results.no_onset")
         if corner is None:
             return Reading(plain, len(tangents.last))
 
@@ -490,42 +485,40 @@ class Plateau(Kind):
         self, test: ReducedTest, initial: Stiffness, end: Result
     ) -> tuple[tuple[Result, ...], tuple[Finding, ...]]:
         """Return the onset of the plateau, or a note if there is none, which is not a failure."""
-        surely = end.interval is not None and end.interval.upper < self.slope_below
+        if end.interval is None:
+            return (), ()
+        surely = end.interval.upper < self.slope_below
         outcomes = or_failure(self._measured_onset)(test, initial) if surely else None
         if outcomes is None or isinstance(outcomes, Failure):
-            return (), (self._no_plateau(test, end),)
+            note = Finding.of(
+                "results.no_plateau",
+                test.signals.force,
+                over=1e3 * self.over,
+                slope=1e2 * (end.value or 0.0),
+                of=self.of,
+                low=1e2 * end.interval.lower,
+                high=1e2 * end.interval.upper,
+                slope_below=1e2 * self.slope_below,
+                reached=1e3 * float(np.nanmax(_loading(traced(test))[0])),
+            )
+            return (), (note,)
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
         method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
         doubts = marked_slips(test, initial.bends_with) or _missing_end(test, test.cycles[0][0])
         during, method = test.while_loading(), f"{method} loading"
-        return tuple(
-            self.number(test, outcome, output=place, method=method, during=during, doubts=doubts)
-            for place, outcome in enumerate(outcomes, start=1)
-        ), ()
+        common = {"method": method, "during": during, "doubts": doubts}
+        return self.numbers(test, outcomes, first=1, **common), ()
 
     def _measured_onset(self, test: ReducedTest, initial: Stiffness) -> tuple[Measured, ...]:
         """Measure the onset, with the length of the tangents as a further input."""
         replicates = test.replicates
         if replicates is None:
             raise UnavailableError(NO_LOADING)
-        length = Input(TANGENT, _shortened, law="step")
+        length = Input(TANGENT, _shortened, law="ends")
         more = replace(replicates, inputs=(*replicates.inputs, length))
         decide = partial(self._decide_onset, initial=initial.decide)
         decide(replicates.measured)
         return measured(more, partial(decide, corner=self._corner(replicates, initial.decide)))
-
-    def _no_plateau(self, test: ReducedTest, end: Result) -> Finding:
-        reached = float(np.nanmax(_loading(traced(test))[0]))
-        interval = end.interval
-        interval_text = (
-            f" ({1e2 * interval.lower:.3g} % to {1e2 * interval.upper:.3g} %)" if interval else ""
-        )
-        message = (
-            f"the slope over the last {1e3 * self.over:g} mm is {1e2 * (end.value or 0.0):.3g} % "
-            f"of {self.of}{interval_text}, not surely below {1e2 * self.slope_below:g} %: no "
-            f"plateau up to {1e3 * reached:.4g} mm"
-        )
-        return info_note("no_plateau", test.signals.force, message)
 
 
 def _loading(trace: Trace) -> tuple[Floats, Floats]:
@@ -546,12 +539,5 @@ def _missing_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
     if not len(finite) or finite[-1] >= len(d) - 3:  # lost when two clocks are joined
         return ()
-    end = 1e3 * float(d[finite[-1]])
-    message = (
-        f"force and displacement are known up to {end:.4g} mm of the first loading alone, "
-        f"{len(d) - 1 - finite[-1]} samples before its end"
-    )
-    return (Reason("gap", message),)
-
-
-KINDS = (Plateau,)
+    end, missing = 1e3 * float(d[finite[-1]]), len(d) - 1 - finite[-1]
+    return (Reason.of("results.gap_at_end", end=end, missing=missing),)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
+from labpipe.messages import sentence
 from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
 from labpipe.records.declarations import LIMITS, Limits
@@ -43,15 +44,7 @@ class FailurePoint:
 Choose: TypeAlias = Callable[[Trace], Reading]
 """Chooses the samples of numbers on a curve; raises `UnavailableError` if there are none."""
 
-NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
-
-
-def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
-    """Return why what counts from a slack is as doubtful as the slack."""
-    return tuple(
-        Reason(reason.code, f"displacement counts from a slack that is doubtful: {reason.message}")
-        for _, reason in measured_slack.doubts
-    )
+NO_LOADING = Failure.of("results.no_cycle")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,8 +199,7 @@ class ReducedTest:
             If there is none.
         """
         if self.curve is None:
-            message = "expected a curve for a number of a cycle, found none"
-            raise ValueError(message)
+            raise ValueError(sentence("results.no_curve"))
         return self.curve
 
     def measure(

@@ -15,8 +15,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.signals import FilterFunction, Signal
+from labpipe.records.signals import Filter, FilterFunction, Signal
 from labpipe.results.reduced_test import ReducedTest
+from labpipe.signal.filters import in_pieces
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import random_stream
 
@@ -31,6 +32,9 @@ class SampleNoise:
     ----------
     smooth : shape (n,), m or N, the curve without noise
     deviations : shape (n,), m or N, of single samples from the mean of their block
+    unfiltered : the same before all filters
+    filters : of the quantity; they act piece by piece
+    cuts : samples at which a new piece begins
     blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
         the noise of single samples, and deviations are those from the smooth curve
     chance : of the random parts, which are reproducible
@@ -38,6 +42,9 @@ class SampleNoise:
 
     smooth: Floats
     deviations: Floats
+    unfiltered: Floats
+    filters: tuple[Filter, ...]
+    cuts: tuple[int, ...]
     blocks: Ints | None
     chance: np.random.Generator
 
@@ -69,19 +76,23 @@ class SampleNoise:
         block_time = trace.time[part]
         ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
         low, high = np.searchsorted(signal.time, ends).tolist()
-        values = signal.values[low:high]
         time = test.clocks.to_curve(signal.time[low:high], signal.clock)
         smooth = _interpolated(trace, getattr(trace, quantity), time, part)
-        is_valid = ~np.isnan(values - smooth)
+        raw, filters = _unfiltered(test, quantity, signal)
+        rows = np.stack([signal.values[low:high] - smooth, raw[low:high] - smooth])
+        is_valid = ~np.isnan(rows).any(axis=0)
         if is_valid.sum() < min_samples:
             return None
-        smooth, deviations = smooth[is_valid], (values - smooth)[is_valid]
-        blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time[is_valid])
+        time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
+        turns = [at for _, at in _turns(trace) if time[0] < at < time[-1]]
+        cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
         if _has_single_samples(test, quantity):
-            return cls(smooth, deviations - deviations.mean(), None, chance)
+            rows -= rows.mean(axis=1, keepdims=True)
+            return cls(smooth, rows[0], rows[1], filters, cuts, None, chance)
+        blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time)
         counts = np.maximum(np.bincount(blocks), 1)
-        deviations -= (np.bincount(blocks, deviations) / counts)[blocks]
-        return cls(smooth, deviations, blocks + part.start, chance)
+        rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
+        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, chance)
 
     def raised(self, noise: Floats, sense: float) -> Floats:
         """Return the effect of noise on the largest sample, shape (replicates,).
@@ -100,11 +111,12 @@ class SampleNoise:
         near = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
         # Of more than half of the samples, every position would have the same deviations.
         near = near[near < near[0] + (len(smooth) + 1) // 2]
-        windows = np.lib.stride_tricks.sliding_window_view(
-            self.deviations, int(near[-1] - near[0]) + 1
-        )
+        reach = min(_reach(self.filters), (len(smooth) - 1) // 4)
+        part = slice(max(int(near[0]) - reach, 0), min(int(near[-1]) + reach + 1, len(smooth)))
+        windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
         rows = self.chance.integers(0, len(windows), len(noise))
-        samples = windows[rows][:, near - near[0]]
+        cuts = [cut - part.start for cut in self.cuts]
+        samples = in_pieces(windows[rows], cuts, self.filters)[:, near - part.start]
         if self.blocks is not None:
             samples += noise[:, self.blocks[near]]
         raised: Floats = (smooth[near] + sense * samples).max(axis=1) - smooth.max()
@@ -115,6 +127,27 @@ class SampleNoise:
         if self.blocks is None:
             return np.zeros(shape)
         return self.chance.choice(self.deviations, size=shape)
+
+
+def _unfiltered(
+    test: ReducedTest, quantity: Quantity, signal: Signal
+) -> tuple[Floats, tuple[Filter, ...]]:
+    """Return the samples of a quantity before its filters, and those filters."""
+    signals = test.signals
+    name = signals.force if quantity == "force" else signals.displacement
+    filters = signals.filters.get(name, ())
+    raw = test.unfiltered if quantity == "force" else signals.raw[name]
+    if raw is None or len(raw.time) != len(signal.time):
+        return signal.values, ()
+    return raw.values, filters
+
+
+def _reach(filters: tuple[Filter, ...]) -> int:
+    """Return the samples on each side that filters reach."""
+    middle = 2000
+    pulse = np.eye(1, 2 * middle + 1, middle)[0]
+    response = np.abs(in_pieces(pulse, (), filters))
+    return int(np.abs(np.flatnonzero(response > 1e-3 * response.max()) - middle).max())
 
 
 def have_no_effect(filters: list[FilterFunction]) -> bool:
@@ -149,11 +182,7 @@ def _interpolated(trace: Trace, values: Floats, time: Floats, part: slice) -> Fl
     part : samples of the curve around those times
     """
     interpolated = np.empty(len(time))
-    turns = {branch.start: branch.start_time for branch in trace.branches}
-    turns |= {branch.stop: branch.stop_time for branch in trace.branches}
-    if trace.failed_at is not None:
-        turns[trace.failed_at + 1] = float(trace.time[trace.failed_at : trace.failed_at + 2].mean())
-    inner = sorted((x, turns[x]) for x in turns if part.start < x < part.stop)
+    inner = [(x, at) for x, at in _turns(trace) if part.start < x < part.stop]
     for (start, begin), (stop, end) in pairwise(
         [(part.start, -np.inf), *inner, (part.stop, np.inf)]
     ):
@@ -162,6 +191,15 @@ def _interpolated(trace: Trace, values: Floats, time: Floats, part: slice) -> Fl
             time[low:high], trace.time[start:stop], values[start:stop]
         )
     return interpolated
+
+
+def _turns(trace: Trace) -> list[tuple[int, float]]:
+    """Return the samples of a curve at which a piece begins, and their times."""
+    turns = {branch.start: branch.start_time for branch in trace.branches}
+    turns |= {branch.stop: branch.stop_time for branch in trace.branches}
+    if trace.failed_at is not None:
+        turns[trace.failed_at + 1] = float(trace.time[trace.failed_at : trace.failed_at + 2].mean())
+    return sorted(turns.items())
 
 
 def _step(time: Floats) -> float:

@@ -10,16 +10,16 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.bending.law_table import law_points
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, fail, or_failure
-from labpipe.records.quality import Reason, info_note
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.quality import Finding, Reason
 from labpipe.results.cycles import rectangle
 from labpipe.results.kinds import Computed, Errors, Kind, force_scale
 from labpipe.results.least_squares import require_samples
+from labpipe.results.measured_law import law_points
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
@@ -60,7 +60,7 @@ def secant_stiffness(time: Floats, displacement: Floats, force: Floats, chosen: 
     weight = t - t.mean()
     travel = float(weight @ (d - d.mean()))
     if travel == 0.0:
-        fail("no_travel", "the displacement does not change over the stretch")
+        raise UnavailableError.of("results.no_travel", quantity="displacement")
     slope = float(weight @ (f - f.mean())) / travel
     scaled = weight / np.abs(weight).max()
     residuals = f - slope * d
@@ -91,20 +91,15 @@ class TipTravel(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the largest distance of the last point of the shape from its start."""
-        return Computed((self.number(test, _tip_travel(test)),))
-
-
-def _tip_travel(test: ReducedTest) -> Estimate:
-    if test.shape is None:
-        fail("no_shape", "the protocol fits no shape")
-    tip = test.shape.positions[:, -1]
-    is_finite = np.isfinite(tip).all(axis=1)
-    if is_finite.sum() < 16:
-        fail("too_few_samples", f"the tip is seen in {int(is_finite.sum())} frames")
-    begin = tip[is_finite][:5].mean(axis=0)
-    distances = np.linalg.norm(tip[is_finite] - begin, axis=1)
-    error = np.sqrt(2.0) * noise_level(distances)
-    return Estimate(float(distances.max()), float(error), int(is_finite.sum()))
+        if test.shape is None:
+            raise UnavailableError.of("results.no_shape")
+        tip = test.shape.positions[:, -1]
+        tip = tip[np.isfinite(tip).all(axis=1)]
+        if len(tip) < 16:
+            raise UnavailableError.of("results.few_tips", count=len(tip))
+        distances = np.linalg.norm(tip - tip[:5].mean(axis=0), axis=1)
+        error = float(np.sqrt(2.0) * noise_level(distances))
+        return Computed((self.number(test, Estimate(float(distances.max()), error, len(tip))),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,51 +109,39 @@ class MomentCurvature(Kind):
     result: ClassVar = "moment-curvature"
     outputs: ClassVar = (Output("{name}", "N*m^2"),)
     needs: ClassVar = Needs(branches=True, shape="fit-shape", clamp=True)
+    method: ClassVar = (
+        "{kind} at {at:g} 1/m of the monotone law that all shapes of the first loading obey"
+    )
     at: Annotated[Curvature, "Curvature of the first loading"]
     kind: Annotated[
         Literal["secant", "tangent"], "secant: moment / curvature; tangent: slope of the law"
     ] = "secant"
     name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
-    @property
-    def method(self) -> str:
-        """With the curvature."""
-        law = "the monotone law that the shapes of the first loading obey together"
-        return f"{self.kind} at {self.at:g} 1/m of {law}"
-
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the secant or tangent stiffness of the law at a curvature."""
         bending = test.bending
         if bending is None or isinstance(bending, Failure):
-            why = bending or Failure("no_cycle", "there is no loading with a shape and a force")
-            raise test.unavailable(why)
+            raise test.unavailable(bending or Failure.of("results.no_bent_loading"))
         law = bending.law
         if law is None:
-            raise UnavailableError(bending.reason or Failure("no_law", "no law was found"))
+            raise UnavailableError(bending.reason or Failure.of("results.no_law"))
         outcome = or_failure(_stiffness)(law, self)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
-        doubts = _misfit(test, law) or _bent_before(bending, law, self) + _no_weight(
-            test, law, self
+        doubts = _misfit(test, law) or (
+            *_bent_before(bending, law, self),
+            *_no_weight(test, law, self),
         )
-        during = test.while_loading()
-        return Computed(
-            (self.number(test, outcome, {SCALE_OF_FORCE: scale}, during=during, doubts=doubts),)
-        )
+        error, during = {SCALE_OF_FORCE: scale}, test.while_loading()
+        return Computed((self.number(test, outcome, error, during=during, doubts=doubts),))
 
 
 def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
     largest = float(law.curvature[-1])
     if entry.at > largest:
-        message = (
-            f"the first loading bends the wire to {largest:.3g} 1/m, {entry.at:g} 1/m is needed"
-        )
-        fail("not_reached", message)
+        raise UnavailableError.of("results.curvature_not_reached", largest=largest, needed=entry.at)
     if entry.at <= law.floor:
-        message = (
-            f"curvatures up to {law.floor:.3g} 1/m are not distinct from their noise, "
-            f"{entry.at:g} 1/m is needed"
-        )
-        fail("below_noise", message)
+        raise UnavailableError.of("results.below_noise", floor=law.floor, needed=entry.at)
     points = law_points(
         law.knots, law.compliance, law.compliance_covariance, np.array([entry.at]), scale_error=0.0
     )
@@ -176,12 +159,8 @@ def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> 
     moment = float(np.interp(entry.at, law.curvature, law.moment))
     if resting <= moment:
         return ()
-    message = (
-        f"at rest the wire hung under a moment of {1e3 * resting:.3g} N mm, more than "
-        f"the {1e3 * moment:.3g} N mm at {entry.at:g} 1/m: below that it is not loaded for the "
-        "first time"
-    )
-    return (Reason("bent_before", message),)
+    resting, moment = 1e3 * resting, 1e3 * moment
+    return (Reason.of("results.bent_before", resting=resting, moment=moment, at=entry.at),)
 
 
 def _no_weight(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
@@ -193,12 +172,14 @@ def _no_weight(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) -> t
     own_moment = 0.5 * GRAVITY * limits.unstated_mass * test.shape.length**2
     if own_moment <= limits.weight_share * moment:
         return ()
-    message = (
-        f"specimen.mass_per_length is not stated: {1e3 * limits.unstated_mass:g} g/m alone would "
-        f"bend by {1e6 * own_moment:.2g} uN m, more than {limits.weight_share:.0%} of the moment "
-        f"at {entry.at:g} 1/m; state it in the test sheet"
+    reason = Reason.of(
+        "results.weight_matters",
+        mass=1e3 * limits.unstated_mass,
+        moment=1e6 * own_moment,
+        share=limits.weight_share,
+        at=entry.at,
     )
-    return (Reason("weight_not_stated", message),)
+    return (reason,)
 
 
 def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
@@ -206,12 +187,7 @@ def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
     limit = 3.0 * law.noise + 2e-5  # m
     if test.shape is None or not law.residual > limit:
         return ()
-    message = (
-        f"markers lie {1e6 * law.residual:.3g} um rms off the shapes of the law, more "
-        f"than {1e6 * limit:.3g} um: the wire does not bend alike all along, or string and offsets "
-        "are not as stated"
-    )
-    return (Reason("law_misfit", message),)
+    return (Reason.of("results.law_misfit", residual=1e6 * law.residual, limit=1e6 * limit),)
 
 
 _Parts: TypeAlias = tuple[SpanBend, Curve, Branch, Floats]
@@ -251,8 +227,8 @@ class MidSpan(Window):
         large = "large-deflection" in self.corrections
         moment = "P L / 4 + P tan(slope at the supports) x deflection / 2" if large else "P L / 4"
         return (
-            f"slope of the moment {moment} against the curvature at mid-span {self.in_words} of "
-            "the first loading, time as instrument",
+            f"slope of the moment {moment} against the curvature at mid-span "
+            "from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument",
             "curvature at mid-span where the motion turns, against rest",
         )
 
@@ -270,12 +246,10 @@ class MidSpan(Window):
         errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
             errors[0] = {**errors[0], **force_scale(test, outcomes[0])}
-        during, methods = test.while_loading(), self.methods(test)
+        during = test.while_loading()
         return Computed(
             tuple(
-                self.number(
-                    test, outcome, error, output=place, method=methods[place], during=during
-                )
+                self.number(test, outcome, error, output=place, during=during)
                 for place, (outcome, error) in enumerate(zip(outcomes, errors, strict=True))
             )
         )
@@ -286,8 +260,9 @@ class MidSpan(Window):
         travelled = np.interp(time, curve.time, curve.displacement)
         if not (travelled[inside] > self.stop).any():
             reached = 1e3 * float(np.max(travelled[inside], initial=0.0))
-            required = f"{1e3 * self.stop:.4g} mm is needed"
-            fail("not_reached", f"the first loading reaches {reached:.4g} mm, {required}")
+            raise UnavailableError.of(
+                "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
+            )
         inside &= (travelled >= self.start) & (travelled <= self.stop)
         bent = bend.shape.bent
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
@@ -364,8 +339,7 @@ def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats]
     """
     still = frames.rest & np.isfinite(values)
     if still.sum() < 8:
-        n_frames = int(still.sum())
-        fail("no_rest", f"{n_frames} frames before the loading show it, 8 are needed")
+        raise UnavailableError.of("results.no_rest", count=int(still.sum()))
     branch = frames.loading
     window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
     weights = _turn_weights(frames.time - branch.stop_time, values, window)
@@ -382,7 +356,7 @@ def _turn_weights(time: Floats, values: Floats, window: float) -> Floats:
     near = np.isfinite(values) & (np.abs(time) <= window)
     t = time[near]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
-        fail("too_few_samples", f"{len(t)} frames within {window:.3g} s of the turn")
+        raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
     ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
     design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
     weights = np.zeros(len(time))
@@ -409,14 +383,10 @@ class Twist(Kind):
         bend, shape = parts[0], parts[0].shape
         able = np.flatnonzero(shape.lever > 0.0)
         if not len(able):
-            fail(
-                "too_few_markers",
-                "twist needs two markers at different places around the axis in one section, none "
-                f"of the {len(shape.lever)} sections has them",
-            )
+            raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever))
         x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
         section = int(able[np.argmin(np.abs(x[able]))])
-        text = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
+        note = Finding.of("results.twist_section", "markers", at=1e3 * x[section])
         frames = _Frames.of(test, parts)
         others = [shape.twist[:, other] for other in able if other != section]
         alike = [other for other in others if np.isfinite(other).any()]
@@ -424,7 +394,4 @@ class Twist(Kind):
         if isinstance(turned, Estimate) and turned.value < 0.0:
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
         number = self.number(test, turned, during=test.while_loading())
-        return Computed((number,), findings=(info_note("twist_section", "markers", text),))
-
-
-KINDS = (TipTravel, MomentCurvature, MidSpan, Twist)
+        return Computed((number,), findings=(note,))

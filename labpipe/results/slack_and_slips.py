@@ -10,15 +10,17 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
+from labpipe.messages import sentence
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, means_from, median, samples_of
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure, fail, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.quality import Reason
 from labpipe.results.curve_replicates import displaced, loading_of
 from labpipe.results.kinds import Computed, Kind, force_scale
 from labpipe.results.least_squares import finite_samples, require_samples, zero_of_line
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, doubts_of_slack, measured
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, measured
 from labpipe.uncertainty.autocorrelation import cubic_basis, smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers
@@ -373,8 +375,10 @@ def find_slips(
     finite: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
     finite = finite[~_is_outlier(force[finite])]
     if len(finite) < _MIN_BRANCH_SAMPLES:
-        message = f"{len(finite)} samples in the branch, {_MIN_BRANCH_SAMPLES} are needed"
-        return Failure("too_few_samples", message)
+        count, where = len(finite), " in the branch"
+        return Failure.of(
+            "results.too_few_samples", count=count, where=where, needed=_MIN_BRANCH_SAMPLES
+        )
     size, longest_samples = _block_size(displacement[finite], longest)
     d, f = (_blocks(values[finite], size) for values in (displacement, force))
     drops = _confirmed(PullCurve(d, f, longest_samples, int(size > 1)), min_drop)
@@ -519,6 +523,14 @@ def _ledger_entry(
     )
 
 
+def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
+    """Return why what counts from a slack is as doubtful as the slack."""
+    return tuple(
+        Reason(reason.code, sentence("results.doubtful_slack", why=reason.message))
+        for _, reason in measured_slack.doubts
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlipResults(Kind):
     """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N): of each slip; there may be none."""
@@ -598,16 +610,13 @@ def toe_line(
         _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
     )
     if first == 0:
-        message = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
-        fail("not_reached", message)
-    if last - first < min_region_samples:
-        message = (
-            f"{max(last - first, 0)} samples in the linear region, {min_region_samples} are needed"
+        raise UnavailableError.of(
+            "results.begins_above", begin=f[0], share=start_share, largest=f[top]
         )
-        fail("too_few_samples", message)
+    require_samples(max(last - first, 0), min_region_samples, " in the linear region")
     region = slice(first, last)
     if np.isnan(zero_of_line(d[region], f[region])):
-        fail("not_rising", "the force does not rise in the linear region")
+        raise UnavailableError.of("results.not_rising")
     return samples_of(finite[region])
 
 
@@ -711,6 +720,3 @@ class SlackResult(Kind):
         during = test.while_loading()
         slack = test.slack or test.unavailable(NO_LOADING).failure
         return Computed((self.number(test, slack, during=during),))
-
-
-KINDS = (SlipResults, SlackResult)

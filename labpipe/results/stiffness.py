@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from labpipe.records.declarations import (
     Snake,
     StiffnessName,
 )
-from labpipe.records.estimates import Failure, UnavailableError, fail, or_failure
+from labpipe.records.estimates import Failure, UnavailableError, or_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import loading_of, traced
@@ -171,7 +171,7 @@ def take_up(
     limit = noise_deviations * float(fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
-        fail("no_force", f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N")
+        raise UnavailableError.of("results.no_force", largest=f[top], limit=limit)
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
     beyond = np.flatnonzero(f[first:] > _FOOT_LIMITS * limit)
@@ -180,7 +180,7 @@ def take_up(
     zero = float(zero_of_line(d[first:last], f[first:last]))
     is_line = not np.isnan(zero)
     if not len(within) and not (is_line and zero >= d[0] - max_extrapolation * float(np.ptp(d))):
-        fail("not_unloaded", f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N")
+        raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
     foot = samples_of(finite[first:last])
     return TakeUp(samples_of(finite), top, int(finite[first]), foot, is_line, limit)
 
@@ -307,7 +307,7 @@ def window_slope(
     travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (travelled > high).any():
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
-        fail("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is needed")
+        raise UnavailableError.of("results.path_not_reached", reached=reached, needed=high)
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
     samples = samples_of(finite_samples(displacement, force))
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
@@ -316,16 +316,13 @@ def window_slope(
     return fit
 
 
-def turn_at(
-    time: Floats, values: Floats, *, turn_time: float, first: int, stop: int
-) -> Callable[[Floats], Floats]:
+def turn_at(trace: Trace, part: Branch) -> Callable[[Floats], Floats]:
     """Choose the samples for the value at the turn at the start of a branch.
 
     Parameters
     ----------
-    time, values : shape (n,), s, and any unit; NaN are ignored
-    turn_time : s, of the turn: a branch may contain a part of the wait before it
-    first, stop : samples of the branch
+    trace : one curve; NaN of its displacement are ignored
+    part : the branch, which may contain a part of the wait before the turn
 
     Returns
     -------
@@ -333,12 +330,13 @@ def turn_at(
     parabola through the first tenth of the branch after the turn, at most 50 samples; the first
     sample of the branch if that has fewer than 8.
     """
-    start = max(first, int(np.searchsorted(time, turn_time)))
-    begin = np.arange(start, start + min(50, (stop - start) // 10))
-    begin = begin[~np.isnan(values[begin])]
+    start = max(part.start, int(np.searchsorted(trace.time, part.start_time)))
+    begin = np.arange(start, start + min(50, (part.stop - start) // 10))
+    begin = begin[~np.isnan(trace.displacement[begin])]
     if len(begin) < _MIN_WINDOW_SAMPLES:
-        return lambda values: np.asarray(values[..., first])
-    samples, weights = samples_of(begin), polynomial_weights(time[begin] - turn_time, degree=2)[0]
+        return lambda values: np.asarray(values[..., part.start])
+    samples = samples_of(begin)
+    weights = polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
 
@@ -455,13 +453,13 @@ def _start_of_motion(time: Floats, displacement: Floats, start: float, length: f
 
 
 def unloading_slope(
-    time: Floats, displacement: Floats, force: Floats, part: Branch, *, length: float, sense: float
+    trace: Trace, part: Branch, *, length: float, sense: float
 ) -> tuple[Callable[[Floats, Floats], Floats], int]:
     """Choose the samples for the stiffness after a turn.
 
     Parameters
     ----------
-    time, displacement, force : shape (n,), s, m, N, of the curve; NaN where unknown
+    trace : one curve
     part : the branch that begins with the turn
     length : m, the length after the turn; its first tenth, where the motion turns, is excluded
     sense : 1 if loading increases the displacement, else -1
@@ -476,12 +474,10 @@ def unloading_slope(
     UnavailableError
         As `window_slope`.
     """
-    at_turn = turn_at(
-        time, displacement, turn_time=part.start_time, first=part.start, stop=part.stop
-    )
-    start, branch = float(at_turn(displacement)), slice(part.start, part.stop)
-    d, f = displacement[branch], force[branch]
-    slope = window_slope(time[branch], d, f, sense * (start - d), low=0.1 * length, high=length)
+    at_turn, branch = turn_at(trace, part), slice(part.start, part.stop)
+    start = float(at_turn(trace.displacement))
+    time, d, f = on_branch(trace, part)
+    slope = window_slope(time, d, f, sense * (start - d), low=0.1 * length, high=length)
     ahead = float(d[slope.window].mean()) - start
 
     def stiffness(displacement: Floats, force: Floats) -> Floats:
@@ -513,8 +509,8 @@ def compliance_window(displacement: Floats, force: Floats, *, start: float, stop
     finite = finite_samples(displacement, force)
     f = force[finite]
     if len(f) == 0 or float(f.max()) < stop:
-        max_force = float(f.max()) if len(f) else 0.0
-        fail("not_reached", f"the force reaches {max_force:.4g} N, the window ends at {stop:.4g} N")
+        largest = float(f.max()) if len(f) else 0.0
+        raise UnavailableError.of("results.force_not_reached", largest=largest, stop=stop)
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
     inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
@@ -534,23 +530,20 @@ class UnloadingStiffness(OfCycle):
     over: Length
     reads: ClassVar = (1.0, 2.0)
 
-    @property
-    def method(self) -> str:
-        """Describe the method with its range."""
-        return (
-            f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
-        )
+    method: ClassVar = (
+        "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
+    )
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples at the start of the unloading branch, without its first tenth."""
         del test
-        return lambda number: partial(self._read, number=number)
 
-    def _read(self, trace: Trace, number: int) -> Reading:
-        part, d = unloading_of(cycle_of(trace, number)), trace.displacement
-        sense = sense_of(trace, d)
-        slope, n = unloading_slope(trace.time, d, trace.force, part, length=self.over, sense=sense)
-        return Reading(on_part(slope, slice(None)), n)
+        def decide(trace: Trace) -> Reading:
+            part, sense = unloading_of(cycle_of(trace, number)), sense_of(trace, trace.displacement)
+            slope, n = unloading_slope(trace, part, length=self.over, sense=sense)
+            return Reading(on_part(slope, slice(None)), n)
+
+        return decide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -562,14 +555,20 @@ class LoadingStiffness(OfCycle):
     over: Length
     reads: ClassVar = (0.0, 1.0)
 
-    @property
-    def method(self) -> str:
-        """Describe the method with its range."""
-        return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
+    method: ClassVar = "line over {over_mm:g} mm from where the force takes up, time as instrument"
 
-    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples behind the take-up, by the zero force of the measured curve."""
-        return lambda number: partial(self._read, number=number, like=self._measured(test, number))
+        like = self._measured(test, number)
+
+        def decide(trace: Trace) -> Reading:
+            part = cycle_of(trace, number)[0]
+            parts, branch = on_branch(trace, part), slice(part.start, part.stop)
+            fit = loading_slope(*parts, length=self.over, like=like, steps=trace.steps)
+            numbers, in_noise = on_part(fit.of, branch), on_part(fit.of_each, branch)
+            return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
+
+        return decide
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number of the measured curve, taut from the first sample above noise."""
@@ -581,25 +580,14 @@ class LoadingStiffness(OfCycle):
         fit = self._measured(test, branches[0].cycle)
         if fit is None or fit.share_at_rest <= 0.1:
             return ()
-        message = (
-            f"{fit.share_at_rest:.0%} of the samples were taken before the motion, as the force "
-            f"at rest is further from zero than its noise of {fit.take_up.limit:.2g} N"
-        )
-        return (Reason("rest_in_window", message),)
+        share, limit = fit.share_at_rest, fit.take_up.limit
+        return (Reason.of("results.rest_in_window", share=share, limit=limit),)
 
     def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
         curve = traced(test)
         parts = on_branch(curve, cycle_of(curve, number)[0])
         fit = or_failure(loading_slope)(*parts, length=self.over)
         return None if isinstance(fit, Failure) else fit
-
-    def _read(self, trace: Trace, number: int, like: LoadingSlope | None) -> Reading:
-        part = cycle_of(trace, number)[0]
-        parts, steps = on_branch(trace, part), trace.steps
-        fit = loading_slope(*parts, length=self.over, like=like, steps=steps)
-        branch = slice(part.start, part.stop)
-        numbers, in_noise = on_part(fit.of, branch), on_part(fit.of_each, branch)
-        return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -610,11 +598,9 @@ class Hardening(Kind):
     outputs: ClassVar = (Output("hardening", "1", "Hardening", CURVE, first=2),)
     over: Length
 
-    @property
-    def method(self) -> str:
-        """With its range."""
-        over = f"{1e3 * self.over:g} mm"
-        return f"slope over {over} from the take-up / that of cycle 1, scale cancelled"
+    method: ClassVar = (
+        "slope over {over_mm:g} mm from the take-up / that of cycle 1, scale cancelled"
+    )
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the ratio of each later cycle to the first one; the scale cancels."""
@@ -622,12 +608,13 @@ class Hardening(Kind):
             raise test.unavailable(NO_LOADING)
         first, *others = test.cycles
         stiffness = LoadingStiffness(over=self.over)
-        before = stiffness.decider(test)(1)
+        before = stiffness.decider(test, 1)
         base = or_failure(test.measure_one)(before)
         plain, doubts = stiffness.plain(test, first), stiffness.doubts(test, first)
         numbers = []
         for later in others:
-            decide = combine(_hardened, stiffness.decider(test)(later[0].cycle), _first_of(before))
+            after = stiffness.decider(test, later[0].cycle)
+            decide = combine(lambda _, after, first: ratio(after, first), after, _first_of(before))
             own = stiffness.plain(test, later)
             values = [own[0] / plain[0]] if own and plain else None
             numbers.append(
@@ -642,18 +629,13 @@ class Hardening(Kind):
         return Computed(tuple(numbers))
 
 
-def _hardened(trace: Trace, after: Floats, before: Floats) -> Floats:
-    del trace
-    return ratio(after, before)
-
-
 def _first_of(before: Decide) -> Decide:
     """Name the stiffness of the first cycle as missing if it is not available."""
 
     def decide(trace: Trace) -> Reading:
         reading = or_failure(before)(trace)
         if isinstance(reading, Failure):
-            fail("no_stiffness", f"that of cycle 1 is not available: {reading.message}")
+            raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
         return reading
 
     return decide
@@ -667,7 +649,7 @@ def _above_noise(
     if isinstance(base, Failure):
         raise UnavailableError(base)
     if base.value <= 3.0 * base.error:
-        fail("no_stiffness", f"{base.value:.4g} N/m in cycle 1 is no more than noise")
+        raise UnavailableError.of("results.first_stiffness_is_noise", value=base.value)
     return outcome
 
 
@@ -677,11 +659,6 @@ class Window(Kind):
 
     start: Annotated[Distance, Key("from")]
     stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
-
-    @property
-    def in_words(self) -> str:
-        """Return the range in millimetres."""
-        return f"from {1e3 * self.start:g} mm to {1e3 * self.stop:g} mm"
 
     def inside(self, displacement: Floats) -> slice:
         """Return the samples from the first one at `start` to the last one before `stop`.
@@ -698,27 +675,25 @@ class Window(Kind):
         low, high = self.start, self.stop
         finite = displacement[~np.isnan(displacement)]
         if not len(finite) or finite.max() < high:
-            reached = float(finite.max()) if len(finite) else float("nan")
-            message = f"the branch reaches {1e3 * reached:.4g} mm, {1e3 * high:.4g} mm is needed"
-            fail("not_reached", message)
+            reached = 1e3 * float(finite.max()) if len(finite) else float("nan")
+            raise UnavailableError.of("results.not_reached", reached=reached, needed=1e3 * high)
         if finite[0] > low + 0.02 * (high - low):
-            message = f"the branch begins at {1e3 * finite[0]:.4g} mm, {1e3 * low:.4g} mm is needed"
-            fail("not_reached", message)
+            begin = 1e3 * finite[0]
+            raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * low)
         stop = int(np.argmax(displacement > high)) or None
         return slice(int(np.argmax(displacement >= low)), stop)
 
 
 def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
     """Measure the slope between two displacements of a shape, with time as instrument."""
-    method, window = _secant_method(kind), (kind.start, kind.stop)
+    window = kind.start, kind.stop
     decide, during = partial(_secant, low=kind.start, high=kind.stop), test.while_loading(*window)
     outcome = test.measure_one(decide)
-    number = kind.number(test, outcome, method=method, during=during)
+    number = kind.number(test, outcome, during=during)
     return Computed((number,), {name: Stiffness(decide, outcome.as_estimate, during, window)})
 
 
-def _secant_method(kind: Window) -> str:
-    return f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
+_SECANT = "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
 
 
 def _secant(trace: Trace, low: float, high: float) -> Reading:
@@ -741,11 +716,7 @@ class InitialStiffness(Window):
 
     result: ClassVar = "initial-stiffness"
     outputs: ClassVar = (Output("initial_stiffness", "N/m", "Initial stiffness"),)
-
-    @property
-    def method(self) -> str:
-        """With its range."""
-        return _secant_method(self)
+    method: ClassVar = _SECANT
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the slope between two displacements, with time as instrument."""
@@ -758,16 +729,15 @@ class LineStiffness(Window):
 
     result: ClassVar = "stiffness"
     outputs: ClassVar = (Output("{name}", "N/m"),)
+    method: ClassVar = (
+        "straight line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, "
+        "interval for correlated noise"
+    )
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
     def methods(self, test: ReducedTest) -> tuple[str]:
         """Of a test with a shape, time is the instrument."""
-        return (self.method if test.shape is None else _secant_method(self),)
-
-    @property
-    def method(self) -> str:
-        """Of a test without a shape."""
-        return f"straight line {self.in_words} of the first loading, interval for correlated noise"
+        return (self.method if test.shape is None else _SECANT,)
 
     def measure(self, test: ReducedTest) -> Computed:
         """Fit a least-squares line, with an interval for correlated noise."""
@@ -780,8 +750,7 @@ class LineStiffness(Window):
         level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
         during, doubts = test.while_loading(low, high), marked_slips(test, (low, high))
         if slope.value <= 0.0:
-            falls = Reason("negative_slope", "the force falls where the frame pulls")
-            doubts = (falls, *doubts)
+            doubts = (Reason.of("results.negative_slope"), *doubts)
         number = self.number(test, slope, during=during, doubts=doubts)
         made_of = Stiffness(
             self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
@@ -815,6 +784,14 @@ class LineStiffness(Window):
         return Reading(on_part(slope_of_line, samples_of(chosen)), len(chosen), is_cut=True)
 
 
+class Context(NamedTuple):
+    """What a number has beside its stiffness: interval of time (s), doubts, remark."""
+
+    during: Stretch | None = None
+    doubts: tuple[Reason, ...] = ()
+    remark: str = ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfStiffness(Kind):
     """A kind of result that depends on a stiffness above it in the list."""
@@ -825,32 +802,23 @@ class OfStiffness(Kind):
     def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the number of a test from its stiffness."""
 
-    def during(self, test: ReducedTest, stiffness: Stiffness) -> Stretch | None:
-        """Return the time interval that the number depends on."""
-        del test
-        return stiffness.during
-
-    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
-        """Return further doubts about the number."""
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+        """Return what else than the stiffness decides on interval of time, doubts and remark."""
         del test, stiffness
-        return ()
-
-    def remark(self, test: ReducedTest, stiffness: Stiffness) -> str:
-        """Return a remark on the number of this test."""
-        del test, stiffness
-        return ""
+        return Context()
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the number from the stiffness."""
         stiffness = test.stiffnesses.get(self.of)
         if stiffness is None:
-            raise test.unavailable(Failure("no_stiffness", f"{self.of} is not available"))
+            raise test.unavailable(Failure.of("results.no_stiffness", name=self.of))
+        outcome, context = or_failure(self.outcome)(test, stiffness), self.context(test, stiffness)
         number = self.number(
             test,
-            or_failure(self.outcome)(test, stiffness),
-            during=self.during(test, stiffness),
-            doubts=marked_slips(test, stiffness.bends_with) + self.doubts(test, stiffness),
-            remark=self.remark(test, stiffness),
+            outcome,
+            during=context.during or stiffness.during,
+            doubts=marked_slips(test, stiffness.bends_with) + context.doubts,
+            remark=context.remark,
         )
         return Computed((number,))
 
@@ -862,22 +830,15 @@ class NormalisedStiffness(OfStiffness):
     result: ClassVar = "normalised-stiffness"
     outputs: ClassVar = (Output("{of}_per_peak_force", "1/m"),)
     needs: ClassVar = Needs()
+    method: ClassVar = (
+        "{of} / peak force of the same sample, errors independent, scale error cancelled"
+    )
 
-    @property
-    def method(self) -> str:
-        """With the name of the stiffness."""
-        of = "peak force of the same sample, errors independent, scale error cancelled"
-        return f"{self.of} / {of}"
-
-    def during(self, test: ReducedTest, stiffness: Stiffness) -> Stretch | None:
-        """Return the time from the stiffness to the last peak."""
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+        """Return the time up to the last peak, and a doubt if the record ends before it."""
         window, stop = stiffness.during, test.cycles[-1][0].stop_time
-        return (window[0], max(window[1], stop)) if window else None
-
-    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
-        """Return a doubt about a record that ends before the last peak."""
-        del stiffness
-        return cut_short(test, test.cycles[-1][:1])
+        during = (window[0], max(window[1], stop)) if window else None
+        return Context(during, cut_short(test, test.cycles[-1][:1]))
 
     def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
@@ -897,13 +858,9 @@ class NormalisedStiffness(OfStiffness):
 
         peak = test.measure_one(peak_force)
         if peak.value <= 3.0 * peak.error:
-            fail("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
-        return test.measure_one(combine(_quotient, stiffness.decide, peak_force))
-
-
-def _quotient(trace: Trace, one: Floats, other: Floats) -> Floats:
-    del trace
-    return np.asarray(one / other, dtype=np.float64)
+            raise UnavailableError.of("results.no_peak_force", peak=peak.value)
+        quotient = combine(lambda _, one, peak: one / peak, stiffness.decide, peak_force)
+        return test.measure_one(quotient)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -913,21 +870,17 @@ class Modulus(OfStiffness):
     result: ClassVar = "modulus"
     outputs: ClassVar = (Output("{name}", "Pa"),)
     needs: ClassVar = Needs()
+    method: ClassVar = "{of} x specimen.length / area ({area})"
     area: Annotated[
         Literal["stated", "rectangle", "annulus", "thin-wall"],
         "Which area of specimen.section it refers to",
     ]
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
-    @property
-    def method(self) -> str:
-        """With the name of the stiffness, and the area."""
-        return f"{self.of} x specimen.length / area ({self.area})"
-
     def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the modulus with the uncertainties of stiffness, gauge length and area."""
         if "length" not in test.setup.sizes:
-            fail("no_length", "specimen.length, the gauge length, is not given")
+            raise UnavailableError.of("results.no_gauge_length")
         _area(self.area, test.setup.sizes)
         return test.measure_one(combine(self._modulus, stiffness.decide))
 
@@ -936,18 +889,15 @@ class Modulus(OfStiffness):
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
-    def doubts(self, test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
+    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Return a doubt if the displacement may be that of frame and grips."""
         limits = test.setup.limits
         share = limits.machine_compliance * stiffness.estimate.value
         if test.setup.compliance_stated or not share > limits.machine_share:
-            return ()
-        message = (
-            f"curve.compliance is not stated: {1e6 * limits.machine_compliance:g} um/N, as frames "
-            f"and grips often have, would be {share:.0%} of the displacement; measure it with a "
-            "stiff bar (protocol stiff-bar), or state 0 um/N where an extensometer measured"
-        )
-        return (Reason("machine_compliance", message),)
+            return Context()
+        usual = 1e6 * limits.machine_compliance
+        reason = Reason.of("results.machine_compliance", usual=usual, share=share)
+        return Context(doubts=(reason,))
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
@@ -972,10 +922,10 @@ def _area(section_kind: str, given: Mapping[str, float]) -> float:
     sizes = [given[name] for name in needs if name in given]
     if len(sizes) < len(needs):
         missing = " and ".join(f"specimen.section.{name}" for name in needs)
-        fail("no_area", f"{missing} not given")
+        raise UnavailableError.of("results.no_area", missing=missing)
     area = area_of(*sizes)
     if not area > 0.0:
-        fail("no_area", f"the {section_kind} area comes out as {area:.4g} m^2")
+        raise UnavailableError.of("results.bad_area", kind=section_kind, area=area)
     return area
 
 
@@ -987,12 +937,9 @@ class ComplianceResult(Kind):
     outputs: ClassVar = (Output("compliance", "m/N", "Compliance of frame and grips"),)
     start: Annotated[Force, Key("from")]
     stop: Annotated[Force, Key("to"), LargerThan("start", "from")]
-
-    @property
-    def method(self) -> str:
-        """With its range."""
-        window = f"from {self.start:g} N to {self.stop:g} N"
-        return f"displacement against force {window}, the bar taken for rigid"
+    method: ClassVar = (
+        "displacement against force from {start:g} N to {stop:g} N, the bar taken for rigid"
+    )
 
     def measure(self, test: ReducedTest) -> Computed:
         """Fit displacement against force, with a rigid bar."""
@@ -1011,18 +958,6 @@ class ComplianceResult(Kind):
         window = compliance_window(d, f, start=self.start, stop=self.stop)
         slope = float(slope_of_line(f[window], d[window]))
         if slope <= 0.0:
-            fail("not_positive", f"slope {slope:.4g} m/N")
+            raise UnavailableError.of("results.not_positive", slope=slope)
         compliance = on_part(lambda d, f: slope_of_line(f, d), (stretch, window))
         return Reading(compliance, len(d[window]), is_cut=True)
-
-
-KINDS = (
-    UnloadingStiffness,
-    LoadingStiffness,
-    Hardening,
-    InitialStiffness,
-    LineStiffness,
-    NormalisedStiffness,
-    Modulus,
-    ComplianceResult,
-)

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.declarations import Output
-from labpipe.records.estimates import fail, or_failure
+from labpipe.records.estimates import UnavailableError, or_failure
 from labpipe.records.quality import Reason
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import Computed, marked_slips
@@ -34,7 +34,7 @@ def _sort_samples(displacement: Floats, finite: Ints) -> Ints:
     d = displacement[finite]
     require_samples(len(d), min_samples)
     if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
-        fail("not_increasing", f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m")
+        raise UnavailableError.of("results.not_increasing", begin=d[0], end=d[-1])
     return finite[np.argsort(d, kind="stable")]
 
 
@@ -231,16 +231,6 @@ class Hinges:
         numbers = (scan.d_of(breaks), scale * slope, scale * (slope + bend), level)
         return Segments(*(number.reshape(shape) for number in numbers))
 
-    @property
-    def straight_line(self) -> str:
-        """Return the residual of one straight line for the reference curve, in words."""
-        rms_residual = float(np.sqrt(self.scan.r @ self.scan.r / (len(self.scan.r) - 2)))
-        start, stop = self.ends
-        return (
-            f"one straight line does as well, to within {rms_residual:.3g} N from "
-            f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm"
-        )
-
     def _best(self, y: Floats) -> Floats:
         """Return the breaks (R,) from the places and the parabola, of sorted curves (R, k)."""
         x, places, (mean, spread) = self.scan.x, self.places, self.scan.spread
@@ -295,10 +285,13 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
     middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
     if not abs(bend) > min_bend_errors * error:
-        fail(
-            "no_bend",
-            f"slopes {first:.6g} and {second:.6g} N/m differ by {abs(bend):.3g} N/m, "
-            f"{min_bend_errors} standard errors of {error:.3g} N/m are needed",
+        raise UnavailableError.of(
+            "results.no_bend",
+            first=first,
+            second=second,
+            bend=abs(bend),
+            needed=min_bend_errors,
+            error=error,
         )
     low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
     drawn_breaks = drawn.break_point[~np.isnan(drawn.break_point)]
@@ -306,8 +299,7 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
     for breaks in (drawn_breaks, likely):
         if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
             start, stop = hinges.ends
-            ends = f"{start:.6g} to {stop:.6g} m"
-            fail("no_bend", f"the break may be at an end of the stretch, {ends}")
+            raise UnavailableError.of("results.bends_at_end", start=start, stop=stop)
 
 
 def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> None:
@@ -325,19 +317,18 @@ def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
     """
     straight = or_failure(require_bend)(fit, smooth, drawn, hinges)
     if straight is not None:
-        fail("no_kink", f"{hinges.straight_line}: {straight.message}")
-    first, second, break_point = float(fit.first), float(fit.second), float(fit.break_point)
-    if second >= first:
-        rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
-        fail("no_kink", f"{rises} at {1e3 * break_point:.4g} mm")
-    start, stop = hinges.ends
-    margin = 0.05 * (stop - start)
-    if not start + margin <= break_point <= stop - margin:
-        stretch = f"the stretch from {1e3 * start:.4g} to {1e3 * stop:.4g} mm"
-        fail(
-            "kink_at_end",
-            f"the slope falls at {1e3 * break_point:.4g} mm, next to an end of {stretch}",
+        residuals, (start, stop) = hinges.scan.r, (1e3 * end for end in hinges.ends)
+        rms = float(np.sqrt(residuals @ residuals / (len(residuals) - 2)))
+        raise UnavailableError.of(
+            "results.no_kink", rms=rms, start=start, stop=stop, why=straight.message
         )
+    first, second, place = float(fit.first), float(fit.second), 1e3 * float(fit.break_point)
+    if second >= first:
+        raise UnavailableError.of("results.slope_rises", first=first, second=second, place=place)
+    start, stop = (1e3 * end for end in hinges.ends)
+    margin = 0.05 * (stop - start)
+    if not start + margin <= place <= stop - margin:
+        raise UnavailableError.of("results.kink_at_end", place=place, start=start, stop=stop)
 
 
 def doubts_of_break(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
@@ -352,11 +343,8 @@ def doubts_of_break(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
     width = interval.upper - interval.lower
     if width <= 0.25 * (stop - start):
         return ()
-    message = (
-        f"the break lies within {1e3 * width:.3g} mm, more than a quarter of the stretch from "
-        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm"
-    )
-    return (Reason("wide_break", message),)
+    start, stop, width = 1e3 * start, 1e3 * stop, 1e3 * width
+    return (Reason.of("results.wide_break", width=width, start=start, stop=stop),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,10 +373,9 @@ class _TwoLineFit:
 class _TwoLines(Window):
     """A kind of result from two lines through a range of the first loading."""
 
-    @property
-    def method(self) -> str:
-        """Describe the method with its range."""
-        return f"two segments that meet, {self.in_words}, all breaks tried"
+    method: ClassVar = (
+        "two segments that meet, from {start_mm:g} mm to {stop_mm:g} mm, all breaks tried"
+    )
 
     def fit(
         self, test: ReducedTest, require: Callable[[Segments, Segments, Segments, Hinges], None]
@@ -508,12 +495,6 @@ class Kink(_TwoLines):
         doubts = marked_slips(test, fit.hinges.ends) + fit.doubts_of_break
         during = test.while_loading(*fit.hinges.ends)
         return Computed(
-            tuple(
-                self.number(test, number, output=output, during=during, doubts=doubts)
-                for output, number in enumerate((place, level))
-            ),
+            self.numbers(test, (place, level), during=during, doubts=doubts),
             lines=fit.lines("before_kink", "behind_kink"),
         )
-
-
-KINDS = (TwoSegments, Kink)

@@ -133,31 +133,22 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Spectra:
-    """Spectra of noise at the cosines (g, terms), 1 / spectra, sums of logs (g,)."""
-
-    spectra: Floats
-    inverse: Floats
-    logs: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class StretchLikelihood:
-    """Likelihood of each of g spectra by one stretch.
+    """Likelihood of each of g spectra by stretches of a signal with the same basis.
 
     Parameters
     ----------
     spectra : shape (g, terms)
-    waves : shape (terms, p), cosines of its basis
+    columns : shape (terms, p), cosines of the basis
     likelihood : shape (g,), its logarithm but for the sum of squares
     squares : shape (g,), whitened sum of squares
     freedom : degrees of freedom: cosines less coefficients
-    shifts : shape (g, p), of the coefficients by generalised least squares
+    shifts : shape (g, stretches, p), of the coefficients by generalised least squares
     unit : shape (g, p, p), their covariance for noise whose spectrum is 1 at frequency zero
     """
 
     spectra: Floats
-    waves: Floats
+    columns: Floats
     likelihood: Floats
     squares: Floats
     freedom: int
@@ -166,7 +157,7 @@ class StretchLikelihood:
 
     @classmethod
     def of(cls, basis: Floats, values: Floats, grid: Grid, n_cosines: int) -> StretchLikelihood:
-        """Compute the restricted likelihood in cosines (Harville, JASA 72 (1977) 320).
+        """Compute the likelihood by the slowest cosines of a stretch.
 
         Parameters
         ----------
@@ -177,25 +168,39 @@ class StretchLikelihood:
         """
         spent, count = basis.shape
         terms = min(count, n_cosines)
-        cosines = slowest_cosines(np.vstack([basis, values]), terms).T
-        waves, value_wave = cosines[:, :spent], cosines[:, spent]
-        spectra = _spectra(grid, count, terms)
-        information = (spectra.inverse @ _products(waves)).reshape(-1, spent, spent)
-        unit: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        score = spectra.inverse @ (value_wave[:, None] * waves)
-        shifts: Floats = np.einsum("gij,gj->gi", unit, score)
-        squares: Floats = spectra.inverse @ value_wave**2 - np.einsum("gi,gi->g", shifts, score)
-        likelihood: Floats = -0.5 * (spectra.logs + np.linalg.slogdet(information)[1])
-        return cls(spectra.spectra, waves, likelihood, squares, terms - spent, shifts, unit)
+        cosines = slowest_cosines(np.vstack([basis, values]), terms)
+        return cls.of_waves(_spectra(grid, count, terms), cosines[spent:], cosines[:spent].T)
+
+    @classmethod
+    def of_waves(cls, spectra: Floats, waves: Floats, columns: Floats) -> StretchLikelihood:
+        """Compute the restricted likelihood in cosines (Harville, JASA 72 (1977) 320).
+
+        Parameters
+        ----------
+        spectra : shape (g, terms)
+        waves : shape (stretches, terms), cosines of the values
+        columns : shape (terms, p), those of the basis
+        """
+        inverse, (count, spent) = 1.0 / spectra, (len(waves), columns.shape[1])
+        information = (inverse @ _products(columns)).reshape(-1, spent, spent)
+        weighted = (waves[:, :, None] * columns).transpose(1, 0, 2).reshape(len(columns), -1)
+        score = (inverse @ weighted).reshape(len(inverse), count, spent)
+        unit = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        shifts: Floats = score @ unit
+        explained = np.vecdot(shifts.reshape(len(unit), -1), score.reshape(len(unit), -1))
+        squares = np.maximum(inverse @ np.sum(waves**2, axis=0) - explained, 0.0)
+        logs = np.log(spectra).sum(axis=1) + np.linalg.slogdet(information)[1]
+        freedom = count * (len(columns) - spent)
+        return cls(spectra, columns, -0.5 * count * logs, squares, freedom, shifts, unit)
 
     def plain_covariance(self) -> Floats:
         """Return the covariance of ordinary least squares under each spectrum.
 
         Beyond the last cosine, the noise has at most the power of that cosine.
         """
-        spent = self.waves.shape[1]
-        beyond = np.eye(spent) - self.waves.T @ self.waves
-        unit = (self.spectra @ _products(self.waves)).reshape(-1, spent, spent)
+        spent = self.columns.shape[1]
+        beyond = np.eye(spent) - self.columns.T @ self.columns
+        unit = (self.spectra @ _products(self.columns)).reshape(-1, spent, spent)
         covariance: Floats = unit + self.spectra[:, -1, None, None] * beyond
         return covariance
 
@@ -216,14 +221,13 @@ class Noise:
     freedom: int
 
     @classmethod
-    def of(cls, stretches: Sequence[StretchLikelihood], grid: Grid) -> Noise:
-        """Multiply the likelihoods, with one variance for all, and the prior of the grid."""
+    def of(cls, stretches: Sequence[StretchLikelihood], prior: Floats) -> Noise:
+        """Multiply the likelihoods, with one variance for all, and the prior of the spectra."""
         freedom = sum(stretch.freedom for stretch in stretches)
         squares = np.sum([stretch.squares for stretch in stretches], axis=0)
-        squares = np.asarray(np.maximum(squares, np.finfo(float).tiny), dtype=np.float64)
-        likelihood = np.sum([stretch.likelihood for stretch in stretches], axis=0)
-        likelihood = likelihood - 0.5 * freedom * np.log(squares)
-        chances = grid.prior * np.exp(likelihood - likelihood.max())
+        logs = np.sum([stretch.likelihood for stretch in stretches], axis=0)
+        logs -= 0.5 * freedom * np.log(np.maximum(squares, np.finfo(float).tiny))
+        chances = prior * np.exp(logs - logs[prior > 0.0].max())
         return cls(chances / chances.sum(), squares / freedom, freedom)
 
 
@@ -334,17 +338,22 @@ def _products(waves: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _spectra(grid: Grid, count: int, terms: int) -> _Spectra:
+def _spectra(grid: Grid, count: int, terms: int) -> Floats:
     """Return spectra of autoregressive noise at the cosines, 1 at frequency zero.
 
     Each with white noise from zero to a third below: a load cell has both, and a pure first-order
     process fitted to both is too fast and too small.
     """
-    factors = np.append(0.0, np.exp(-1.0 / grid.times))[:, None]
-    turns = np.cos(np.pi * np.arange(terms) / count)
-    spectra: Floats = (1.0 - factors) ** 2 / (1.0 - 2.0 * factors * turns + factors**2)
+    factors = np.append(0.0, np.exp(-1.0 / grid.times))
+    spectra = autoregressive_spectra(factors, np.pi * np.arange(terms) / count)
     # Mirror images rise with frequency. Without them white noise would be at the edge of the grid,
     # and its intervals would be too wide.
     mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _WHITE_FLOORS]
-    all_spectra = np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
-    return _Spectra(all_spectra, 1.0 / all_spectra, np.log(all_spectra).sum(axis=1))
+    return np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
+
+
+def autoregressive_spectra(factors: Floats, angle: Floats) -> Floats:
+    """Return the power at angles per sample (k,) for lag-one correlations (g,), 1 at zero."""
+    a = factors[:, None]
+    spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
+    return spectra

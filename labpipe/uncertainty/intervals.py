@@ -121,18 +121,17 @@ def measure(
         low, high = (smooth.changed(quantity, x) for x in (-1.0, 1.0))
         if np.isnan(low + high).any():
             low, high = _mirrored(low, high)
-            message = f"there is no number with {quantity.cause} one standard uncertainty off"
-            doubts.append(("", Reason("not_repeatable", message)))
+            doubts.append(("", Reason.of("uncertainty.no_number", cause=quantity.cause)))
         z = replicates.draws(quantity)
         off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
         parts.append((quantity.cause, 0.5 * (high - low) * quantity.deviation))
         handed += [(np.abs(parts[-1][1]), reason) for reason in quantity.doubts]
     lost = float(np.isnan(off).any(axis=0).mean())
-    message = f"{lost:.0%} of curves with such noise have no such number"
+    not_repeatable = Reason.of("uncertainty.not_repeatable", lost=lost)
     if lost >= 0.5:
-        return Failure("not_repeatable", message)
+        return not_repeatable
     if lost > 0.05:
-        doubts.append(("", Reason("not_repeatable", message)))
+        doubts.append(("", not_repeatable))
     about_noise = tuple(_slow_noise_doubts(replicates, plain.n))
     spread, slight = np.nanstd(noise, axis=1), slight_share * np.abs(values)
     matters = spread > np.maximum(slight, small_uncertainty_share * np.nanstd(off, axis=1))
@@ -195,7 +194,7 @@ def _decide_on_smooth(
     coarse = decide(replicates.blocks)
     if isinstance(coarse, Reading):
         return coarse
-    return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
+    return Failure.of("uncertainty.no_replicate", why=plain.message)
 
 
 def _interval_doubts(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
@@ -205,16 +204,11 @@ def _interval_doubts(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
     for that.
     """
     if not np.nanmax(off) > np.nanmin(off):
-        message = "neither noise nor an uncertain input is known, so its interval has no width"
-        yield "", Reason("no_width", message)
+        yield "", Reason.of("uncertainty.no_width")
         return
     low, high = np.nanquantile(off, _QUANTILES_95).tolist()
     if max(low, -high) > 0.01 * abs(value):
-        message = (
-            "the value is outside the range of curves with such noise: the curve is not smooth "
-            "where it was read; use the estimate"
-        )
-        yield "", Reason("value_outside", message)
+        yield "", Reason.of("uncertainty.value_outside")
 
 
 def _slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
@@ -231,17 +225,13 @@ def _slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str
         # One sentence for all numbers of a test.
         slowness, is_long = noise.correlation_time, noise.count >= min_record_samples
         if is_long and slowness > max(noise.count * max_record_share, harmless_samples):
-            message = (
-                f"the noise of the {name} is as slow as what is measured: it is correlated over "
-                f"{slowness:.3g} of the {noise.count} samples of the record"
+            facts = slowness, noise.count
+            yield (
+                name,
+                Reason.of("uncertainty.slow_noise", name=name, slowness=facts[0], count=facts[1]),
             )
-            yield name, Reason("slow_noise", message)
         elif is_long and count > 1 and slowness > max(count * max_window_share, harmless_samples):
-            message = (
-                f"the noise of the {name} is as slow as what is measured: it is correlated over "
-                f"{slowness:.3g} samples, more than two fifths of the samples of the number"
-            )
-            yield name, Reason("slow_noise", message)
+            yield name, Reason.of("uncertainty.slow_in_number", name=name, slowness=slowness)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import beta, stdtr, stdtrit
 
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
@@ -94,8 +95,8 @@ def fit_linear(
     count, spent = design.shape
     least = spent + (1 if beside else 4)
     if count < least:
-        message = f"expected at least {least} samples for {spent} coefficients, found {count}"
-        raise ValueError(message)
+        text = sentence("uncertainty.too_few", least=least, spent=spent, count=count)
+        raise ValueError(text)
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values
     residuals = values - plain @ basis
@@ -106,11 +107,10 @@ def fit_linear(
         StretchLikelihood.of(cubic_basis(len(stretch)), stretch, grid, MAX_COSINES)
         for stretch in beside
     ]
-    noise = Noise.of([window, *others], grid)
-    if weighted:
-        shifts, unit = window.shifts, window.unit
-    else:
-        shifts = np.zeros_like(window.shifts)
+    noise = Noise.of([window, *others], grid.prior)
+    shifts, unit = window.shifts[:, 0], window.unit
+    if not weighted:
+        shifts = np.zeros_like(shifts)
         unit = exact_covariance(basis, grid) if beside else window.plain_covariance()
     shift = noise.chances @ shifts
     deviation = float(np.sqrt(residuals @ residuals / (count - spent)))

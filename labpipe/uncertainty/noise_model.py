@@ -17,7 +17,9 @@ import numpy as np
 from scipy import fft
 from scipy.special import chdtri
 
-from labpipe.records.arrays import Floats, Singles
+from labpipe.records.arrays import Flags, Floats, Singles
+from labpipe.uncertainty.autocorrelation import Noise as _Posterior
+from labpipe.uncertainty.autocorrelation import StretchLikelihood, autoregressive_spectra
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 
 _PIECES_PER_BRANCH = 12
@@ -65,8 +67,7 @@ class _Processes:
 
     def spectra(self, angle: Floats) -> Floats:
         """Return the power at angles per sample (k,), 1 at zero: shape (g, k)."""
-        a = self.factor[:, None]
-        slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
+        slow = autoregressive_spectra(self.factor, angle)
         flickers = self.steep > 0.0
         power = -0.5 * self.steep[flickers, None]
         slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** power
@@ -287,8 +288,8 @@ def estimate_noise(
     is_level = power <= _CORNER_VARIANCE_RATIO * np.median(power)
     is_alike = is_level.copy()
     for _ in range(max_rounds):
-        seen = _likelihood(spectra, waves[is_alike], columns)
-        best = spectra[np.argmax(seen[0] + np.log(processes.prior))]
+        seen = StretchLikelihood.of_waves(spectra, waves[is_alike], columns)
+        best = spectra[np.argmax(_Posterior.of([seen], processes.prior).chances)]
         whitened = _whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
         odd = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
@@ -296,51 +297,53 @@ def estimate_noise(
             break
         is_alike[is_alike] = ~odd
     still = [*_rest_middles(before, width), *_rest_middles(behind, width, is_behind=True)]
-    likelihood, squares, freedom = _add_rests(processes, still, width, seen)
+    is_seen = np.ones(len(spectra), np.bool_) if still else _seen_in_pieces(processes, width)
+    parts = [seen, *(_part_likelihood(processes, *rest) for rest in still)]
+    more = 1.0
     if is_alike.mean() < min_alike_share and not has_steps:
-        squares = squares * power[power >= np.median(power)].mean() / power[is_alike].mean()
-    angles, fast = _replace_corner_power(*_fast_wave_power(branches, smooth), residuals[is_level])
-    chances = _chances(processes, likelihood)
-    return Noise(chances, squares, freedom, longest, count, angles, fast)
+        more = power[power >= np.median(power)].mean() / power[is_alike].mean()
+    fast = _replace_corner_power(*_fast_wave_power(branches, smooth), residuals[is_level])
+    prior = np.where(is_seen, processes.prior, 0.0)
+    return _probable_noise(parts, prior, (longest, count), fast, more)
 
 
-def _chances(processes: _Processes, likelihood: Floats) -> Floats:
-    """Return the probability of each process; improbable ones have none."""
-    chances = processes.prior * np.exp(likelihood - likelihood.max())
+def _probable_noise(
+    parts: Sequence[StretchLikelihood],
+    prior: Floats,
+    samples: tuple[int, int],
+    fast: tuple[Floats, Floats],
+    more: float = 1.0,
+) -> Noise:
+    """Return the probability of each process, with `more` variance; improbable ones have none.
+
+    samples : of the longest branch, and of all; fast : angles and power of fast waves
+    """
+    posterior = _Posterior.of(parts, prior)
+    chances = posterior.chances
     chances[chances < 1e-4 * chances.max()] = 0.0
-    normalised: Floats = chances / chances.sum()
-    return normalised
+    squares = posterior.variances * posterior.freedom * more
+    return Noise(chances / chances.sum(), squares, posterior.freedom, *samples, *fast)
 
 
-def _add_rests(
-    processes: _Processes,
-    still: Sequence[tuple[Floats, Floats]],
-    width: int,
-    seen: tuple[Floats, Floats, int],
-) -> tuple[Floats, Floats, int]:
-    """Add rests to likelihood, sums of squares and degrees of freedom.
+def _seen_in_pieces(processes: _Processes, width: int) -> Flags:
+    """Flag the processes that pieces distinguish, without rests.
 
-    Without rests, waves as long as the record are not observed. Flicker noise is then excluded if
-    pieces do not distinguish it: if it exceeds white noise only below their waves, and if it is as
-    steep as autocorrelated noise.
+    Waves as long as the record are then not observed. Flicker noise is excluded if it exceeds white
+    noise only below the waves of the pieces, and if it is as steep as autocorrelated noise.
     """
     # Flicker noise is judged without rests only where it exceeds white noise at this multiple of
     # the slowest wave of a piece,
     min_crossing = 2.0
     # and up to this power of the frequency.
     max_flicker_power = 1.2
-    likelihood, squares, freedom = seen
-    if not still:
-        slow, fast = (
-            np.pi * rise / width for rise in (min_crossing * _POLYNOMIAL_COLUMNS, _HALF_WAVES)
-        )
-        is_seen = (processes.crossing >= slow) & (processes.crossing <= fast)
-        # Processes that are white up to the fastest wave of a piece are equal there.
-        is_seen |= processes.crossing == _FLICKER_CROSSINGS[0]
-        is_seen &= processes.steep <= max_flicker_power
-        is_seen |= processes.steep == 0.0
-        return np.where(is_seen, likelihood, -np.inf), squares, freedom
-    return _add_parts(processes, still, seen)
+    slow, fast = (
+        np.pi * rise / width for rise in (min_crossing * _POLYNOMIAL_COLUMNS, _HALF_WAVES)
+    )
+    is_seen = (processes.crossing >= slow) & (processes.crossing <= fast)
+    # Processes that are white up to the fastest wave of a piece are equal there.
+    is_seen |= processes.crossing == _FLICKER_CROSSINGS[0]
+    is_seen &= processes.steep <= max_flicker_power
+    return np.asarray(is_seen | (processes.steep == 0.0), dtype=np.bool_)
 
 
 def _short_record_noise(
@@ -360,35 +363,19 @@ def _short_record_noise(
     )
     if not parts or residual_squares <= count * (_ROUNDING_SHARE * span) ** 2:
         return _no_noise(longest)
-    processes = _processes(longest, count)
-    none = np.zeros(len(processes.prior))
-    seen = np.where(processes.steep > 0.0, none if rests else -np.inf, none), none, 0
-    likelihood, squares, freedom = _add_parts(processes, [*parts, *rests], seen)
-    chances = _chances(processes, likelihood)
-    return Noise(chances, squares, freedom, longest, count, np.zeros(0), np.zeros(0))
+    processes, none = _processes(longest, count), np.zeros(0)
+    prior = processes.prior if rests else np.where(processes.steep > 0.0, 0.0, processes.prior)
+    likelihoods = [_part_likelihood(processes, *part) for part in [*parts, *rests]]
+    return _probable_noise(likelihoods, prior, (longest, count), (none, none))
 
 
-def _add_parts(
-    processes: _Processes,
-    parts: Sequence[tuple[Floats, Floats]],
-    seen: tuple[Floats, Floats, int],
-) -> tuple[Floats, Floats, int]:
-    """Add parts to likelihood, sums of squares and degrees of freedom.
-
-    Each part has its samples and a basis, shape (samples, columns), of what is not noise.
-    """
-    likelihood, squares, freedom = seen
-    least = np.finfo(np.float64).tiny
-    logs = likelihood + 0.5 * freedom * np.log(np.maximum(squares, least))
-    for rest, basis in parts:
-        terms = min(_HALF_WAVES, len(rest))
-        waves = fft.dct(rest - basis @ (basis.T @ rest), norm="ortho")[None, :terms]
-        columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
-        spectra = processes.spectra(np.pi * np.arange(terms) / len(rest))
-        one, more, free = _likelihood(spectra, waves, columns)
-        logs = logs + one + 0.5 * free * np.log(np.maximum(more, least))
-        squares, freedom = squares + more, freedom + free
-    return logs - 0.5 * freedom * np.log(np.maximum(squares, least)), squares, freedom
+def _part_likelihood(processes: _Processes, part: Floats, basis: Floats) -> StretchLikelihood:
+    """Return the likelihood of samples with a basis (samples, columns) of what is not noise."""
+    terms = min(_HALF_WAVES, len(part))
+    waves = fft.dct(part - basis @ (basis.T @ part), norm="ortho")[None, :terms]
+    columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
+    spectra = processes.spectra(np.pi * np.arange(terms) / len(part))
+    return StretchLikelihood.of_waves(spectra, waves, columns)
 
 
 def _rest_middles(
@@ -437,23 +424,6 @@ def _legendre(width: int, columns: int) -> Floats:
     """Return the first orthonormal polynomials over even samples, shape (width, columns)."""
     places = np.linspace(-1.0, 1.0, width)
     return np.linalg.qr(np.polynomial.legendre.legvander(places, columns - 1))[0]
-
-
-def _likelihood(spectra: Floats, waves: Floats, columns: Floats) -> tuple[Floats, Floats, int]:
-    """Return the log likelihood of each spectrum, its sum of squares, and degrees of freedom."""
-    inverse = 1.0 / spectra
-    count, spent = len(waves), columns.shape[1]
-    products = (columns[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
-    information = (inverse @ products).reshape(-1, spent, spent)
-    weighted = (waves[:, :, None] * columns).transpose(1, 0, 2).reshape(len(columns), -1)
-    score = (inverse @ weighted).reshape(len(inverse), count, spent)
-    explained = np.einsum("gps,gsr,gpr->g", score, np.linalg.inv(information), score, optimize=True)
-    squares = np.maximum(inverse @ np.sum(waves**2, axis=0) - explained, 0.0)
-    freedom = count * (len(columns) - spent)
-    logs = np.log(spectra).sum(axis=1) + np.linalg.slogdet(information)[1]
-    with np.errstate(divide="ignore"):
-        likelihood = -0.5 * (count * logs + freedom * np.log(squares))
-    return np.nan_to_num(likelihood, posinf=0.0), squares, freedom
 
 
 def _whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:

@@ -37,9 +37,9 @@ _MIN_INTERVAL_SAMPLES = 8
 _SPLINE_DEGREE = 3
 
 Filter: TypeAlias = Callable[[Floats], Floats]
-Law: TypeAlias = Literal["normal", "uniform", "step"]
-"""Distribution of an input, in its standard uncertainties: normal, rectangular, or uniform over one
-whole step after the last sample."""
+Law: TypeAlias = Literal["normal", "uniform", "step", "ends"]
+"""Distribution of an input, in its standard uncertainties: normal, rectangular, uniform over one
+whole step after the last sample, or at either end of such a step, where the true value may be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,7 @@ class Input:
     @property
     def deviation(self) -> float:
         """Return the standard deviation of its draws, in the unit of `moved`."""
-        return float(1.0 / np.sqrt(12.0)) if self.law == "step" else 1.0
+        return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.law, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,7 @@ class Replicates:
             return np.asarray(ndtri(chance), dtype=np.float64)
         if quantity.law == "uniform":
             return np.asarray(np.sqrt(3.0) * (2.0 * chance - 1.0), dtype=np.float64)
-        return np.asarray(-chance, dtype=np.float64)
+        return np.asarray(-np.rint(chance) if quantity.law == "ends" else -chance, dtype=np.float64)
 
     def has_noise(self, name: str) -> bool:
         """Return whether the noise of a signal is more than 1e-4 of its range.

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull
 from labpipe.markers.specimen_shape import Offsets, fit_shape
 from labpipe.mechanics.law.plays import MomentLaw
 from labpipe.mechanics.wire.cantilever import (
@@ -19,6 +18,7 @@ from labpipe.mechanics.wire.cantilever import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, PointFlag
+from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull
 
 LENGTH, STRING, WEIGHT = 0.085, 0.760, 0.0265
 HEIGHT, PULL_OFFSET = 0.0008, 0.004

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.bending.law_table import law_points
 from labpipe.cli import main
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
@@ -19,6 +18,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Bending, PointFlag
 from labpipe.records.result import Status
+from labpipe.results.measured_law import law_points
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import CantileverScenario, observe
 from labpipe.virtual_lab.observations import simulate_test

@@ -21,6 +21,7 @@ from labpipe.results.stiffness import (
     unloading_slope,
     window_slope,
 )
+from labpipe.uncertainty.extractors import Trace
 from tests.builders.noise_rows import noise_rows
 
 TIME = np.arange(0.0, 40.0, 0.05)
@@ -105,13 +106,12 @@ def test_slope_says_why_not() -> None:
 def test_value_at_a_turn_is_that_of_the_parabola() -> None:
     """Of 800 samples the first 50; time counts from the turn, in mid-step."""
     values = 3.0 + 0.5 * (TIME - 0.03) - 2.0 * (TIME - 0.03) ** 2
-    turn = turn_at(TIME, values, turn_time=0.03, first=0, stop=len(TIME))
+    part = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.03, float(TIME[-1]))
+    turn = turn_at(Trace(TIME, values, values), part)
     assert turn(values) == pytest.approx(3.0, abs=1e-12)
     np.testing.assert_allclose(turn(np.array([values, 2.0 * values])), [3.0, 6.0])
     values[5] = np.nan
-    assert turn_at(TIME, values, turn_time=0.03, first=0, stop=len(TIME))(values) == pytest.approx(
-        3.0
-    )
+    assert turn_at(Trace(TIME, values, values), part)(values) == pytest.approx(3.0)
 
 
 BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
@@ -120,7 +120,7 @@ BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
 def unloading(sense: float) -> tuple[Callable[[Floats, Floats], Floats], Floats, Floats]:
     """Back from 50 mm, under 300 (d - 10 mm)^2; read from 1 to 10 mm off the turn."""
     path, force = sense * (0.05 - UP), sense * 300.0 * (0.05 - UP - 0.01) ** 2
-    slope, _ = unloading_slope(TIME, path, force, BRANCH, length=0.01, sense=sense)
+    slope, _ = unloading_slope(Trace(TIME, path, force), BRANCH, length=0.01, sense=sense)
     return slope, path, force
 
 

@@ -105,13 +105,13 @@ def test_probable_spectra_and_their_covariances() -> None:
         beyond = spectrum[-1] * (np.eye(4) - waves[:4] @ waves[:4].T)
         plain = (waves[:4] * spectrum) @ waves[:4].T + beyond
         assert stretch.unit[number] == pytest.approx(unit)
-        assert stretch.shifts[number] == pytest.approx(shifts)
+        assert stretch.shifts[number, 0] == pytest.approx(shifts)
         assert stretch.squares[number] == pytest.approx(products[4, 4] - products[4, :4] @ shifts)
         assert stretch.likelihood[number] == pytest.approx(-0.5 * logs)
         assert stretch.plain_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
     other = StretchLikelihood.of(cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60)
-    both, squares = Noise.of([stretch, other], grid), stretch.squares + other.squares
+    both, squares = Noise.of([stretch, other], grid.prior), stretch.squares + other.squares
     logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
     chances = grid.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(both.chances, chances / chances.sum(), rtol=1e-9)

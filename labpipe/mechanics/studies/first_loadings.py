@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from labpipe.bending.bent_frames import held_at_rest
 from labpipe.errors import LabpipeError
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
@@ -29,6 +28,7 @@ from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.records.wire import WireSpec
+from labpipe.results.bent_frames import held_at_rest
 from labpipe.results.moment_curvature import at_rest, notes_of
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import read_stages

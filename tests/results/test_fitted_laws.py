@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.bending.fitted_law import (
+from labpipe.records.arrays import Floats
+from labpipe.results.measured_law import (
     LawBasis,
     LawShapes,
     Line,
@@ -16,7 +17,6 @@ from labpipe.bending.fitted_law import (
     law_knots,
     refine_law,
 )
-from labpipe.records.arrays import Floats
 
 LENGTH, FRAMES = 0.1, 60
 

@@ -6,19 +6,20 @@ from functools import cache
 import numpy as np
 import pytest
 
-from labpipe.bending.bent_frames import BendingTest, TipPull, held_at_rest
-from labpipe.bending.fitted_law import LawFit, law_knots
-from labpipe.bending.law_table import (
+from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import BendingCloud, MeasuredLaw
+from labpipe.results.bent_frames import BendingTest, TipPull, held_at_rest
+from labpipe.results.measured_law import (
     N_CLOUD_ROWS,
     N_CLOUD_STATIONS,
+    LawFit,
     bending_cloud,
+    law_knots,
     law_points,
     measure_bending,
     tabulate,
 )
-from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import BendingCloud, MeasuredLaw
 from labpipe.virtual_lab.specimens import WireModel
 from tests.builders.bent_tests import (
     HEAVY,

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.bending.bent_frames import (
+from labpipe.mechanics.law.plays import LinearLaw
+from labpipe.records.curve import PointFlag
+from labpipe.results.bent_frames import (
     TipPull,
     curvature_gain,
     curves_at,
@@ -13,8 +15,6 @@ from labpipe.bending.bent_frames import (
     marker_layout,
     mean_frames,
 )
-from labpipe.mechanics.law.plays import LinearLaw
-from labpipe.records.curve import PointFlag
 from tests.builders.bent_tests import (
     HEAVY,
     HEIGHT,

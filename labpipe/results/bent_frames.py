@@ -22,6 +22,7 @@ from labpipe.markers.curve_fits import (
     power_slopes,
     powers,
 )
+from labpipe.messages import sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import PointFlag, Shape
 
@@ -149,8 +150,7 @@ def marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) -> Mark
     """
     seen = np.flatnonzero(np.isfinite(shape.coefficients).all(axis=(1, 2)))
     if not len(seen):
-        message = "shape: expected a frame with a fitted curve, found none"
-        raise ValueError(message)
+        raise ValueError(sentence("results.no_fitted_frame"))
     direction = shape.coefficients[seen[0], :, 1] / shape.length
     ends = EndConditions(length=shape.length, direction=direction, free_tip=free_tip)
     places = shape.arc_length[_markers_of(shape)]
@@ -430,8 +430,7 @@ class BendingTest:
         is_complete = np.isfinite(frames.markers).all(axis=(1, 2))
         n_frames = int(is_complete.sum())
         if n_frames < 2:
-            message = f"rest: expected frames at rest that show all markers, found {n_frames}"
-            raise ValueError(message)
+            raise ValueError(sentence("results.few_frames_at_rest", count=n_frames))
         fit = self.layout.fit(frames.markers[is_complete])
         markers = frames.markers[is_complete].mean(axis=0)
         return SpecimenAtRest(
@@ -459,8 +458,7 @@ class BendingTest:
         fit = self.layout.fit(means.markers)
         usable = np.isfinite(fit.coefficients).all(axis=(1, 2)) & np.isfinite(means.force)
         if not usable.any():
-            message = "force: expected means with a shape and a force, found none"
-            raise ValueError(message)
+            raise ValueError(sentence("results.no_means"))
         finer = self.layout.fit(means.markers, more=1) if fit.spare > 0 else None
         return FittedFrames(
             means=means.part(usable),

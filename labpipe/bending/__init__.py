@@ -1,1 +1,0 @@
-"""Moment against curvature, measured from the shapes of a bending test."""
