@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, isclose
 from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, in_test_sheet, nearest
@@ -22,7 +21,7 @@ from labpipe.protocol.source import (
     filled_ranges,
 )
 from labpipe.protocol.values import SI_UNITS, in_si, quantity_remedy, si_unit_like, unit_remedy
-from labpipe.protocol.yaml_text import Values, block_in, list_in, not_among, one_of, shown
+from labpipe.protocol.yaml_text import Values, block_in, list_in, not_among, one_of
 from labpipe.records.declarations import STEPS, defaults_of, existing_in
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
@@ -210,7 +209,7 @@ def cross_faults(data: Values) -> Faults:
     outline = Outline(data)
     yield from plausible_faults(data, ("specimen", "rig", "markers", "results"))
     for check in (
-        *(_source_faults, _size_faults, _step_faults, _align_faults, _curve_faults),
+        *(_source_faults, _step_faults, _align_faults, _curve_faults),
         *(_result_faults, _figure_faults, _display_faults, _group_faults),
     ):
         yield from check(outline)
@@ -236,8 +235,6 @@ def _source_faults(outline: Outline) -> Faults:
                 yield Fault.of("protocol.channel_taken", path, at="key", name=name, by=by)
             taken[name] = f"the source {channel.role!r}"
         yield from _channel_faults(channel)
-        yield from _certificate_faults(channel.values, channel.path)
-    yield from _certificate_faults(outline.block("sources", "markers"), ("sources", "markers"))
 
 
 def _content_faults(role: str, source: Values) -> Faults:
@@ -477,46 +474,6 @@ def _group_faults(outline: Outline) -> Faults:
             yield not_among(path, name, names, "one of the results")
         else:
             yield Fault.of("protocol.no_results", path, name=name)
-
-
-def _certificate_faults(values: Values, path: KeyPath) -> Faults:
-    """Find an uncertainty of a scale that its certificate contradicts."""
-    certificate, calibration = block_in(values, "certificate"), block_in(values, "calibration")
-    expanded, k = (in_si(certificate.get(key, 2), "1") for key in ("uncertainty", "k"))
-    stated = {
-        (*path, "calibration", "gain_uncertainty"): calibration.get("gain_uncertainty"),
-        (*path, "scale_uncertainty"): values.get("scale_uncertainty"),
-    }
-    sizes = {place: in_si(text, "1") for place, text in stated.items() if text is not None}
-    together = hypot(*(size or 0.0 for size in sizes.values()))
-    if "uncertainty" not in certificate or expanded is None or not k or not together:
-        return
-    if None not in sizes.values() and not isclose(together, expanded / k, rel_tol=1e-9):
-        place = next(place for place, size in sizes.items() if size)
-        yield Fault.of(
-            "protocol.not_as_certified",
-            place,
-            certified=1e2 * expanded / k,
-            found=1e2 * together,
-            key=place[-1],
-        )
-
-
-def _size_faults(outline: Outline) -> Faults:
-    """Find a size of the specimen that is known no better than it is large."""
-    specimen = outline.block("specimen")
-    sizes = {**block_in(specimen, "section"), **specimen}
-    for key, text in block_in(specimen, "uncertainty").items():
-        unit = "m^2" if key == "area" else "m"
-        size, uncertainty = in_si(sizes.get(key), unit), in_si(text, unit)
-        if size is not None and uncertainty is not None and uncertainty >= size > 0.0:
-            yield Fault.of(
-                "protocol.size_unknown",
-                ("specimen", "uncertainty", key),
-                key=key,
-                size=sizes[key],
-                found=shown(text),
-            )
 
 
 def _length_faults(specimen: Values, entry: Values, path: KeyPath) -> Faults:

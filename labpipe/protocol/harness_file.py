@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
@@ -436,7 +436,8 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     harness : whose line may leave both to the clip at its start
     """
     line = harness.line
-    first = next((held for _, held in _held(harness) if held.at == START), None)
+    held = (boundary for boundary in harness.boundaries if isinstance(boundary, HELD))
+    first = next((boundary for boundary in held if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
         position = (0.0, 0.0, 0.0) if first is None or isinstance(first, Grip) else first.position
@@ -475,19 +476,6 @@ def path_of(boundary: Held | String, start: Sequence[float] | Floats, steps: int
     return np.column_stack([np.interp(rows, at, axis) for axis in np.array(corners).T])
 
 
-_B = TypeVar("_B")
-
-
-def _numbered(harness: HarnessFile, kind: type[_B]) -> list[tuple[int, _B]]:
-    """List the boundaries of a kind with their numbers."""
-    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, kind)]
-
-
-def _held(harness: HarnessFile) -> list[tuple[int, Held]]:
-    """List the boundaries that hold the line, with their numbers."""
-    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, HELD)]
-
-
 def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     """Find what the line is too short for, and what else cannot be.
 
@@ -501,14 +489,11 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     of a sweep for the shortest line of it that is too short. One for each that holds the line
     nearer to a plane than half the diameter that the file states; that of a wire sheet is not
     known here. One for each turn of half a turn or more in a step, which is one the other way, too,
-    for a curl that elements are too long for, for what lets go before it has come anywhere, and for
-    a line that falls as all have let it go.
+    and for a curl that elements are too long for.
     """
     yield from _in_planes(harness)
-    yield from _released_too_early(harness)
     yield from _turned_too_far(harness)
     yield from _curled_too_far(harness)
-    yield from _falling(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
     lengths += sorted((run, ("sweep", "length", i)) for i, run in enumerate(swept))
@@ -531,7 +516,8 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
     radius = 0.5 * (harness.line.section.diameter or 0.0)
     first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
     places = _places(harness, harness.line.length, Clip, Pin, Grip)
-    for (_, plane), place in product(_numbered(harness, Plane), places):
+    planes = [boundary for boundary in harness.boundaries if isinstance(boundary, Plane)]
+    for plane, place in product(planes, places):
         heights = (place.path[first:] - np.array(plane.point)) @ np.array(plane.normal)
         if heights.size and heights.min() < radius - 1e-9 * harness.line.length:
             yield Fault.of(
@@ -542,17 +528,6 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
                 found=1e3 * heights.min(),
                 step=int(heights.argmin()) + first,
             )
-
-
-def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
-    """Find what lets go before it is there; a grip may go on without the line."""
-    for number, held in _held(harness):
-        there = getattr(held, "by", None)
-        if isinstance(held, Grip) and held.path:
-            there = held.path[0].step
-        if held.release is not None and there is not None and held.release <= there:
-            path, name = ("boundaries", number, "release"), held.name
-            yield Fault.of("protocol.released", path, there=there, name=name, found=held.release)
 
 
 def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
@@ -587,16 +562,6 @@ def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
     if curl > most:
         path = ("line", "spool", "curvature")
         yield Fault.of("protocol.curl", path, most=most, element=1e3 * element, found=curl)
-
-
-def _falling(harness: HarnessFile) -> Iterator[Fault]:
-    releases = {number: held.release or math.inf for number, held in _held(harness)}
-    section = harness.line.section
-    has_weight = section.kind != "bending_stiffness" or section.mass_per_length is not None
-    others = any(not isinstance(boundary, (*HELD, Load)) for boundary in harness.boundaries)
-    number = max(releases, key=lambda release: releases[release], default=0)
-    if not others and has_weight and any(harness.gravity) and releases[number] < math.inf:
-        yield Fault.of("protocol.falling", ("boundaries", number, "release"), step=releases[number])
 
 
 @dataclass(frozen=True, slots=True)
@@ -647,23 +612,3 @@ def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fau
                 found=1e3 * distances.max(),
                 step=distances.argmax(),
             )
-    for number, ring in _numbered(harness, Ring):
-        held = [place for place in places if not place.thread]
-        yield from _out_of_reach(ring, held, length, path or ("boundaries", number))
-
-
-def _out_of_reach(
-    ring: Ring, places: Sequence[_Place], length: float, path: KeyPath
-) -> Iterator[Fault]:
-    """Find a ring that no place of the line comes to, once all that holds the line is there."""
-    if not places:
-        return
-    far = [math.dist(ring.position, place.path[-1]) for place in places]
-    rooms = [(length - places[-1].along, far[-1]), (places[0].along, far[0])]
-    for (one, other), needed in zip(pairwise(places), map(sum, pairwise(far)), strict=True):
-        rooms.append((other.along - one.along, needed))
-    reach, needed = min(rooms, key=lambda room: room[1] - room[0] * REACH_FACTOR)
-    if needed > reach * REACH_FACTOR:
-        yield Fault.of(
-            "protocol.ring_too_far", path, reach=1e3 * reach, found=1e3 * needed, ring=ring.name
-        )

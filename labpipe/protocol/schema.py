@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
 
 from pydantic import (
     BeforeValidator,
     Field,
+    ValidationInfo,
     field_validator,
 )
 
@@ -16,7 +18,7 @@ from labpipe.protocol.cross_checks import cross_faults
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import ChannelSource, Plausible, Role, SizeUncertainties, Source
 from labpipe.protocol.values import FileStem, OrShort, Remark, Text
-from labpipe.protocol.yaml_text import Values, refused
+from labpipe.protocol.yaml_text import FaultsError, Values, refused
 from labpipe.records.declarations import (
     LIMITS,
     Area,
@@ -74,6 +76,19 @@ class SpecimenBlock(Block):
     uncertainty: SizeUncertainties | None = Field(
         None, description="Standard uncertainties of these sizes; a test sheet can give its own"
     )
+
+    @field_validator("uncertainty")
+    @classmethod
+    def _is_less_than_the_size(cls, sizes: Any, info: ValidationInfo) -> Any:
+        known = {**vars(info.data.get("section") or Section()), **info.data}
+        faults = [
+            Fault.of("protocol.size_unknown", (key,), key=key)
+            for key, uncertainty in (sizes.stated if sizes else {}).items()
+            if uncertainty >= (known.get(key) or math.inf)
+        ]
+        if faults:
+            raise FaultsError(*faults)
+        return sizes
 
 
 class LoadString(Block):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import hypot
+from math import hypot, isclose
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     PlainSerializer,
@@ -17,9 +18,10 @@ from pydantic import (
     field_validator,
 )
 
+from labpipe.errors import Fault
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, si_unit_like
-from labpipe.protocol.yaml_text import refused
+from labpipe.protocol.yaml_text import FaultsError, refused
 from labpipe.records.declarations import Distance, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
@@ -176,6 +178,22 @@ def standard_uncertainty(certificate: Certificate | None) -> float | None:
     return certificate.uncertainty / certificate.k
 
 
+def _agrees_with_scale(certificate: Certificate | None, info: ValidationInfo) -> Any:
+    """Refuse an uncertainty that is not that of gain and scale, where these are stated, too."""
+    calibration, scale = info.data.get("calibration"), info.data.get("scale_uncertainty") or 0.0
+    together = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
+    certified = standard_uncertainty(certificate)
+    if certified is not None and together and not isclose(together, certified, rel_tol=1e-9):
+        found = Fault.of(
+            "protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together
+        )
+        raise FaultsError(found)
+    return certificate
+
+
+AgreedCertificate = Annotated[Certificate, AfterValidator(_agrees_with_scale)]
+
+
 class Calibration(Block):
     """A linear calibration of a channel."""
 
@@ -209,7 +227,7 @@ class ChannelSource(Block):
         description="Of a force: standard uncertainty of how far its zero has moved by the end of "
         "the test, as a share of the largest force; read it with the specimen out",
     )
-    certificate: Certificate | None = Field(
+    certificate: AgreedCertificate | None = Field(
         None, description="Of the calibration; its uncertainty is that of gain and scale together"
     )
     _name: str = PrivateAttr("")
@@ -293,7 +311,7 @@ class Source(Block):
         None, description="Of one channel named like the role, or of the cameras"
     )
     zero_drift: Uncertainty | None = None
-    certificate: Certificate | None = Field(
+    certificate: AgreedCertificate | None = Field(
         None, description="Of one channel named like the role, or of the cameras"
     )
     channels: dict[Snake, ChannelSource] | None = None

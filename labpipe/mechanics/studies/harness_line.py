@@ -172,7 +172,8 @@ def _boundaries(
                 yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
                 node = nodes[boundary.name]
-                path = path_of(boundary, _as_tuple(line.positions[node]), steps)
+                first = path_of(boundary, line.positions[node], steps)[0]
+                path = _straight_path(first, boundary.anchor, boundary.by or steps, steps)
                 yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
                 force = _ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
@@ -221,7 +222,7 @@ def _ramp(by: int, steps: int) -> Floats:
 
 
 def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
-    position = path_of(boundary, line.positions[node].tolist(), steps)
+    position = path_of(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
         frame = _frames(boundary, line.frame_at(node), steps)
