@@ -92,7 +92,7 @@ CODES = MappingProxyType(
         "time_limit": "the test took longer than the limit",
         "fault_of_labpipe": "labpipe itself has a fault: report it with the exports",
         "no_cluster": "there is no cluster, or its scheduler is gone; no failure of the test",
-        "worker_died": "two workers of a cluster were lost with the test",
+        "worker_died": "more workers of a cluster were lost with the test than `allowed-failures`",
         "worker_without_data": "no worker of the cluster sees the files that are seen here",
         "newer_result": "the results are of a newer labpipe; they are left alone until cleared",
         "unknown": "failure.json cannot be read",

@@ -13,8 +13,7 @@ from typing import Any, get_args
 
 import pytest
 
-from labpipe.cli import _parser as parser_of
-from labpipe.cli import main
+from labpipe.cli import main, parser_of_commands
 from labpipe.errors import CODES
 from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.load import (
@@ -133,7 +132,7 @@ def test_what_is_to_be_typed_can_be(capsys: pytest.CaptureFixture[str]) -> None:
     lines = [words for text in texts_to_type(capsys) for words in typed_lines(text)]
     assert len(lines) > 60
     for words in lines:
-        parser_of(words).parse_args(words)
+        parser_of_commands().parse_args(words)
 
 
 NAMED_FILES = r"(?<![\w/.-])(?:examples|protocols|labpipe|tests|docs|benchmarks)/[\w/.-]+\.\w+"

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from labpipe.errors import StoreError, UsageError, error_text, refusal
+from labpipe.errors import StoreError, UsageError, refusal
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import FIGURES, SUMMARY_FILE
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -47,21 +47,20 @@ def find_campaign(folder: Path) -> CampaignFolders:
     UsageError
         If it is missing, below neither, or the folder of a single test.
     """
+    expected = "the folder of a campaign"
     if not folder.is_dir():
-        state = "a file" if folder.exists() else "nothing of that name"
-        raise _no_campaign(folder, "the folder of a campaign", state)
+        raise _no_campaign(
+            folder, expected, "a file" if folder.exists() else "nothing of that name"
+        )
     start = folder.resolve()
     for above in (start, *start.parents):
         if above.name in {RAW, PROCESSED}:
             name = start.relative_to(above)
             raw, processed = (_as_typed(above.parent / top / name) for top in (RAW, PROCESSED))
             if (raw / SHEET_NAME).is_file():
-                raise _no_campaign(
-                    folder, "the folder of a campaign", "the folder of a single test"
-                )
+                raise _no_campaign(folder, expected, "the folder of a single test")
             return CampaignFolders(name.as_posix(), raw, processed)
-    state = "a folder below neither"
-    raise _no_campaign(folder, "a folder below 'raw' or 'processed'", state)
+    raise _no_campaign(folder, "a folder below 'raw' or 'processed'", "a folder below neither")
 
 
 def name_of_campaign(folder: Path) -> str:
@@ -86,9 +85,8 @@ def _as_typed(path: Path) -> Path:
     return path.relative_to(current) if path.is_relative_to(current) else path
 
 
-def _no_campaign(folder: Path, expected: str, state: str) -> UsageError:
-    remedy = "Put each test into a folder below raw/NAME; results go to processed/NAME."
-    return UsageError(error_text(folder, "", expected=expected, found=state, remedy=remedy))
+def _no_campaign(folder: Path, expected: str, found: str) -> UsageError:
+    return UsageError.about("campaign.no_campaign", folder, expected=expected, found=found)
 
 
 @dataclass(slots=True)
@@ -123,10 +121,7 @@ def list_raw(campaign: CampaignFolders) -> RawFolder:
         if sheet.is_file():
             listing.sheets[label] = sheet
         else:
-            odd, remedy = "a pipe or a broken link", "Put the test sheet there."
-            listing.refused.append(
-                error_text(sheet, "", expected="a file", found=odd, remedy=remedy)
-            )
+            listing.refused.append(str(StoreError.about("campaign.odd_sheet", sheet)))
     return listing
 
 
@@ -167,20 +162,13 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     """
     outcomes = {}
     for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES):
-        is_finish_interrupted = bool(hidden & {*STAGES}) and _finish_interrupted(Path(place))
-        names = os.listdir(place) if is_finish_interrupted else files  # noqa: PTH208  names, as from the walk
-        if {*_OUTCOME} & {*names}:
-            outcomes[label] = OutcomeFiles(Path(place), _marks(place, names))
+        if hidden & {*STAGES}:
+            outcome = find_outcome(campaign, label)
+        else:
+            outcome = OutcomeFiles(Path(place), _marks(place, files))
+        if outcome.marks:
+            outcomes[label] = outcome
     return outcomes
-
-
-def _finish_interrupted(folder: Path) -> bool:
-    """Finish what a killed process left unfinished, unless another process works there."""
-    if not is_cut_off(folder):
-        return False
-    with suppress(StoreError), locked(folder), storing(folder):
-        return finish_cut_off(folder)
-    return False
 
 
 def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
@@ -192,7 +180,9 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     test : its folder below the campaign
     """
     folder = campaign.processed / test
-    _finish_interrupted(folder)
+    if is_cut_off(folder):  # by a killed process, or another process works there
+        with suppress(StoreError), locked(folder), storing(folder):
+            finish_cut_off(folder)
     files = [name for name in _OUTCOME if (folder / name).is_file()]
     return OutcomeFiles(folder, _marks(str(folder), files))
 
@@ -243,5 +233,4 @@ def _is_text(name: str) -> bool:
 
 def _name_error(path: str) -> str:
     printable_path = path.encode("utf-8", "backslashreplace").decode()
-    state, remedy = "other bytes", "Rename it; it is left out."
-    return error_text(printable_path, "", expected="a name in UTF-8", found=state, remedy=remedy)
+    return str(StoreError.about("campaign.odd_name", printable_path))

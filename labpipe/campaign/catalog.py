@@ -12,7 +12,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 from functools import cache
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -28,7 +28,7 @@ from labpipe.campaign.catalog_rows import (
     Seen,
     TestRow,
 )
-from labpipe.errors import StoreError, UsageError, error_text
+from labpipe.errors import StoreError, UsageError
 from labpipe.store.replace import storing
 
 CATALOG: Final = "catalog.sqlite"
@@ -37,18 +37,19 @@ SCHEMA: Final = 2
 PROGRAM: Final = 0x4C425043
 """``application_id`` of the file: *LBPC*."""
 TABLES: Final = ("tests", "results", "inputs", "seen", "running")
-_TABLES = """
-create table tests (
-    folder text primary key, test text not null, state text not null, why text not null,
-    code text not null, reason text not null, protocol text not null, type text not null,
-    spool text not null, sample text not null, date text not null, operator text not null,
-    specimen text not null, labpipe text not null, run text not null, failed_run text not null,
-    sheet text not null, resolved text not null, decided_by text not null, decided text not null
-) without rowid;
+
+
+def _columns(row: type[TestRow | ResultRow]) -> str:
+    """Return the columns of a table in SQL: text, or a number that may be missing."""
+    kinds = {"str": "text not null", "float | None": "real"}
+    return ", ".join(f"{field.name} {kinds[str(field.type)]}" for field in fields(row))
+
+
+_TABLES = f"""
+create table tests ({_columns(TestRow)}, primary key (folder)) without rowid;
 create table results (
-    folder text not null, place integer not null, name text not null, value real,
-    unit text not null, lower real, upper real, level real, estimate real, status text not null,
-    code text not null, reason text not null, seal text not null, primary key (folder, place)
+    folder text not null, place integer not null, {_columns(ResultRow)},
+    primary key (folder, place)
 ) without rowid;
 create table inputs (
     folder text not null, place integer not null, role text not null, file text not null,
@@ -60,8 +61,6 @@ create table running (
     since real not null
 );
 """
-
-
 MAX_CLAIM_AGE = 24 * 3600.0
 """s after which a claim of another host is taken for dead; no test takes as long."""
 
@@ -251,31 +250,28 @@ class Catalog:
         False if another live process has claimed it.
         """
         with self._writing() as connection:
-            sql = "select host, pid, process, since from running where folder = ?"
-            if any(is_alive(Claim(*row)) for row in self._all(sql, folder)):
+            if folder in self.claims():
                 return False
             values = (folder, *astuple(new_claim()))
             connection.execute("insert or replace into running values (?, ?, ?, ?, ?)", values)
         return True
 
-    def release(self, folder: str) -> None:
-        """Release a claim.
+    def release(self, *folders: str) -> None:
+        """Release claims.
 
         Parameters
         ----------
-        folder : of a test claimed by this process
+        folders : of tests claimed by this process, or by dead ones
         """
         with self._writing() as connection:
-            connection.execute("delete from running where folder = ?", (folder,))
+            sql = "delete from running where folder = ?"
+            connection.executemany(sql, [(folder,) for folder in folders])
 
     def release_dead(self) -> None:
         """Delete the claims of processes that have ended."""
-        alive = self.claims()
-        dead = {folder for (folder,) in self._all("select folder from running")} - alive.keys()
-        if dead:
-            with self._writing() as connection:
-                sql = "delete from running where folder = ?"
-                connection.executemany(sql, [(folder,) for folder in dead])
+        claimed = {folder for (folder,) in self._all("select folder from running")}
+        if dead := claimed - self.claims().keys():
+            self.release(*dead)
 
     @contextmanager
     def copy(self) -> Iterator[sqlite3.Connection]:
@@ -297,15 +293,13 @@ def sqlite_errors(path: Path) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         message = str(error)
-        remedy = "`labpipe campaign rebuild` rebuilds it from the files of the tests."
-        if "lock" in message or "busy" in message:
-            remedy = "Another labpipe is writing: wait until it is done, and try again."
-        elif "readonly" in message or "unable to open" in message or "full" in message:
-            remedy = "Check the disk and its permissions."
-        expected = "a readable and writable catalog"
-        raise StoreError(
-            error_text(path, "", expected=expected, found=message, remedy=remedy)
-        ) from error
+        is_busy = "lock" in message or "busy" in message
+        is_refused = any(word in message for word in ("readonly", "unable to open", "full"))
+        raise StoreError.about(
+            "campaign.catalog_in_use" if is_busy
+            else "campaign.catalog_refused" if is_refused else "campaign.bad_catalog",
+            path, found=message,
+        ) from error  # fmt: skip
 
 
 def _put(connection: sqlite3.Connection, entry: Entry) -> None:
@@ -442,20 +436,9 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
     (version,) = connection.execute("pragma user_version").fetchone()
     tables = {name for (name,) in connection.execute("select name from sqlite_schema")}
     if program != PROGRAM and tables:
-        state = "a database of another program"
-        raise UsageError(
-            error_text(path, "", expected="a catalog of labpipe", found=state,
-                      remedy="Move it away: the catalog is rebuilt from the files of the tests.")
-        )  # fmt: skip
+        raise UsageError.about("campaign.foreign_catalog", path)
     if version > SCHEMA:
-        remedy = (
-            "A newer labpipe made it: use that version, or move the file away to rebuild it from"
-            " the files of the tests."
-        )
-        expected = f"a catalog of version {SCHEMA}"
-        raise UsageError(
-            error_text(path, "", expected=expected, found=f"version {version}", remedy=remedy)
-        )
+        raise UsageError.about("campaign.newer_catalog", path, known=SCHEMA, found=version)
     missing = {*TABLES} - tables
     if missing or version != SCHEMA:
         raise NoCatalog(_DAMAGED.format(f"without {', '.join(sorted(missing)) or 'a version'}"))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from labpipe.campaign.campaign_folders import OutcomeFiles
-from labpipe.errors import error_text
+from labpipe.errors import StoreError
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import SUMMARY_FILE
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_SCHEMA, sealed
@@ -169,26 +169,16 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
     failure with the key of the results is ignored: it is left over from a process that was killed
     before deleting it.
     """
-    nothing = Entry(TestRow(folder))
+    done = Entry(TestRow(folder))
     if files is None:
-        return nothing
-    done = nothing
-    if files.has_results:
-        done = _read_summary(nothing, files.folder / SUMMARY_FILE)
-    elif f"{SUMMARY_FILE}:" in files.marks:
-        done = _unreadable(nothing, f"{RESULT_FILE} is missing")
-    if not files.has_failure:
         return done
-    return _with_failure(done, _read_object(files.folder / FAILURE_FILE) or {})
-
-
-def _unreadable(nothing: Entry, why: str) -> Entry:
-    return replace(nothing, row=replace(nothing.row, why=why))
-
-
-def _with_failure(done: Entry, failure: Mapping[str, Any]) -> Entry:
+    if files.has_results:
+        done = _read_summary(folder, files.folder / SUMMARY_FILE)
+    elif f"{SUMMARY_FILE}:" in files.marks:
+        done = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
+    failure = _read_object(files.folder / FAILURE_FILE) or {} if files.has_failure else {}
     run = encodable(failure.get("run") or "")
-    if run and run == done.row.run:
+    if not files.has_failure or (run and run == done.row.run):
         return done
     row = replace(
         done.row,
@@ -205,43 +195,36 @@ def _with_failure(done: Entry, failure: Mapping[str, Any]) -> Entry:
         return replace(done, row=row)
 
 
-def _read_summary(nothing: Entry, path: Path) -> Entry:
+def _read_summary(folder: str, path: Path) -> Entry:
     content = _read_object(path)
     if content is None:
-        return _unreadable(nothing, f"{SUMMARY_FILE} cannot be read")
-    if isinstance(content.get("schema"), int) and content["schema"] > SUMMARY_SCHEMA:
-        reason = error_text(
-            path,
-            "schema",
-            expected=f"{SUMMARY_SCHEMA} or less",
-            found=str(content["schema"]),
-            remedy="A newer labpipe made it: use that version.",
+        return Entry(TestRow(folder, why=f"{SUMMARY_FILE} cannot be read"))
+    schema = content.get("schema")
+    if isinstance(schema, int) and schema > SUMMARY_SCHEMA:
+        newer = StoreError.about(
+            "campaign.newer_summary", path, "schema", known=SUMMARY_SCHEMA, found=schema
         )
-        return Entry(replace(nothing.row, state=FAILED, code=NEWER_RESULT, reason=reason))
+        return Entry(TestRow(folder, state=FAILED, code=NEWER_RESULT, reason=str(newer)))
     try:
-        return _parse_summary(nothing.row.folder, content)
+        return _parse_summary(folder, content)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        return _unreadable(nothing, f"{SUMMARY_FILE} is damaged ({error})")
+        return Entry(TestRow(folder, why=f"{SUMMARY_FILE} is damaged ({error})"))
 
 
 def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
-    results = tuple(_result_row(entry) for entry in content["results"])
-    doubted = next((result for result in results if result.status != "ok"), None)
+    results = tuple(map(_result_row, content["results"]))
+    doubted = next((result for result in results if result.status != OK), None)
     specimen = {"type": "", "spool": "", "sample": "", **content["specimen"]}
-    run = encodable(content["run"])
+    texts = {key: content[key] for key in ("test", "protocol", "labpipe", "run")}
+    texts |= {key: content.get(key) or "" for key in ("date", "operator")}
+    texts |= {key: specimen[key] for key in ("type", "spool", "sample")}
     row = TestRow(
         folder,
-        test=encodable(content["test"]),
-        state=PENDING if not run else OK if doubted is None else DOUBTFUL,
+        state=PENDING if not content["run"] else OK if doubted is None else DOUBTFUL,
         code="" if doubted is None else doubted.code,
         reason="" if doubted is None else f"{doubted.name}: {doubted.reason}",
-        protocol=encodable(content["protocol"]),
-        **{name: encodable(specimen[name]) for name in ("type", "spool", "sample")},
-        date=encodable(content.get("date") or ""),
-        operator=encodable(content.get("operator") or ""),
         specimen=encodable(as_json(specimen)),
-        labpipe=encodable(content["labpipe"]),
-        run=run,
+        **{key: encodable(text) for key, text in texts.items()},
         **_texts_made_of(content),
     )
     return Entry(row, inputs=_inputs(content["inputs"]), results=results)

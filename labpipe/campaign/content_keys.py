@@ -12,10 +12,10 @@ import json
 import stat
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import labpipe
 from labpipe.errors import Fault, LabpipeError
@@ -26,13 +26,12 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 
-_NOT_IN_PROTOCOL = ("test", "date", "operator", "files")
+_NOT_IN_PROTOCOL = {"test", "date", "operator", "files"}
 """Keys of a test sheet without influence on processing; the roles of files have some."""
-_OF_SPECIMEN = ("spool", "sample", "labels")
+_OF_SPECIMEN = {"spool", "sample", "labels"}
 
 
-@dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(NamedTuple):
     """A hash of a file, and the state of the file at that time.
 
     Parameters
@@ -50,11 +49,6 @@ class Stamp:
     number: int
     taken: int
     sha256: str
-
-    @property
-    def looks(self) -> tuple[int, int, int, int]:
-        """Return the state that is compared."""
-        return self.size, self.modified, self.changed, self.number
 
     @property
     def is_sure(self) -> bool:
@@ -83,7 +77,7 @@ def stamp_of(path: Path, last: Stamp | None = None) -> Stamp:
     try:
         about = path.stat()
         looks = (about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino)
-        if last is not None and looks == last.looks and last.is_sure:
+        if last is not None and looks == last[:4] and last.is_sure:
             return last
         if not stat.S_ISREG(about.st_mode):
             return _NO_FILE
@@ -96,7 +90,7 @@ def stamp_of(path: Path, last: Stamp | None = None) -> Stamp:
 _NO_FILE = Stamp(-1, 0, 0, 0, 0, "")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Content:
     """Inputs of a test.
 
@@ -120,10 +114,7 @@ class Content:
 
     def as_text(self) -> str:
         """Return a text for `parse_content`."""
-        texts = {name: getattr(self, name) for name in ("key", "inputs", "sheet", "protocol")}
-        stamps = {name: astuple(stamp) for name, stamp in self.stamps.items()}
-        more = {"stamps": stamps, "rests_on": self.rests_on, "about": dict(self.about)}
-        return json.dumps(texts | more)
+        return json.dumps(vars(self))
 
 
 def parse_content(text: str) -> Content | None:
@@ -143,21 +134,13 @@ def parse_content(text: str) -> Content | None:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Resolved:
-    """A protocol with the overrides of its tests."""
-
-    text: str
-    protocol: Protocol
-
-
 class ContentKeys:
     """Determines the inputs of tests; caches protocols during one command."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], Path | Fault] = {}
         self._hashes: dict[Path, str] = {}
-        self._resolved: dict[str, _Resolved] = {}
+        self._resolved: dict[str, tuple[str, Protocol]] = {}
         self._cards: str | None = None
 
     def content_of(self, sheet_path: Path, last: Content | None = None) -> Content:
@@ -185,25 +168,26 @@ class ContentKeys:
 
     def _read_content(self, sheet_path: Path, stamps_before: Mapping[str, Stamp]) -> Content:
         folder = sheet_path.parent
-        stamps = {SHEET_NAME: stamp_of(sheet_path, stamps_before.get(SHEET_NAME))}
+        before = stamps_before.get
+        stamps = {SHEET_NAME: stamp_of(sheet_path, before(SHEET_NAME))}
         try:
             sheet = load_test_sheet(sheet_path)
             text = sheet_path.read_text(encoding="utf-8")
         except (LabpipeError, OSError, ValueError):
             return self._unfit_content(folder, stamps, "")
         for names in sheet.files.values():
-            stamps |= {name: stamp_of(folder / name, stamps_before.get(name)) for name in names}
+            stamps |= {name: stamp_of(folder / name, before(name)) for name in names}
         try:
-            resolved = self._resolve(sheet, sheet_path, text)
-            cards = dialect_cards(resolved.protocol)
+            resolved, protocol = self._resolve(sheet, sheet_path, text)
+            cards = dialect_cards(protocol)
         except LabpipeError:
             return replace(self._unfit_content(folder, stamps, sheet.protocol), about=_about(sheet))
-        exports = named_exports(sheet, resolved.protocol)
+        exports = named_exports(sheet, protocol)
         inputs = [(role, name, stamps[name].sha256) for role, name in exports]
         inputs += [(card.role, card.file, card.sha256) for card in cards]
-        key = key_of([(role, sha256) for role, _, sha256 in inputs], text, resolved.text)
+        key = key_of([(role, sha256) for role, _, sha256 in inputs], text, resolved)
         rests_on = self._dependencies(folder, (sheet.protocol,))
-        made_of = _sha256(text), _sha256(resolved.text)
+        made_of = _sha256(text), _sha256(resolved)
         return Content(key, tuple(inputs), *made_of, stamps, rests_on, _about(sheet))
 
     def _unfit_content(self, folder: Path, stamps: Mapping[str, Stamp], protocol: str) -> Content:
@@ -242,21 +226,17 @@ class ContentKeys:
             self._cards = _sha256(json.dumps(cards)) if cards else ""
         return self._cards
 
-    def _resolve(self, sheet: TestSheet, sheet_path: Path, text: str) -> _Resolved:
+    def _resolve(self, sheet: TestSheet, sheet_path: Path, text: str) -> tuple[str, Protocol]:
         """Resolve the protocol of a test, once for all tests with the same overrides."""
         sheet_data: Any = parse_yaml(text, str(sheet_path)).data
-        processing_keys = {
-            key: value for key, value in sheet_data.items() if key not in _NOT_IN_PROTOCOL
-        }
-        specimen = processing_keys.get("specimen") or {}
-        processing_keys["specimen"] = {
-            key: specimen[key] for key in specimen if key not in _OF_SPECIMEN
-        }
+        keys = {key: sheet_data[key] for key in sheet_data.keys() - _NOT_IN_PROTOCOL}
+        specimen = keys.get("specimen") or {}
+        keys["specimen"] = {key: specimen[key] for key in specimen.keys() - _OF_SPECIMEN}
         written = self._protocol_text(sheet.protocol, sheet_path.parent)
-        cache_key = json.dumps([written, sorted(sheet.files), processing_keys], sort_keys=True)
+        cache_key = json.dumps([written, sorted(sheet.files), keys], sort_keys=True)
         if cache_key not in self._resolved:
             protocol = resolve(sheet, sheet_path, follow_links=True)
-            self._resolved[cache_key] = _Resolved(dump_protocol(protocol), protocol)
+            self._resolved[cache_key] = dump_protocol(protocol), protocol
         return self._resolved[cache_key]
 
 

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
+from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Any, Final
 
 from labpipe.campaign.catalog_rows import ResultRow, encodable
-from labpipe.errors import LabpipeError, StoreError, UsageError, error_text
+from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
@@ -26,7 +28,6 @@ NEEDS_NEW_DECISION: Final = (
     "needs a new decision: exports, sheet, protocol or labpipe changed since"
 )
 OTHER_KEY: Final = "exports, sheet, protocol or labpipe changed since the decision"
-_TEXT_KEYS = ("test", "run", "decision", "because", "by", "when")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,10 @@ class Decision:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+_FIELDS = fields(Decision)
+
+
+@dataclass(frozen=True)
 class DecisionFile:
     """Content of a file of decisions.
 
@@ -68,6 +72,14 @@ class DecisionFile:
     faults: tuple[str, ...] = ()
     is_readable: bool = True
     document: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def by_test(self) -> Mapping[str, tuple[Decision, ...]]:
+        """Return the decisions on each test, in order."""
+        decisions: dict[str, tuple[Decision, ...]] = {}
+        for decision in self.decisions:
+            decisions[decision.test] = (*decisions.get(decision.test, ()), decision)
+        return decisions
 
 
 def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
@@ -132,39 +144,32 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
         return _unreadable(path, "", "text that is not JSON")
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
         return _unreadable(path, "", "JSON without a list 'decisions'")
-    if document.get("schema") != SCHEMA:
-        state = f"{document.get('schema')!r}; this labpipe reads {SCHEMA}"
-        return _unreadable(path, "schema", state)
-    faults = []
-    if campaign and document.get("campaign", campaign) != campaign:
-        faults.append(
-            error_text(
-                path,
-                "campaign",
-                expected=f"decisions of {campaign!r}",
-                found=f"those of {document['campaign']!r}",
-                remedy="Decisions on the same exports, sheet and protocol are applied.",
-            )
+    if (schema := document.get("schema")) != SCHEMA:
+        return _unreadable(path, "schema", f"{schema!r}; this labpipe reads {SCHEMA}")
+    faults, decisions = [], []
+    if campaign and (named := document.get("campaign", campaign)) != campaign:
+        other = UsageError.about(
+            "campaign.other_campaign", path, "campaign", own=campaign, found=named
         )
-    decisions = []
+        faults.append(str(other))
     for number, entry in enumerate(document["decisions"]):
         if fault := _fault_of(entry):
-            faults.append(_fault(path, f"decisions.{number}", *fault))
+            expected, state = fault
+            faults.append(_fault(path, f"decisions.{number}", expected, state))
         else:
-            texts = {key: encodable(entry.get(key) or "") for key in (*_TEXT_KEYS, "note")}
+            texts = {field.name: encodable(entry.get(field.name) or "") for field in _FIELDS}
             decisions.append(Decision(**texts))
     return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
 def _unreadable(path: Path, place: str, state: str) -> DecisionFile:
-    return DecisionFile(
-        faults=(_fault(path, place, "decisions in JSON", state),), is_readable=False
-    )
+    fault = _fault(path, place, "decisions in JSON", state)
+    return DecisionFile(faults=(fault,), is_readable=False)
 
 
 def _fault(path: Path, place: str, expected: str, state: str) -> str:
-    remedy = "Repair the file, or move it away and decide again; the file was not changed."
-    return error_text(path, place, expected=expected, found=state, remedy=remedy)
+    error = UsageError.about("campaign.bad_decisions", path, place, what=expected, found=state)
+    return str(error)
 
 
 def _fault_of(entry: Any) -> tuple[str, str] | None:
@@ -265,8 +270,7 @@ def decision_entry(decision: Decision) -> dict[str, str]:
     ----------
     decision : any
     """
-    texts = {key: getattr(decision, key) for key in _TEXT_KEYS}
-    return texts | ({"note": decision.note} if decision.note else {})
+    return {key: text for key, text in asdict(decision).items() if text or key != "note"}
 
 
 def now() -> str:
@@ -287,18 +291,16 @@ def largest_change(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> f
     result was added or removed, has no value, or changed without an interval.
     """
     if [row.name for row in before] != [row.name for row in after]:
-        return float("inf")
-    return max(map(_relative_change, before, after), default=0.0)
-
-
-def _relative_change(before: ResultRow, after: ResultRow) -> float:
-    if before.value == after.value:
-        return 0.0
-    numbers = (before.value, before.lower, before.upper, after.value)
-    if any(number is None for number in numbers):
-        return float("inf")
-    value, lower, upper, other = (float(number or 0.0) for number in numbers)
-    return abs(other - value) / (upper - lower) if upper > lower else float("inf")
+        return inf
+    largest = 0.0
+    for then, now in zip(before, after, strict=True):
+        if then.value == now.value:
+            continue
+        if then.value is None or now.value is None or then.lower is None or then.upper is None:
+            return inf
+        width = then.upper - then.lower
+        largest = max(largest, abs(now.value - then.value) / width if width > 0.0 else inf)
+    return largest
 
 
 def carry_over(
@@ -362,20 +364,16 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
         If decisions cannot be read, because a rejected test might then be included.
     """
     decisions: dict[Path, tuple[Decision, ...]] = {}
-    read: dict[Path, dict[str, list[Decision]]] = {}
+    read: dict[Path, DecisionFile] = {}
     for file in files:
         test = file.resolve().parent
         home = decision_folder(test, test.parent)
         if not (home / DECISIONS).is_file():
             continue
-        if home not in read:
-            stored = read_decisions(home)
-            if not stored.is_readable:
-                raise StoreError("\n".join(stored.faults))
-            read[home] = {}
-            for decision in stored.decisions:
-                read[home].setdefault(decision.test, []).append(decision)
-        decisions[file] = tuple(read[home].get(test.relative_to(home).as_posix(), ()))
+        stored = read[home] = read.get(home) or read_decisions(home)
+        if not stored.is_readable:
+            raise StoreError("\n".join(stored.faults))
+        decisions[file] = stored.by_test.get(test.relative_to(home).as_posix(), ())
     return decisions
 
 
@@ -467,14 +465,10 @@ def import_decision_file(
     LabpipeError
         If the file cannot be read, is that of the campaign itself, or decisions cannot be written.
     """
-    fault = None
     if not file.is_file():
-        fault = "nothing of that name", "The browser saves it in the downloads folder."
-    elif file.resolve() == (folder / DECISIONS).resolve():
-        fault = "that of the campaign", "Its decisions are applied already."
-    if fault is not None:
-        expected, (state, remedy) = "a file saved by a report page", fault
-        raise UsageError(error_text(file, "", expected=expected, found=state, remedy=remedy))
+        raise UsageError.about("campaign.no_saved_file", file)
+    if file.resolve() == (folder / DECISIONS).resolve():
+        raise UsageError.about("campaign.own_decisions", file)
     read = read_decision_file(file, campaign)
     if not read.is_readable:
         raise UsageError("\n".join(read.faults))
@@ -506,19 +500,19 @@ def import_decisions(
     Labels are compared with those of existing tests; no path is made from them. Each decision is
     stored where a report reads it: in the nearest ``decisions.json`` above its test.
     """
-    wanted = list(dict.fromkeys(decisions))
-    files = _results(folder)
-    named = {file: None for decision in wanted for file in files.get(decision.test, ())}
-    stored, runs = decisions_on([*named]), {file: _run_of(file) for file in named}
+    files: dict[str, list[Path]] = {}
+    for path in files_below(folder, RESULT_FILE):
+        for label in {label_of(path, folder), path.parent.relative_to(folder).as_posix()}:
+            files.setdefault(label, []).append(path)
     imported = ImportedDecisions()
     at_home: dict[Path, list[Decision]] = {}
-    for decision in wanted:
-        file, why = _find_decided_result(decision, files.get(decision.test, ()), runs)
+    for decision in dict.fromkeys(decisions):
+        file, why = _find_decided_result(decision, files.get(decision.test, ()))
         if file is None:
             imported.not_imported.append((decision, why))
             continue
         labelled = replace(decision, test=label_of(file, folder))
-        if labelled in stored.get(file, ()):
+        if labelled in decisions_on([file]).get(file, ()):
             imported.n_known += 1
         else:
             imported.added.append(decision)
@@ -528,26 +522,7 @@ def import_decisions(
     return imported
 
 
-def _results(folder: Path) -> dict[str, list[Path]]:
-    """Find results by label of the test, and by folder below the campaign."""
-    results: dict[str, list[Path]] = {}
-    for file in files_below(folder, RESULT_FILE):
-        for label in {label_of(file, folder), file.parent.relative_to(folder).as_posix()}:
-            results.setdefault(label, []).append(file)
-    return results
-
-
-def _run_of(file: Path) -> str | LabpipeError:
-    """Read the key of a result, or return the error."""
-    try:
-        return read_run(file)
-    except LabpipeError as error:
-        return error
-
-
-def _find_decided_result(
-    decision: Decision, files: Iterable[Path], runs: Mapping[Path, str | LabpipeError]
-) -> tuple[Path | None, str]:
+def _find_decided_result(decision: Decision, files: Iterable[Path]) -> tuple[Path | None, str]:
     """Find the result of a decision, or return why there is none."""
     try:
         datetime.fromisoformat(decision.when or now())
@@ -555,7 +530,10 @@ def _find_decided_result(
         return None, f"its time {decision.when[:40]!r} is not in the form {now()}"
     why = NO_SUCH_TEST
     for file in files:
-        if runs[file] == decision.run:
-            return file, ""
-        why = OTHER_KEY if isinstance(runs[file], str) else str(runs[file])
+        try:
+            if read_run(file) == decision.run:
+                return file, ""
+            why = OTHER_KEY
+        except LabpipeError as error:
+            why = str(error)
     return None, why

@@ -13,14 +13,8 @@ from typing import Literal, TypeAlias
 
 import psutil
 
-from labpipe.campaign.workers import (
-    CallRaised,
-    ProcessDied,
-    as_completed,
-    describe_death,
-    in_processes,
-)
-from labpipe.errors import LabpipeError, UsageError, error_text
+from labpipe.campaign.workers import ProcessDied, as_completed, in_processes
+from labpipe.errors import LabpipeError, UsageError
 from labpipe.process.output_paths import refuse_repeated
 from labpipe.process.run import (
     Processed,
@@ -112,24 +106,34 @@ def outcome_of(task: Task) -> Outcome:
     return Outcome(task.sheet, done.folder, "doubtful", first.code, reason, run, seconds)
 
 
-def outcome_of_call(task: Task, ended: Outcome | ProcessDied | CallRaised) -> Outcome:
-    """Make the outcome of a test from the result of its process.
+def outcome_of_call(task: Task, call: Callable[[], Outcome]) -> Outcome:
+    """Make the outcome of a test from a call in a process.
 
     Parameters
     ----------
     task : the test
-    ended : result of the process
+    call : returns its outcome
 
     Raises
     ------
     Exception
-        If the call itself raised, which is a fault of labpipe.
+        If the call raises it, which is a fault of labpipe; the death of its process is an outcome.
     """
-    if isinstance(ended, CallRaised):
-        raise ended.error
-    if isinstance(ended, ProcessDied):
-        return failed_outcome(refuse(task, *describe_death(task.sheet, ended), is_read=False))
-    return ended
+    try:
+        return call()
+    except ProcessDied as died:
+        return refused_outcome(task, died.error(task.sheet))
+
+
+def refused_outcome(task: Task, error: LabpipeError) -> Outcome:
+    """Record why a test failed, without reading its exports, which may have killed a process.
+
+    Parameters
+    ----------
+    task : the test
+    error : the reason
+    """
+    return failed_outcome(refuse(task, error.code, str(error), is_read=False))
 
 
 def failed_outcome(refused: Refused, seconds: float = 0.0) -> Outcome:
@@ -164,8 +168,8 @@ def local(jobs: int, *, limit: float | None = None) -> Executor:
 
     def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
         with closing(as_completed(outcome_of, tasks, jobs=jobs, limit=limit)) as ended:
-            for task, outcome in ended:
-                yield outcome_of_call(task, outcome)
+            for task, future in ended:
+                yield outcome_of_call(task, future.result)
 
     return executor
 
@@ -217,9 +221,7 @@ def executor_of(text: str, *, jobs: int | None = None, limit: float | None = Non
     host, _, port = address.rpartition(":")
     if scheme in _CLUSTERS and host and port.isdecimal():
         return dask(f"{_CLUSTERS[scheme]}{address}", limit=limit)
-    expected, remedy = "local, or dask://HOST:PORT", "`dask scheduler` prints its address."
-    message = error_text("--executor", "", expected=expected, found=repr(text), remedy=remedy)
-    raise UsageError(message)
+    raise UsageError.about("campaign.bad_executor", "--executor", text=text)
 
 
 def process_tests(
@@ -254,50 +256,34 @@ def process_tests(
     UsageError
         If two tests have the same folder of results; nothing is processed then.
     """
-    goals = _goals(tests, out)
-    folders = {test: goal for test, goal in goals.items() if isinstance(goal, Path)}
-    refuse_repeated([(str(goal.absolute()), test) for test, goal in folders.items()], _GOAL)
-    tasks = {
-        test: Task(test, goal, figures(test), png=png, follow_links=follow_links)
-        for test, goal in folders.items()
-    }
-    if len(tests) == 1:
-        for test in tests:
-            say = begin(test)
-            task = tasks.get(test)
-            yield attempt(task, say, is_alone=True) if task else _refused(test, goals[test])
-        return
-    calls = [partial(attempt, task) for task in tasks.values()]
-    with closing(in_processes(calls, jobs=jobs, limit=limit)) as outcomes:
-        for test in tests:
-            begin(test)("wait")
-            yield _next(tasks[test], outcomes) if test in tasks else _refused(test, goals[test])
-
-
-_GOAL = "folder of results"
-
-
-def _goals(tests: Sequence[Path], out: Path | None) -> dict[Path, Path | LabpipeError]:
-    """Return the folder of the results of each test, or an error."""
-    goals: dict[Path, Path | LabpipeError] = {}
+    tasks: dict[Path, Task | Refused] = {}
     for test in tests:
         try:
-            goals[test] = results_folder_of(test, out, partial(name_of, test))
+            goal = results_folder_of(test, out, partial(name_of, test))
+            tasks[test] = Task(test, goal, figures(test), png=png, follow_links=follow_links)
         except LabpipeError as error:
-            goals[test] = error
-    return goals
-
-
-def _next(task: Task, outcomes: Iterator[Processed | Refused | ProcessDied]) -> Processed | Refused:
-    done = next(outcomes)
-    if isinstance(done, ProcessDied):
-        return refuse(task, *describe_death(task.sheet, done), is_read=False)
-    return done
-
-
-def _refused(test: Path, error: object) -> Refused:
-    assert isinstance(error, LabpipeError)
-    return Refused(test, error.code, str(error))
+            tasks[test] = Refused(test, error.code, str(error))
+    possible = [task for task in tasks.values() if isinstance(task, Task)]
+    goals = [(str(task.goal and task.goal.absolute()), task.sheet) for task in possible]
+    refuse_repeated(goals, "folder of results")
+    if len(tests) == 1:
+        for test, task in tasks.items():
+            say = begin(test)
+            yield task if isinstance(task, Refused) else attempt(task, say, is_alone=True)
+        return
+    calls = [partial(attempt, task) for task in possible]
+    with closing(in_processes(calls, jobs=jobs, limit=limit)) as futures:
+        for test in tests:
+            begin(test)("wait")
+            task = tasks[test]
+            if isinstance(task, Refused):
+                yield task
+                continue
+            try:
+                yield next(futures).result()
+            except ProcessDied as died:
+                reason = died.error(test)
+                yield refuse(task, reason.code, str(reason), is_read=False)
 
 
 def _say_nothing(_: str) -> None:

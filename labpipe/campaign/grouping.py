@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
-from labpipe.errors import UsageError, error_text, nearest
+from labpipe.errors import UsageError, nearest
+from labpipe.messages import sentence
 from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Difference, Group, Sample
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.statistics.group_fields import (
     NOT_SAID,
     TYPE,
@@ -21,7 +22,7 @@ from labpipe.statistics.group_fields import (
     in_order,
     known_fields,
 )
-from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, parted, tests_with_fewer_facts
+from labpipe.statistics.group_notes import parted, tests_with_fewer_facts
 from labpipe.statistics.groups import compare_groups
 from labpipe.statistics.two_groups import judged
 
@@ -29,8 +30,6 @@ _SECTIONS = ("align", "steps", "curve", "branches", "results")
 """Sections of a protocol that control processing; the rest describes the sample and files."""
 
 _ABSENT = "none"
-_MAX_LISTED_SETTINGS = 3
-"""Settings of a block that are named one by one."""
 
 Settings = Mapping[str, str]
 Unlike = Mapping[str, list[str]]
@@ -56,25 +55,18 @@ def settings_of(protocol: Protocol) -> Settings:
 def _flat(data: object, path: str) -> Iterator[tuple[str, str]]:
     inner: dict[str, Any] = {}
     if isinstance(data, dict):
-        inner = {str(key): value for key, value in data.items()}
+        inner = data
     elif isinstance(data, list) and any(isinstance(item, dict) for item in data):
-        inner = _by_label(data)
+        times: Counter[str] = Counter()
+        for item in data:
+            label = next((str(item[key]) for key in ("name", "step", "result") if key in item), "")
+            times[label] += 1
+            inner[label if times[label] == 1 else f"{label} {times[label]}"] = item
         yield path, ", ".join(inner)
     else:
         yield path, str(data)
     for key, value in inner.items():
         yield from _flat(value, f"{path}.{key}" if path else key)
-
-
-def _by_label(items: Sequence[Any]) -> dict[str, Any]:
-    """Return items by name or kind, with a number if that is taken."""
-    labelled: dict[str, Any] = {}
-    times: Counter[str] = Counter()
-    for item in items:
-        label = next((str(item[key]) for key in ("name", "step", "result") if key in item), "item")
-        times[label] += 1
-        labelled[label if times[label] == 1 else f"{label} {times[label]}"] = item
-    return labelled
 
 
 def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -> list[QualityNote]:
@@ -87,39 +79,25 @@ def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -
 
     Returns
     -------
-    One note ``protocols_differ`` per setting, at its key; one per block of the protocol in which
-    more than `_MAX_LISTED_SETTINGS` settings differ, such as without an optional export.
+    One note ``protocols_differ`` per block of the protocol in which settings differ, at its key if
+    it is only one.
     """
+    done = tuple(part for name in noted for part in (f"results.{name}.", f"curve.{name}.decision"))
     blocks: dict[str, dict[str, Unlike]] = {}
     for key, tests in differing(settings).items():
-        if not _is_noted(key, noted):
+        if not key.startswith(done):
             blocks.setdefault(key.partition(".")[0], {})[key] = tests
     notes = []
     for block, differences in blocks.items():
-        named = {key: parted(tests) for key, tests in differences.items()}
-        texts = named if len(differences) <= _MAX_LISTED_SETTINGS else {block: _block_text(named)}
-        those = tuple(
-            dict.fromkeys(
-                test for tests in differences.values() for test in tests_with_fewer_facts(tests)
-            )
+        key, text = next((key, parted(tests)) for key, tests in differences.items())
+        if len(differences) > 1:
+            key, text = block, f"{len(differences)} settings, the first {key}: {text}"
+        those = dict.fromkeys(
+            test for tests in differences.values() for test in tests_with_fewer_facts(tests)
         )
-        notes += [
-            QualityNote(
-                PROTOCOLS_DIFFER,
-                Severity.WARNING,
-                key,
-                f"different settings among the tests: {text}",
-                tests=those,
-            )
-            for key, text in texts.items()
-        ]
+        note = QualityNote.of("campaign.settings_differ", key, text=text)
+        notes.append(replace(note, tests=tuple(those)))
     return notes
-
-
-def _block_text(texts: Mapping[str, str]) -> str:
-    """Describe the differences of a block by its first setting."""
-    key, text = next(iter(texts.items()))
-    return f"{len(texts)} settings, the first {key}: {text}"
 
 
 def differing(settings: Mapping[str, Settings]) -> dict[str, Unlike]:
@@ -172,21 +150,13 @@ def differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
 
     Returns
     -------
-    One text, or none. More than `_MAX_LISTED_SETTINGS` settings are summarised by blocks of the
-    protocol; the notes of the groups list them all.
+    One text, or none. More than three settings are summarised by blocks of the protocol.
     """
+    max_listed = 3
     keys = list(differing(settings))
-    if len(keys) > _MAX_LISTED_SETTINGS:
+    if len(keys) > max_listed:
         keys = list(dict.fromkeys(key.partition(".")[0] for key in keys))
-    return (
-        (f"the tests were processed with different settings: {', '.join(keys)} differ",)
-        if keys
-        else ()
-    )
-
-
-def _is_noted(key: str, noted: Sequence[str]) -> bool:
-    return any(key.startswith((f"results.{name}.", f"curve.{name}.decision")) for name in noted)
+    return (sentence("campaign.settings_of_pair", keys=", ".join(keys)),) if keys else ()
 
 
 _WITHOUT = ""
@@ -320,15 +290,10 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
     unknown = [name for name in wanted if name not in fields]
     if not unknown:
         return
-    best = nearest(unknown[0], fields, limit=1)[0]
-    message = error_text(
-        option,
-        "",
-        expected=f"fields of these test sheets: {', '.join(fields)}",
-        found=", ".join(map(repr, unknown)),
-        remedy=f"Nearest: {best}.",
-    )
-    raise UsageError(message)
+    raise UsageError.about(
+        "campaign.unknown_field", option, fields=", ".join(fields),
+        found=", ".join(map(repr, unknown)), near=nearest(unknown[0], fields, limit=1)[0],
+    )  # fmt: skip
 
 
 def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]:
@@ -345,12 +310,13 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
     belong = {(sample.specimen.spool, sample.specimen.type) for sample in samples}
     times = Counter(spool for spool, _ in belong)
     shared = sorted(spool for spool, count in times.items() if count > 1)
-    named = [
-        replace(sample, specimen=replace(specimen, spool=f"{specimen.type} {specimen.spool}"))
-        if (specimen := sample.specimen).spool in shared
-        else sample
-        for sample in samples
-    ]
+    named = []
+    for sample in samples:
+        specimen = sample.specimen
+        if specimen.spool in shared:
+            named_spool = replace(specimen, spool=f"{specimen.type} {specimen.spool}")
+            sample = replace(sample, specimen=named_spool)  # noqa: PLW2901
+        named.append(sample)
     return named, shared
 
 
@@ -427,12 +393,10 @@ def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
 
 
 def _question_rank(pair: Sequence[Difference]) -> tuple[int, str]:
+    """Return the place of a pair by its field: others follow, then the type, then several."""
+    order = (*_ORDER, None, TYPE, "")
     question = pair[0].question
-    if not question:
-        return len(_ORDER) + 2, ""
-    if question == TYPE:
-        return len(_ORDER) + 1, ""
-    return (_ORDER.index(question), "") if question in _ORDER else (len(_ORDER), question)
+    return (order.index(question), "") if question in order else (len(_ORDER), question)
 
 
 def _compare(
@@ -440,32 +404,20 @@ def _compare(
 ) -> list[Difference]:
     """Return the differences of a pair, with their family and caveats."""
     fields = differing_fields(one, other, by)
-    if len(fields) == 1 and _is_backwards(fields):
-        one, other = other, one
-        fields = {name: (after, before) for name, (before, after) in fields.items()}
+    is_alone = len(fields) == 1
+    ((name, (before, after)), *_) = (*fields.items(), ("", ("", "")))
+    if is_alone and name != TYPE and in_order(name, after) < in_order(name, before):
+        one, other, fields = other, one, {name: (after, before)}
     unlike = differing_settings(settings_by_test((*one.samples, *other.samples), settings))
     names = options.main or tuple(number.name for number in one.numbers[:1])
     compared = compare_groups(one, other, names=names, margin=options.margin)
+    family = "" if not is_alone else TYPES if name == TYPE else QUESTIONS
     return [
         replace(
             difference,
             caveats=(*difference.caveats, *unlike),
             fields=fields,
-            family=_family(list(fields), is_first=difference is compared[0]),
+            family=family if number == 0 or not is_alone else OTHERS,
         )
-        for difference in compared
+        for number, difference in enumerate(compared)
     ]
-
-
-def _family(fields: Sequence[str], *, is_first: bool) -> str:
-    """Return the family of a comparison; empty for groups that differ in several fields."""
-    if len(fields) != 1:
-        return ""
-    if not is_first:
-        return OTHERS
-    return TYPES if fields[0] == TYPE else QUESTIONS
-
-
-def _is_backwards(fields: Mapping[str, tuple[str, str]]) -> bool:
-    ((name, (before, after)),) = fields.items()
-    return name != "type" and in_order(name, after) < in_order(name, before)

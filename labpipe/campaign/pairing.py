@@ -9,7 +9,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labpipe.errors import LabpipeError, ProtocolError, StoreError, error_text
+from labpipe.errors import LabpipeError, ProtocolError, StoreError
+from labpipe.messages import sentence
 from labpipe.process.protocol_match import all_protocols, majority
 from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
 from labpipe.process.sheet_writing import write_inferred_sheet
@@ -51,6 +52,11 @@ class Candidate:
     def sheet(self) -> Path:
         """Return the path of its test sheet, which may be missing."""
         return self.folder / SHEET_NAME
+
+    @property
+    def paths(self) -> list[Path]:
+        """Return the exports and the test sheet."""
+        return [*sorted(self.files.values()), self.sheet]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +127,14 @@ def list_candidates(
     OSError
         If a folder cannot be listed, such as on a lost network drive.
     """
-    if isinstance(plan.pair, ByName):
-        listed = _by_name(folder, plan.pair)
-        candidates = tuple(
-            candidate for candidate in listed.candidates if not is_skipped(candidate.folder)
-        )
-        return RawListing(candidates, listed.unmatched)
-    return _by_folder(folder, plan.pair, is_skipped)
+    if isinstance(plan.pair, ByFolder):
+        return _by_folder(folder, plan.pair, is_skipped)
+    listed = _by_name(folder, plan.pair)
+    kept = (candidate for candidate in listed.candidates if not is_skipped(candidate.folder))
+    return replace(listed, candidates=tuple(kept))
+
+
+_CONTROL_CHARACTERS = "its name has control characters; rename it"
 
 
 def _by_folder(folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]) -> RawListing:
@@ -135,12 +142,11 @@ def _by_folder(folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool])
     for place in _test_folders(folder, is_skipped):
         files = {name: place / name for name in _names(place) if _may_be_export(name)}
         for name in [file for file in files if has_control_characters(file)]:
-            unmatched[files.pop(name)] = "its name has control characters; rename it"
-        values = _folder_values(place, pair)
+            unmatched[files.pop(name)] = _CONTROL_CHARACTERS
+        values = {} if pair.pattern is None else pair.pattern.match(place.name)
         if values is None:
-            unmatched |= dict.fromkeys(
-                files.values(), f"the name of its folder does not fit {pair.name!r}"
-            )
+            why = f"the name of its folder does not fit {pair.name!r}"
+            unmatched |= dict.fromkeys(files.values(), why)
         elif files or (place / SHEET_NAME).exists():
             candidates.append(Candidate(place, files, values))
     loose = [folder / name for name in _names(folder) if _may_be_export(name)]
@@ -159,24 +165,16 @@ def _test_folders(folder: Path, is_skipped: Callable[[Path], bool]) -> Iterator[
             yield from _test_folders(place, is_skipped)
 
 
-def _folder_values(place: Path, pair: ByFolder) -> dict[str, str] | None:
-    """Parse the name of a folder; return None if it does not fit the plan."""
-    return {} if pair.pattern is None else pair.pattern.match(place.name)
-
-
 def _by_name(folder: Path, pair: ByName) -> RawListing:
-    top = folder / pair.source
-    patterns = pair.patterns
-    exports: dict[tuple[str, ...], dict[str, Path]] = {}
-    names: dict[tuple[str, ...], tuple[str, dict[str, str]]] = {}
+    top, patterns = folder / pair.source, pair.patterns
+    candidates: dict[tuple[str, ...], Candidate] = {}
     unmatched: dict[Path, str] = {}
-    for name in _below(
-        top, depth=1 + max(pattern.text.count("/") for pattern in patterns.values())
-    ):
+    depth = 1 + max(pattern.text.count("/") for pattern in patterns.values())
+    for name in _below(top, depth=depth):
         roles = {role: pattern.match(name) for role, pattern in patterns.items()}
         fits = {role: values for role, values in roles.items() if values is not None}
         if has_control_characters(name):
-            unmatched[top / name] = "its name has control characters; rename it"
+            unmatched[top / name] = _CONTROL_CHARACTERS
         elif not fits:
             unmatched[top / name] = "its name fits no pattern in campaign.yaml"
         elif len(fits) > 1:
@@ -184,18 +182,16 @@ def _by_name(folder: Path, pair: ByName) -> RawListing:
         else:
             ((role, values),) = fits.items()
             key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
-            if role in exports.setdefault(key, {}):
-                other = exports[key][role].name
+            test = safe_name(values.get("test") or patterns[role].stem(name))
+            new = Candidate(folder / test, {}, values, by_role=True)
+            known = candidates.setdefault(key, new)
+            if role in known.files:
+                other = known.files[role].name
                 unmatched[top / name] = f"{other} is already the {role} of the same test"
-                continue
-            exports[key][role] = top / name
-            test = values.get("test") or patterns[role].stem(name)
-            names.setdefault(key, (safe_name(test), values))
-    candidates = [
-        Candidate(folder / names[key][0], files, names[key][1], by_role=True)
-        for key, files in exports.items()
-    ]
-    return RawListing(tuple(sorted(candidates, key=lambda candidate: candidate.name)), unmatched)
+            else:
+                candidates[key] = replace(known, files={**known.files, role: top / name})
+    ordered = sorted(candidates.values(), key=lambda candidate: candidate.name)
+    return RawListing(tuple(ordered), unmatched)
 
 
 def _names(folder: Path) -> list[str]:
@@ -240,12 +236,9 @@ def stated_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
     columns |= {"operator": plan.operator} if plan.operator else {}
     columns |= {"protocol": plan.protocol} if plan.protocol else {}
     columns |= {key: value for key, value in candidate.values.items() if key != "test"}
-    named = dict(candidate.files) if candidate.by_role else {}
-    return (
-        columns
-        | {"test": safe_name(candidate.name)}
-        | {role: path.name for role, path in named.items()}
-    )
+    columns["test"] = safe_name(candidate.name)
+    named = candidate.files.items() if candidate.by_role else ()
+    return columns | {role: path.name for role, path in named}
 
 
 def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) -> PairingOutcome:
@@ -268,9 +261,10 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     """
     if candidate.sheet.exists():
         return _with_sheet(candidate)
-    early = _missing_by_name(candidate, plan)
-    if early:
-        return PairingOutcome(None, missing=early)
+    if candidate.by_role:
+        by_name = [role for role in _needed(plan, candidate) if role not in candidate.files]
+        if by_name:
+            return PairingOutcome(None, missing=tuple(by_name))
     copies = _copy_exports(candidate)
     neighbours = neighbours_in(candidate.folder.resolve().parent)
     seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=neighbours)
@@ -293,9 +287,10 @@ def _with_sheet(candidate: Candidate) -> PairingOutcome:
     if absent:
         return PairingOutcome(None, missing=absent)
     elsewhere = [path for path in candidate.files.values() if path.parent != candidate.folder]
-    newer = [path.name for path in elsewhere if _differs(path, candidate.folder / path.name)]
     messages = [
-        f"check: {name} differs from its copy in the test folder, which is used" for name in newer
+        sentence("campaign.newer_export", file=path.name)
+        for path in elsewhere
+        if _differs(path, candidate.folder / path.name)
     ]
     return PairingOutcome(candidate.sheet, tuple(messages))
 
@@ -319,13 +314,6 @@ def add_plan_blocks(seen: InferredTest, plan: CampaignPlan) -> InferredTest:
     rest = {key: value for key, value in plan.specimen.items() if key not in _COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
     return replace(seen, blocks={"specimen": rest, "overrides": overrides})
-
-
-def _missing_by_name(candidate: Candidate, plan: CampaignPlan) -> tuple[str, ...]:
-    """Return the required roles of the patterns that have no file yet."""
-    if not candidate.by_role:
-        return ()
-    return tuple(role for role in _needed(plan, candidate) if role not in candidate.files)
 
 
 def _needed(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
@@ -396,11 +384,7 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
             continue
         if goal.exists():
             if _differs(path, goal):
-                remedy = "Remove the wrong one."
-                state = "a different file of that name"
-                raise StoreError(
-                    error_text(goal, "", expected=f"a copy of {path}", found=state, remedy=remedy)
-                )
+                raise StoreError.about("campaign.other_copy", goal, source=path)
             continue
         with storing(goal):
             candidate.folder.mkdir(parents=True, exist_ok=True)

@@ -6,15 +6,14 @@ import csv
 import json
 import re
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, count, islice
+from itertools import count
 from pathlib import Path
 from typing import IO, Any, Final
 
 from labpipe.campaign.catalog import Catalog
-from labpipe.errors import UsageError, error_text, nearest
+from labpipe.errors import UsageError, nearest
 from labpipe.store.replace import replacing
 
 COLUMNS: Final = {
@@ -58,7 +57,7 @@ _STEPS_PER_CHECK = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Rows of a query, read lazily.
+    """Rows of a query.
 
     Parameters
     ----------
@@ -67,11 +66,10 @@ class Answer:
     """
 
     columns: tuple[str, ...]
-    rows: Iterator[Sequence[Any]]
+    rows: Sequence[Sequence[Any]]
 
 
-@contextmanager
-def query_results(catalog: Catalog, where: str) -> Iterator[Answer]:
+def query_results(catalog: Catalog, where: str) -> Answer:
     """Query results that fit a condition.
 
     Parameters
@@ -80,8 +78,8 @@ def query_results(catalog: Catalog, where: str) -> Iterator[Answer]:
     where : SQL condition on the columns; empty for all. A test without results, such as a failed
         one, is one row
 
-    Yields
-    ------
+    Returns
+    -------
     The rows, sorted by test, in the order of its results.
 
     Raises
@@ -92,60 +90,38 @@ def query_results(catalog: Catalog, where: str) -> Iterator[Answer]:
     # SQLite steps in millions: for any condition, and added for each result
     base_steps, steps_per_result = 200, 0.05
     with catalog.copy() as connection:
-        fields = _fields(connection)
+        columns = COLUMNS | _fields(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
         max_steps, passed = base_steps + steps_per_result * results, count(1)
         connection.set_authorizer(_authorize_reads)
         connection.set_progress_handler(lambda: next(passed) > max_steps, _STEPS_PER_CHECK)
+        selection = ", ".join(f'{what} as "{name}"' for name, what in columns.items())
+        # The condition is on its own line, so that a comment in it ends there.
+        condition = f"where (\n{where}\n)" if where.strip() else ""
+        sql = (
+            f"select * from (select {selection} from tests left join results"
+            " on results.folder = tests.folder order by tests.folder, results.place) "
+            f"{condition}"
+        )
         try:
-            yield _answer(connection, where, fields)
-        finally:
-            connection.set_progress_handler(None, 0)
-            connection.set_authorizer(None)
+            return Answer(tuple(columns), connection.execute(sql).fetchall())
+        except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
+            raise _condition_error(where, str(error), list(columns)) from error
 
 
-def _answer(connection: sqlite3.Connection, where: str, fields: dict[str, str]) -> Answer:
-    columns = COLUMNS | fields
-    selection = ", ".join(f'{what} as "{name}"' for name, what in columns.items())
-    # The condition is on its own line, so that a comment in it ends there.
-    condition = f"where (\n{where}\n)" if where.strip() else ""
-    sql = (
-        f"select * from (select {selection} from tests left join results"
-        " on results.folder = tests.folder order by tests.folder, results.place) "
-        f"{condition}"
-    )
-    try:
-        rows = connection.execute(sql)
-        first = list(islice(rows, 1))  # some errors appear with the first row only
-    except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
-        raise _condition_error(where, error, list(columns)) from error
-    names = tuple(row[0] for row in rows.description)
-    return Answer(names, _read_rows(chain(first, rows), where))
-
-
-def _read_rows(rows: Iterable[Sequence[Any]], where: str) -> Iterator[Sequence[Any]]:
-    try:
-        yield from rows
-    except sqlite3.Error as error:
-        raise _condition_error(where, error, []) from error
-
-
-def _condition_error(where: str, error: Exception, columns: list[str]) -> UsageError:
-    message = str(error)
-    remedy = "See the columns in docs/how-to/run-a-campaign.md."
+def _condition_error(where: str, message: str, columns: list[str]) -> UsageError:
+    place = repr(where)
     missing = re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message)
     if missing:
         close = ", ".join(nearest(missing[1], columns, limit=3))
-        remedy = f"Nearest: {close}. Write text in single quotes: type = 'A1'."
-    elif "interrupted" in message:
-        message, remedy = "one that takes too long", "Limit its recursive part."
-    elif "not authorized" in message or "prohibited" in message:
-        remedy = "A condition can only read the columns."
-    return UsageError(
-        error_text(
-            "--where", repr(where), expected="a condition in SQL", found=message, remedy=remedy
+        return UsageError.about(
+            "campaign.unknown_column", "--where", place, message=message, near=close
         )
-    )
+    if "interrupted" in message:
+        return UsageError.about("campaign.slow_condition", "--where", place)
+    if "not authorized" in message or "prohibited" in message:
+        return UsageError.about("campaign.forbidden_condition", "--where", place, message=message)
+    return UsageError.about("campaign.bad_condition", "--where", place, message=message)
 
 
 def _authorize_reads(action: int, *_: str | None) -> int:
@@ -173,41 +149,40 @@ def _fields(connection: sqlite3.Connection) -> dict[str, str]:
     return fields
 
 
-def write_answer(answer: Answer, form: str, out: IO[str]) -> int:
-    """Write rows one by one.
+def write_answer(answer: Answer, form: str, out: IO[str]) -> None:
+    """Write rows as text.
 
     Parameters
     ----------
     answer : the rows
     form : ``table``, ``csv`` or ``json``
     out : text stream
-
-    Returns
-    -------
-    Number of rows.
     """
-    return {"table": _table, "csv": _csv, "json": _json}[form](answer, out)
+    if form == "csv":
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerows(map(_quote_formula, row) for row in (answer.columns, *answer.rows))
+    elif form == "json":
+        entries = [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
+        lines = ",".join(f"\n{json.dumps(entry, ensure_ascii=False)}" for entry in entries)
+        out.write(f"[{lines}\n]\n")
+    else:
+        out.writelines(_table(answer))
 
 
-def _table(answer: Answer, out: IO[str]) -> int:
-    """Write a table without keys, and without columns that are empty or repeat the first one."""
-    # rows that set the column widths
-    sampled_rows = 500
-    head = [[_cell(cell) for cell in row] for row in islice(answer.rows, sampled_rows)]
-    visible = [
-        n
-        for n, name in enumerate(answer.columns)
-        if name != "run" and any(row[n] and (n == 0 or row[n] != row[0]) for row in head)
-    ]
-    names = {n: escaped(answer.columns[n]) for n in visible}
-    widths = {n: max(len(names[n]), *(len(row[n]) for row in head)) for n in visible}
-    if visible:
-        out.write("  ".join(f"{names[n]:<{widths[n]}}" for n in visible).rstrip() + "\n")
-    count = 0
-    for row in chain(head, ([_cell(cell) for cell in row] for row in answer.rows)):
-        out.write("  ".join(f"{row[n]:<{widths[n]}}" for n in visible).rstrip() + "\n")
-        count += 1
-    return count
+def _table(answer: Answer) -> Iterator[str]:
+    """Yield lines without keys, and without columns that are empty or repeat the first one."""
+    rows = [[_cell(cell) for cell in row] for row in answer.rows]
+    columns = dict(zip(map(escaped, answer.columns), zip(*rows, strict=True), strict=False))
+    first = columns.get("test")
+    visible = {
+        name: cells
+        for name, cells in columns.items()
+        if name != "run" and any(cells) and (cells is first or cells != first)
+    }
+    widths = [max(map(len, (name, *cells))) for name, cells in visible.items()]
+    for row in (visible.keys(), *zip(*visible.values(), strict=True)) if visible else ():
+        cells = (f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
+        yield "  ".join(cells).rstrip() + "\n"
 
 
 def _cell(value: object) -> str:
@@ -229,43 +204,18 @@ def escaped(text: str) -> str:
     return _CONTROL_CHARACTERS.sub(lambda sign: sign[0].encode("unicode_escape").decode(), text)
 
 
-def _csv(answer: Answer, out: IO[str]) -> int:
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(map(_quote_formula, answer.columns))
-    count = 0
-    for row in answer.rows:
-        writer.writerow(map(_quote_formula, row))
-        count += 1
-    return count
-
-
 def _quote_formula(value: object) -> object:
     """Put an apostrophe before text that a spreadsheet would evaluate."""
     return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
 
 
-def _json(answer: Answer, out: IO[str]) -> int:
-    count = 0
-    out.write("[")
-    for row in answer.rows:
-        entry = dict(zip(answer.columns, row, strict=True))
-        out.write(f"{',' if count else ''}\n{json.dumps(entry, ensure_ascii=False)}")
-        count += 1
-    out.write("\n]\n")
-    return count
-
-
-def write_workbook(answer: Answer, path: Path) -> int:
+def write_workbook(answer: Answer, path: Path) -> None:
     """Write rows as a workbook.
 
     Parameters
     ----------
     answer : the rows
     path : of the file; an existing file is replaced at the end
-
-    Returns
-    -------
-    Number of rows.
 
     Raises
     ------
@@ -274,24 +224,14 @@ def write_workbook(answer: Answer, path: Path) -> int:
     StoreError
         If the file cannot be written.
     """
-    from openpyxl import Workbook
-    from openpyxl.cell import WriteOnlyCell
+    from xlsxwriter import Workbook
 
-    book = Workbook(write_only=True)
-    sheet = book.create_sheet("results")
-    for n_rows, row in enumerate(chain([answer.columns], answer.rows)):
-        if n_rows > _MAX_SHEET_ROWS:
-            sheet.close()
-            remedy = "Select fewer with --where, or use --out csv."
-            expected = f"{_MAX_SHEET_ROWS} rows at most"
-            raise UsageError(error_text(path, "", expected=expected, found="more", remedy=remedy))
-        cells = []
-        for value in row:
-            cell = WriteOnlyCell(sheet, escaped(value) if isinstance(value, str) else value)
-            if isinstance(value, str):
-                cell.data_type = "s"  # not a formula, even with a leading =
-            cells.append(cell)
-        sheet.append(cells)
-    with replacing(path) as temporary:
-        book.save(temporary)
-    return n_rows
+    if len(answer.rows) > _MAX_SHEET_ROWS:
+        raise UsageError.about("campaign.too_many_rows", path, limit=_MAX_SHEET_ROWS)
+    # Text is text, even with a leading =.
+    options = {"strings_to_formulas": False, "strings_to_urls": False, "constant_memory": True}
+    with replacing(path) as temporary, Workbook(str(temporary), options) as book:
+        sheet = book.add_worksheet("results")
+        for number, row in enumerate((answer.columns, *answer.rows)):
+            cells = [escaped(value) if isinstance(value, str) else value for value in row]
+            sheet.write_row(number, 0, cells)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -28,27 +29,6 @@ _Entry: TypeAlias = Mapping[str, Any]
 """A result in summary.json."""
 Values: TypeAlias = Mapping[str, Sequence[float]]
 """Values of several tests by result."""
-
-
-def read_summary(folder: Path) -> dict[str, Any] | None:
-    """Read the summary of a processed test.
-
-    Parameters
-    ----------
-    folder : of its results
-
-    Returns
-    -------
-    Its content; None if it is missing or unreadable.
-    """
-    with suppress(OSError, ValueError):
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        return (
-            summary
-            if isinstance(summary, dict) and isinstance(summary.get("results"), list)
-            else None
-        )
-    return None
 
 
 def group_of(row: TestRow) -> str:
@@ -118,21 +98,16 @@ def verdict(
     }
     n_ok = len(results) - sum(map(len, by_state.values()))
     parts = [f"{len(bad)} {state} ({_name_list(bad)})" for state, bad in by_state.items() if bad]
-    is_well = not parts and not outside
     parts += [f"outside the group: {_name_list(outside)}"] if outside else []
-    head = f"{name}: {'WELL' if is_well else 'LOOK'}, {', '.join([f'{n_ok} ok', *parts])}"
-    codes = [reason["code"] for result in results for reason in _reasons(result)]
-    codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
-    what = actions_for(codes, outside=bool(outside))
-    return [head, f"  {_number_line(numbers)}", f"  {what}"]
-
-
-def _number_line(numbers: Sequence[_Number]) -> str:
-    """Write the numbers and their comparison, which is written once if common to all."""
+    head = f"{name}: {'LOOK' if parts else 'WELL'}, {', '.join([f'{n_ok} ok', *parts])}"
     comparisons = list(dict.fromkeys(number.against for number in numbers))
-    if len(comparisons) == 1:
-        return f"{'; '.join(number.text for number in numbers)}; {comparisons[0]}"
-    return "; ".join(f"{number.text}, {number.against}" for number in numbers) or "no numbers"
+    if len(comparisons) == 1:  # common to all, and written once
+        line = f"{'; '.join(number.text for number in numbers)}; {comparisons[0]}"
+    else:
+        line = "; ".join(f"{number.text}, {number.against}" for number in numbers) or "no numbers"
+    codes = [reason["code"] for result in results for reason in result["reasons"]]
+    codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
+    return [head, f"  {line}", f"  {actions_for(codes, outside=bool(outside))}"]
 
 
 def failure_lines(name: str, code: str, reason: str) -> list[str]:
@@ -193,16 +168,14 @@ class _Number:
 
 def _main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry]:
     """Return the main results: those by which the protocol compares, else the first ones."""
-    candidates = [
-        result
+    candidates = {
+        result["name"]: result
         for result in results
         if not result["name"].startswith("clock_") and result.get("value") is not None
-    ]
-    later = [result for result in candidates if result["name"].rpartition(".")[2].isdecimal()]
-    repeats = [result for result in later if not result["name"].endswith(".1")]
-    ranked = [result for name in main for result in candidates if result["name"] == name]
-    ranked += [result for result in candidates if result not in ranked and result not in repeats]
-    return ranked[:MAX_NUMBERS]
+    }
+    of_first_cycle = [name for name in candidates if not re.search(r"\.(?!1$)\d+$", name)]
+    ranked = dict.fromkeys([*(name for name in main if name in candidates), *of_first_cycle])
+    return [candidates[name] for name in ranked][:MAX_NUMBERS]
 
 
 def _number(result: _Entry, others: Values, display: Mapping[str, str]) -> _Number:
@@ -234,8 +207,3 @@ def _name_list(names: Sequence[str]) -> str:
     max_names = 4
     more = f" and {len(names) - max_names} more" if len(names) > max_names else ""
     return ", ".join(names[:max_names]) + more
-
-
-def _reasons(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    reasons = result.get("reasons")
-    return reasons if isinstance(reasons, list) else []

@@ -51,7 +51,7 @@ from labpipe.campaign.decisions import (
     unapplied_decisions,
 )
 from labpipe.campaign.pairing import list_candidates, plan_of
-from labpipe.errors import LabpipeError, StoreError, error_text
+from labpipe.errors import LabpipeError, StoreError
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -95,11 +95,8 @@ class Overview:
     @property
     def unapplied(self) -> list[tuple[Decision, str]]:
         """Return the decisions that are not applied, and why."""
-        return list(
-            unapplied_decisions(
-                self.decisions, {folder: row.attempt for folder, row in self.rows.items()}
-            )
-        )
+        runs = {folder: row.attempt for folder, row in self.rows.items()}
+        return list(unapplied_decisions(self.decisions, runs))
 
     @property
     def counts(self) -> Counter[str]:
@@ -159,12 +156,10 @@ def _open_or_make_catalog(
 
 def _refuse_if_running(catalog: Catalog) -> None:
     for folder, claim in catalog.claims().items():
-        state = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
-        remedy = "Wait until it is done, or end it, then try again."
-        text = error_text(
-            catalog.path, "", expected="no process at work", found=state, remedy=remedy
-        )
-        raise StoreError(text)
+        raise StoreError.about(
+            "campaign.process_at_work", catalog.path,
+            pid=claim.pid, host=claim.host.split()[0], test=folder,
+        )  # fmt: skip
 
 
 class CatalogSync:
@@ -181,7 +176,6 @@ class CatalogSync:
         self.campaign, self.catalog, self.notes = campaign, catalog, notes
         self._keys = ContentKeys()
         self._decisions = DecisionFile()
-        self._decision_by_run: dict[tuple[str, str], Decision] = {}
 
     def refresh(self) -> Overview:
         """Update the catalog from all files.
@@ -194,21 +188,29 @@ class CatalogSync:
         rows, seen = self.catalog.rows(), self.catalog.seen()
         self.read_decisions()
         changed: dict[str, Entry] = {}
-        for folder in sorted(raw.sheets.keys() | outcomes.keys()):
+        folders = raw.sheets.keys() | outcomes.keys()
+        for folder in sorted(folders):
             entry = self._new_entry(
                 folder, raw.sheets.get(folder), outcomes.get(folder), rows.get(folder),
                 seen.get(folder),
             )  # fmt: skip
             if entry is not None:
                 changed[folder] = entry
-        gone = rows.keys() - raw.sheets.keys() - outcomes.keys()
         if changed:
             self.catalog.put(changed.values(), seen)
-        if gone:
+        if gone := rows.keys() - folders:
             self.catalog.remove(gone)
-        rows = {folder: row for folder, row in rows.items() if folder not in gone}
         rows |= {folder: entry.row for folder, entry in changed.items()}
-        return self._overview(dict(sorted(rows.items())), raw)
+        stored = self._decisions
+        return Overview(
+            {folder: rows[folder] for folder in sorted(folders)},
+            self.catalog.claims(),
+            raw,
+            stored.decisions,
+            [*self.notes, *stored.faults, *raw.refused],
+            bad_input=bool(stored.faults or raw.refused),
+            has_failed_results=self.catalog.has_failed_results(),
+        )
 
     def renew(self, folder: str) -> TestRow:
         """Update one test, such as after processing.
@@ -263,22 +265,7 @@ class CatalogSync:
 
     def read_decisions(self) -> None:
         """Read the decisions of the campaign, for later updates."""
-        campaign = self.campaign
-        self._decisions = read_decisions(campaign.processed, campaign.name)
-        self._decision_by_run = {
-            (decision.test, decision.run): decision for decision in self._decisions.decisions
-        }
-        self._on_test: dict[str, list[Decision]] = {}
-        for decision in self._decisions.decisions:
-            self._on_test.setdefault(decision.test, []).append(decision)
-
-    def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
-        stored = self._decisions
-        notes = [*self.notes, *stored.faults, *raw.refused]
-        is_bad = bool(stored.faults or raw.refused)
-        has_failed = self.catalog.has_failed_results()
-        claims = self.catalog.claims()
-        return Overview(rows, claims, raw, stored.decisions, notes, is_bad, has_failed)
+        self._decisions = read_decisions(self.campaign.processed, self.campaign.name)
 
     def _new_entry(
         self,
@@ -319,24 +306,23 @@ class CatalogSync:
         return row.state == REJECTED and facts == (row.why, row.decided_by, row.decided)
 
     def _rejection(self, folder: str, run: str) -> Decision | None:
-        decision = applicable_decision(self._on_test.get(folder, ()), run=run)
+        decision = applicable_decision(self._decisions.by_test.get(folder, ()), run=run)
         return decision if decision is not None and decision.decision == REJECT else None
 
     def _rejection_of(self, outcome: Entry, row: TestRow | None) -> Decision | None:
         """Return the rejection of a test; carry it over if only the processing version changed."""
         folder, key = outcome.row.folder, _attempt(outcome.row)
-        old = None if row is None else self._decision_by_run.get((folder, row.run))
+        by_run = {made.run: made for made in self._decisions.by_test.get(folder, ())}
         if (
-            (folder, key) not in self._decision_by_run
-            and row is not None
-            and old is not None
+            row is not None
+            and row.run in by_run
+            and key not in {"", *by_run}
             and outcome.row.state != FAILED
-            and key
             and self._has_same_inputs(row, outcome)
             and not self.catalog.in_memory
         ):
             before = self.catalog.results_of(folder)
-            carried = carry_over(old, key, before, outcome.results)
+            carried = carry_over(by_run[row.run], key, before, outcome.results)
             if carried is not None:
                 add_decisions(self.campaign.processed, self.campaign.name, [carried])
                 self.read_decisions()
@@ -361,7 +347,7 @@ def _row(outcome: Entry, content: Content | None, rejection: Decision | None) ->
     row = replace(row, **facts)
     row = replace(row, test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
-        specimen = {"type": row.type, "spool": row.spool, "sample": row.sample}
+        specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}
         row = replace(row, specimen=as_json(specimen))
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
@@ -372,8 +358,9 @@ def _row(outcome: Entry, content: Content | None, rejection: Decision | None) ->
         return replace(row, state=STALE, why=changes)
     if rejection is None:
         return row
-    reason, person, day = rejection.because, rejection.by, rejection.when
-    return replace(row, state=REJECTED, why=reason, decided_by=person, decided=day)
+    return replace(
+        row, state=REJECTED, why=rejection.because, decided_by=rejection.by, decided=rejection.when
+    )
 
 
 USED, WAITING, UNKNOWN = "used", "waiting", "unknown"

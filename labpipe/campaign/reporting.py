@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -119,7 +119,7 @@ class ReportOptions:
         own, then = self.letterhead, earlier.letterhead
         facts = dict(then.facts) | dict(own.facts)
         letterhead = Letterhead(tuple(facts.items()), own.logo or then.logo)
-        names = [field.name for field in fields(self)]
+        names = [entry.name for entry in fields(self)]
         filled = {name: getattr(self, name) or getattr(earlier, name) for name in names}
         return ReportOptions(**filled | {"letterhead": letterhead})
 
@@ -234,22 +234,22 @@ def make_campaign(
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _ReadTests:
     """Samples with settings of their protocols, and tests that are left out or rejected."""
 
-    samples: list[Sample]
-    wishes: dict[str, Groups]
-    kinds: dict[str, NumberKinds]
-    settings: dict[str, Settings]
-    left_out: dict[str, str]
-    rejected: dict[str, str]
-    rejected_samples: list[Sample]
-    decisions: list[Decision]
+    samples: list[Sample] = field(default_factory=list)
+    wishes: dict[str, Groups] = field(default_factory=dict)
+    kinds: dict[str, NumberKinds] = field(default_factory=dict)
+    settings: dict[str, Settings] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+    rejected: dict[str, str] = field(default_factory=dict)
+    rejected_samples: list[Sample] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
 
 
 def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests:
-    read = _ReadTests([], {}, {}, {}, {}, {}, [], [])
+    read = _ReadTests()
     decided, shared = decisions_on(files), shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
@@ -271,7 +271,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
         if decision is not None:
             sample = replace(sample, decided=decision_sentence(decision))
         if decision is not None and decision.decision == REJECT:
-            read.rejected[str(file)] = decision_sentence(decision)
+            read.rejected[str(file)] = sample.decided
             read.rejected_samples.append(sample)
             continue
         read.wishes[result.protocol] = protocol.groups
@@ -284,8 +284,9 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
         raise UsageError("\n".join([*read.left_out.values(), *rejections]))
     refuse_repeated([(sample.test, Path(sample.source)) for sample in read.samples], "name")
     copies = find_copies(recordings)
-    samples = [sample for sample in read.samples if sample.source not in copies]
-    return replace(read, samples=samples, left_out=read.left_out | copies)
+    read.samples = [sample for sample in read.samples if sample.source not in copies]
+    read.left_out |= copies
+    return read
 
 
 def _groups(read: _ReadTests, by: Sequence[str]) -> list[Group]:

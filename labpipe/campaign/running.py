@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import CampaignFolders
@@ -13,7 +13,7 @@ from labpipe.campaign.catalog_rows import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
 from labpipe.campaign.executors import Executor, Outcome, Task
 from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
-from labpipe.errors import StoreError, UsageError, error_text, nearest
+from labpipe.errors import StoreError, UsageError, nearest
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
@@ -122,10 +122,7 @@ def _open_writable(campaign: CampaignFolders) -> Iterator[CatalogSync]:
     """Open a campaign to change it."""
     with open_campaign(campaign) as sync:
         if sync.catalog.in_memory:
-            expected, state = "a writable folder", "a read-only one"
-            remedy = "Change its permissions; nothing was processed."
-            text = error_text(campaign.processed, "", expected=expected, found=state, remedy=remedy)
-            raise StoreError(text)
+            raise StoreError.about("campaign.read_only", campaign.processed)
         yield sync
 
 
@@ -155,8 +152,7 @@ class _Run:
                 unfinished, self._in_use = self._in_use, []
                 self._process(executor, unfinished, again)
         finally:
-            for folder in self._at_work.values():
-                self._sync.catalog.release(folder)
+            self._sync.catalog.release(*self._at_work.values())
         self.elsewhere += self._in_use
 
     def _process(self, executor: Executor, due: list[str], again: Collection[str]) -> None:
@@ -246,12 +242,11 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
         if code and not chosen:
             codes = sorted({row.code for row in failed.values()})
-            state = ", ".join(codes) if codes else "no failures"
             near = nearest(code, codes, limit=1)
-            remedy = f"Nearest: {near[0]}." if near else "There is nothing to clear."
-            raise UsageError(
-                error_text(campaign.processed, "", expected=f"failures with the code {code!r}",
-                          found=state, remedy=remedy)
+            raise UsageError.about(
+                "campaign.no_such_failures", campaign.processed, code=code,
+                found=", ".join(codes) or "no failures",
+                remedy=f"Nearest: {near[0]}." if near else "There is nothing to clear.",
             )  # fmt: skip
         for folder in chosen:
             path = campaign.processed / folder / FAILURE_FILE
@@ -283,14 +278,8 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
         overview = sync.refresh()
         row = _find_row(campaign, overview, test)
         if not row.attempt:
-            state, remedy = ("one that is not processed", "Process it first: labpipe campaign run.")
-            raise UsageError(
-                error_text(test, "", expected="a processed test", found=state,
-                          remedy=remedy)
-            )  # fmt: skip
-        entry = Decision(
-            row.folder, row.attempt, decision.decision, decision.because, decision.by, now()
-        )
+            raise UsageError.about("campaign.unprocessed_test", test)
+        entry = replace(decision, test=row.folder, run=row.attempt, when=now())
         add_decisions(campaign.processed, campaign.name, [entry])
         return sync.refresh().rows[row.folder]
 
@@ -303,10 +292,8 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     named = [row for row in overview.rows.values() if row.test == test]
     if len(named) == 1:
         return named[0]
-    similar = nearest(label, [*overview.rows], limit=3)
-    state = f"{len(named)} of that name" if named else "none of that name"
-    expected = f"a test of {campaign.name!r}"
-    remedy = (
-        f"Nearest: {', '.join(similar)}." if similar else "List them with labpipe campaign status."
-    )
-    raise UsageError(error_text(test, "", expected=expected, found=state, remedy=remedy))
+    similar = ", ".join(nearest(label, [*overview.rows], limit=3))
+    raise UsageError.about(
+        "campaign.unknown_test", test, campaign=campaign.name, count=len(named) or "none",
+        remedy=f"Nearest: {similar}." if similar else "List them with labpipe campaign status.",
+    )  # fmt: skip

@@ -20,14 +20,13 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from labpipe.campaign.decisions import (
-    ImportedDecisions,
     decision_entry,
     decisions_on,
     import_decisions,
     label_of,
     parse_decisions,
 )
-from labpipe.errors import LabpipeError, UsageError, error_text, refusal
+from labpipe.errors import LabpipeError, UsageError, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server
 from labpipe.report.page_tables import page_file
@@ -111,7 +110,8 @@ class ReportServer(ThreadingHTTPServer):
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
-            raise _port_error(port, error) from error
+            found = (getattr(error, "strerror", None) or "an impossible number").lower()
+            raise UsageError.about("campaign.port", f"--port {port}", found=found) from error
 
     def server_bind(self) -> None:
         """Bind without resolving the host name, which may need a network."""
@@ -130,12 +130,23 @@ class ReportServer(ThreadingHTTPServer):
         return f"http://{LOOPBACK}:{self.server_port}/{self.site.token}/"
 
 
-def _port_error(port: int, error: Exception) -> UsageError:
-    state = (getattr(error, "strerror", None) or "an impossible number").lower()
-    remedy = "Choose another with --port, or 0 for any free one."
-    return UsageError(
-        error_text(f"--port {port}", "", expected="a free port", found=state, remedy=remedy)
-    )
+@dataclass(frozen=True, slots=True)
+class _Reply:
+    """Content of a reply, and what its headers say."""
+
+    content: bytes = b""
+    content_type: str = _TYPES[".json"]
+    policy: str = _NO_SCRIPT
+    status: HTTPStatus = HTTPStatus.OK
+    more: tuple[tuple[str, str], ...] = ()
+
+
+def _page(text: str) -> _Reply:
+    return _Reply(text.encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
+
+
+def _json(content: object, status: HTTPStatus = HTTPStatus.OK) -> _Reply:
+    return _Reply(json.dumps(content).encode(), status=status)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -154,17 +165,25 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: object) -> None:
         """Do not print requests."""
 
-    def _answer(self, make: Callable[[list[str]], None]) -> None:
+    def _answer(self, make: Callable[[list[str]], _Reply]) -> None:
         try:
-            make(self._parts())
+            reply = make(self._parts())
         except RefusedError as error:
-            self._send_json({"error": str(error)}, error.status)
+            reply = _json({"error": str(error)}, error.status)
         except LabpipeError as error:
-            self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
+            reply = _json({"error": str(error)}, HTTPStatus.CONFLICT)
         except (ConnectionError, TimeoutError):
             raise  # the browser closed the connection
         except OSError as error:
-            self._send_json({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+            reply = _json({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+        self.send_response(reply.status)
+        length = str(len(reply.content))
+        own = {"Content-Type": reply.content_type, "Content-Length": length}
+        own["Content-Security-Policy"] = reply.policy
+        for name, value in (own | _HEADERS | dict(reply.more)).items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(reply.content)
 
     def _parts(self) -> list[str]:
         """Check a request, and return the parts of its address after the token."""
@@ -178,39 +197,33 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedError(HTTPStatus.FORBIDDEN, "Open the address that labpipe serve printed.")
         return parts[1:]
 
-    def _get(self, parts: list[str]) -> None:
+    def _get(self, parts: list[str]) -> _Reply:
         site = self.server.site
         if parts in ([], [""], [REPORT], [REPORT, ""]):
-            self._redirect(f"/{site.token}/{REPORT}/{PAGE_FILE}")
-            return
+            location = f"/{site.token}/{REPORT}/{PAGE_FILE}"
+            return _Reply(status=HTTPStatus.FOUND, more=(("Location", location),))
         if parts == [REPORT, PAGE_FILE]:
-            text = (site.report / PAGE_FILE).read_text(encoding="utf-8")
-            self._send(
-                allow_own_server(text).encode(), _TYPES[".html"], policy="frame-ancestors 'none'"
-            )
-            return
+            return _page(allow_own_server((site.report / PAGE_FILE).read_text(encoding="utf-8")))
         if len(parts) == 3 and parts[:2] == [REPORT, _TESTS]:
             with site.work:
-                text = site.make_test_page(_find_test("/".join(parts[1:]), site))
-            self._send(text.encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
-            return
-        self._send_file(_find_file(parts, site))
+                return _page(site.make_test_page(_find_test("/".join(parts[1:]), site)))
+        file = _find_file(parts, site)
+        content_type = _TYPES.get(file.suffix.lower(), "")
+        more = () if content_type else (("Content-Disposition", "attachment"),)
+        return _Reply(file.read_bytes(), content_type or "application/octet-stream", more=more)
 
-    def _post(self, parts: list[str]) -> None:
+    def _post(self, parts: list[str]) -> _Reply:
         if self.headers.get("Origin") is None:
             raise RefusedError(HTTPStatus.FORBIDDEN, "Expected a request from the report page.")
         body = self._body()
         site = self.server.site
-        if parts == [REPORT, "decisions"]:
-            with site.work:
-                answer = _save(body, site)
-        elif parts == [REPORT, REPORT]:
-            with site.work:
+        with site.work:
+            if parts == [REPORT, "decisions"]:
+                return _json(_save(body, site))
+            if parts == [REPORT, REPORT]:
                 site.make_report()
-            answer = {"said": "The report was made again."}
-        else:
-            raise _not_found()
-        self._send_json(answer)
+                return _json({"said": "The report was made again."})
+        raise _not_found()
 
     def _body(self) -> bytes:
         # of a request body
@@ -223,59 +236,19 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"decisions: {limits}")
         return self.rfile.read(length)
 
-    def _redirect(self, place: str) -> None:
-        self.send_response(HTTPStatus.FOUND)
-        self.send_header("Location", place)
-        self.send_header("Content-Length", "0")
-        self._end_headers(_NO_SCRIPT)
-
-    def _send_file(self, file: Path) -> None:
-        content_type = _TYPES.get(file.suffix.lower())
-        more = {} if content_type else {"Content-Disposition": "attachment"}
-        self._send(file.read_bytes(), content_type or "application/octet-stream", more=more)
-
-    def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
-        text = json.dumps(content).encode()
-        self._send(text, _TYPES[".json"], status=status)
-
-    def _send(
-        self,
-        content: bytes,
-        content_type: str,
-        *,
-        policy: str = _NO_SCRIPT,
-        status: HTTPStatus = HTTPStatus.OK,
-        more: dict[str, str] | None = None,
-    ) -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", content_type)
-        self.send_header("Content-Length", str(len(content)))
-        for name, value in (more or {}).items():
-            self.send_header(name, value)
-        self._end_headers(policy)
-        self.wfile.write(content)
-
-    def _end_headers(self, policy: str) -> None:
-        self.send_header("Content-Security-Policy", policy)
-        for name, value in _HEADERS.items():
-            self.send_header(name, value)
-        self.end_headers()
-
 
 def _check_sender(headers: Any, port: int) -> None:
     """Refuse requests of other sites, also under a host name of theirs."""
-    own_hosts = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
     host, origin = headers.get("Host", ""), headers.get("Origin")
-    if host not in own_hosts:
-        why = f"Host: expected {LOOPBACK}:{port}, found {host!r}. Open the address as printed."
-        raise RefusedError(HTTPStatus.FORBIDDEN, why)
-    if origin is not None and origin != f"http://{host}":
-        why = f"Origin: expected http://{host}, found {origin!r}. Open the address as printed."
-        raise RefusedError(HTTPStatus.FORBIDDEN, why)
-    if headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
-        raise RefusedError(
-            HTTPStatus.FORBIDDEN, "The request came from another site. Open the address as printed."
-        )
+    why = ""
+    if host not in {f"{name}:{port}" for name in (LOOPBACK, "localhost")}:
+        why = f"Host: expected {LOOPBACK}:{port}, found {host!r}."
+    elif origin is not None and origin != f"http://{host}":
+        why = f"Origin: expected http://{host}, found {origin!r}."
+    elif headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
+        why = "The request came from another site."
+    if why:
+        raise RefusedError(HTTPStatus.FORBIDDEN, f"{why} Open the address as printed.")
 
 
 def _not_found() -> RefusedError:
@@ -310,11 +283,7 @@ def _save(body: bytes, site: Site) -> dict[str, Any]:
     taken = import_decisions(site.folder, site.campaign, read.decisions)
     stored = decisions_on(files_below(site.folder, RESULT_FILE))
     entries = [decision_entry(decision) for decisions in stored.values() for decision in decisions]
-    return {"said": _save_message(taken), "decisions": entries}
-
-
-def _save_message(taken: ImportedDecisions) -> str:
     sentences = [f"{count_of(len(taken.added) + taken.n_known, 'decision')} saved."]
     sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.not_imported]
     sentences += ["They take effect when the report is made again."] * bool(taken.added)
-    return " ".join(sentences)
+    return {"said": " ".join(sentences), "decisions": entries}

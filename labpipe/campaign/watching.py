@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,15 +28,15 @@ from labpipe.campaign.quick_look import (
     display_settings,
     failure_lines,
     group_of,
-    read_summary,
     verdict,
 )
 from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import read_overview, run_test
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, describe_death
-from labpipe.errors import LabpipeError, ProcessingError, error_text
+from labpipe.campaign.workers import ProcessDied, WorkerProcess
+from labpipe.errors import LabpipeError, ProcessingError
+from labpipe.messages import sentence
 from labpipe.process.protocol_match import all_protocols
-from labpipe.process.run import draw_figures
+from labpipe.process.run import SUMMARY_FILE, draw_figures
 from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
 
 T = TypeVar("T")
@@ -87,13 +88,10 @@ class WarmWorker:
         LabpipeError
             If the call raises it.
         """
-        outcome = self._submit(work).result()
-        if isinstance(outcome, CallRaised):
-            raise outcome.error
-        if isinstance(outcome, ProcessDied):
-            _, reason = describe_death(about, outcome)
-            raise ProcessingError(reason)
-        return outcome
+        try:
+            return self._submit(work).result()
+        except ProcessDied as died:
+            raise ProcessingError(str(died.error(about))) from died
 
     def draw(self, folder: Path) -> None:
         """Start drawing the figures of a processed test, without waiting.
@@ -108,7 +106,7 @@ class WarmWorker:
         """Process tests without figures; see `labpipe.campaign.executors.Executor`."""
         for task in tasks:
             call = self._submit(partial(outcome_of, replace(task, figures=False)))
-            yield outcome_of_call(task, call.result())
+            yield outcome_of_call(task, call.result)
 
     def close(self) -> None:
         """Wait for the started calls, and end the process."""
@@ -117,7 +115,7 @@ class WarmWorker:
         finally:
             self._process.close()
 
-    def _submit(self, work: Callable[[], T]) -> Future[T | ProcessDied | CallRaised]:
+    def _submit(self, work: Callable[[], T]) -> Future[T]:
         return self._thread.submit(self._process.call, work, limit=self._limit)
 
 
@@ -175,10 +173,7 @@ class WatchedCampaign:
         label = self._label(sheet)
         row, outcome = run_test(self._folders, self._executor, label, again=again)
         if row is None:
-            expected, state = ("a free test", "one that another labpipe processes")
-            remedy = "The watch tries again."
-            message = error_text(label, "", expected=expected, found=state, remedy=remedy)
-            raise ProcessingError(message, code="in_use")
+            raise ProcessingError.about("campaign.test_in_use", label)
         self._rows = {**self._rows, label: row}
         return outcome
 
@@ -205,9 +200,9 @@ class WatchedCampaign:
 
 
 State: TypeAlias = Literal["still", "growing", "locked", "gone"]
-Mark: TypeAlias = tuple[int, int]
-"""Size and time of change of a file."""
-Marks: TypeAlias = tuple[tuple[str, Mark | None], ...]
+Mark: TypeAlias = tuple[int, int] | None
+"""Size and time of change of a file; None if it is gone."""
+Marks: TypeAlias = tuple[tuple[str, Mark], ...]
 
 
 @dataclass(slots=True)
@@ -253,30 +248,24 @@ class FileStability:
         ``still``: unchanged for long enough and readable; ``growing``: changed recently;
         ``locked``: unchanged, but cannot be opened; ``gone``.
         """
-        now = self._clock()
-        try:
-            about = path.stat()
-        except OSError:
+        now, mark, seen = self._clock(), _mark(path), self._seen.get(path)
+        if mark is None:
             self._seen.pop(path, None)
             return "gone"
-        mark = (about.st_size, about.st_mtime_ns)
-        seen = self._seen.get(path)
-        if seen is None:
-            self._seen[path] = _FileState(mark, now, now)
-            return "growing"
-        if seen.mark != mark:
-            self._seen[path] = _FileState(mark, now, now if seen.was_still else seen.moving_since)
+        if seen is None or seen.mark != mark:
+            moving_since = now if seen is None or seen.was_still else seen.moving_since
+            self._seen[path] = _FileState(mark, now, moving_since)
             return "growing"
         if now - seen.since < self.still_for:
             return "growing"
         seen.was_still = _opens(path)
         return "still" if seen.was_still else "locked"
 
-    def mark(self, path: Path) -> Mark | None:
-        """Return size and time of a file at the last look; None if it is gone."""
+    def mark(self, path: Path) -> Mark:
+        """Return size and time of a file at the last look."""
         return self._seen[path].mark if path in self._seen else None
 
-    def since(self, paths: Iterable[Path]) -> float:
+    def still_since(self, paths: Iterable[Path]) -> float:
         """Return when the last of some files changed; the present without any."""
         times = [self._seen[path].since for path in paths if path in self._seen]
         return max(times, default=self._clock())
@@ -289,11 +278,25 @@ class FileStability:
 
 def _opens(path: Path) -> bool:
     try:
-        with path.open("rb") as stream:
-            stream.read(1)
+        _require_readable([path])
     except OSError:
         return False
     return True
+
+
+def _require_readable(paths: Iterable[Path]) -> None:
+    """Raise an `OSError` if files are missing or locked, which is not a fault of their test."""
+    for path in paths:
+        with path.open("rb") as stream:
+            stream.read(1)
+
+
+def _mark(path: Path) -> Mark:
+    try:
+        about = path.stat()
+    except OSError:
+        return None
+    return about.st_size, about.st_mtime_ns
 
 
 @dataclass(slots=True)
@@ -356,19 +359,22 @@ class Watcher:
         Whether more tests are ready, so that there is no pause.
         """
         self._turn += 1
+        raw = self._campaign.raw
         try:
-            self._campaign.raw.stat()
+            raw.stat()
             self._read_plan()
-            listed = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
-            ready = self._ready(listed)
+            ready = self._ready(list_candidates(raw, self.plan, is_skipped=self._is_skipped))
             if ready:
                 self._handle(ready[0])
         except OSError as error:
-            self._say_gone(error)
+            if not self._is_gone:
+                self._is_gone = True
+                why = (error.strerror or str(error)).lower()
+                self._say(f"{error.filename or raw}: {why}; waiting for it")
             return False
         if self._is_gone:
             self._is_gone = False
-            self._say(f"{self._campaign.raw}: available again")
+            self._say(f"{raw}: available again")
         return len(ready) > 1
 
     def _say_once(self, text: str) -> None:
@@ -385,25 +391,6 @@ class Watcher:
         if test is None or not test.done or self._clock() - test.settled < self.plan.patience:
             return False
         return (hash(folder) - self._turn) % looks_between != 0
-
-    def _say_gone(self, error: OSError) -> None:
-        if not self._is_gone:
-            self._is_gone = True
-            why = (error.strerror or str(error)).lower()
-            self._say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
-
-    def _ready(self, listed: RawListing) -> list[Candidate]:
-        """Return the tests that are ready, the newest first."""
-        for path, why in listed.unmatched.items():
-            if self._files.look(path) == "still" and self._still_for(path) > self.plan.patience:
-                self._say_once(f"{_printable(self._below(path))}: not used: {why}")
-        ready = [candidate for candidate in listed.candidates if self._is_ready(candidate)]
-        if ready and not self._has_begun:
-            self._has_begun = True
-            ready = self._without_processed(ready)
-        return sorted(
-            ready, key=lambda candidate: self._files.since(_paths(candidate)), reverse=True
-        )
 
     def _read_plan(self) -> None:
         """Read a changed campaign YAML; report a faulty one and keep the last."""
@@ -423,27 +410,32 @@ class Watcher:
         }
         self._say(f"{PLAN_NAME} was read again")
 
-    def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
-        """Leave out tests that were processed before the watch."""
-        sheets = {candidate.sheet for candidate in ready if candidate.sheet.exists()}
-        unprocessed = set(self._campaign.unprocessed(sheets))
-        kept = []
-        for candidate in ready:
-            if candidate.sheet in sheets and candidate.sheet not in unprocessed:
-                self._tests[candidate.folder] = _Test(
-                    self._marks(candidate), settled=-self.plan.patience
-                )
-            else:
-                kept.append(candidate)
-        return kept
+    def _ready(self, listed: RawListing) -> list[Candidate]:
+        """Return the tests that are ready, the newest first, and not those done before."""
+        for path, why in listed.unmatched.items():
+            if self._files.look(path) == "still" and self._still_for(path) > self.plan.patience:
+                self._say_once(f"{_printable(self._below(path))}: not used: {why}")
+        ready = [candidate for candidate in listed.candidates if self._is_ready(candidate)]
+        if ready and not self._has_begun:
+            self._has_begun = True
+            sheets = {candidate.sheet for candidate in ready if candidate.sheet.exists()}
+            for sheet in sheets.difference(self._campaign.unprocessed(sheets)):
+                (done,) = (candidate for candidate in ready if candidate.sheet == sheet)
+                ready.remove(done)
+                self._tests[done.folder] = _Test(self._marks(done), settled=-self.plan.patience)
+        return sorted(
+            ready,
+            key=lambda candidate: self._files.still_since(candidate.paths),
+            reverse=True,
+        )
 
     def _is_ready(self, candidate: Candidate) -> bool:
         """Return whether all files of a test are still, and were not handled in this state."""
         test = self._tests.setdefault(candidate.folder, _Test())
-        states = {path: self._files.look(path) for path in _paths(candidate)}
-        for path, state in states.items():
-            self._say_waiting(candidate, path, state)
-        waits = [path for path, state in states.items() if state in ("growing", "locked")]
+        states = {path: self._files.look(path) for path in candidate.paths}
+        waits = [path for path, state in states.items() if state in {"growing", "locked"}]
+        for path in waits:
+            self._say_waiting(candidate, path, is_locked=states[path] == "locked")
         if waits or any(states[path] == "gone" for path in candidate.files.values()):
             test.settled = self._clock()
             return False
@@ -452,14 +444,18 @@ class Watcher:
             test.settled = self._clock()
         return marks != test.done and (marks != test.tried or self._clock() >= test.next_try)
 
-    def _say_waiting(self, candidate: Candidate, path: Path, state: str) -> None:
+    def _say_waiting(self, candidate: Candidate, path: Path, *, is_locked: bool) -> None:
         moving = self._files.moving_for(path)
-        name = f"{_label(candidate)}: {_printable(path.name)}"
-        if state == "locked" and moving > self.plan.patience:
-            self._say_once(f"{name} cannot be opened, another program uses it; waiting for it")
-        if moving > REMINDER_DELAY and state in ("growing", "locked"):
-            what = "is still being written" if state == "growing" else "still cannot be opened"
-            self._say_once(f"{name} {what} after an hour; waiting for it")
+        test, file = _printable(candidate.name), _printable(path.name)
+        if is_locked and moving > self.plan.patience:
+            self._say_once(sentence("campaign.locked_file", test=test, file=file))
+        if moving > REMINDER_DELAY:
+            self._say_once(
+                sentence(
+                    "campaign.long_locked_file" if is_locked else "campaign.long_growing_file",
+                    test=test, file=file,
+                )
+            )  # fmt: skip
 
     def _handle(self, candidate: Candidate) -> None:
         # s between attempts
@@ -467,11 +463,12 @@ class Watcher:
         test = self._tests[candidate.folder]
         marks = self._marks(candidate)
         test.tried, test.next_try = marks, self._clock() + retry_delay
+        waited = self._clock() - self._files.still_since(candidate.files.values())
         try:
-            written = self._pair(candidate, self.plan, self._waited(candidate))
+            written = self._pair(candidate, self.plan, waited)
         except LabpipeError as error:
             test.done = marks
-            self._say_once(f"{_label(candidate)}: {error}")
+            self._say_once(f"{_printable(candidate.name)}: {error}")
             return
         if written.sheet is None:
             self._say_missing(candidate, test, written)
@@ -487,88 +484,62 @@ class Watcher:
         try:
             outcome = self._campaign.process(candidate.sheet, again=test.again)
         except LabpipeError as error:
-            self._say_once(f"{_label(candidate)}: {error}")
+            self._say_once(f"{_printable(candidate.name)}: {error}")
             return False
+        if outcome is not None and outcome.state == "failed":
+            test.again = True
+            _require_readable([candidate.sheet, *candidate.files.values()])
         test.again = False
         if outcome is not None:
-            if outcome.state == "failed":
-                test.again = True
-                _refuse_vanished(candidate)
-                test.again = False
             self._say_verdict(candidate, outcome)
         return True
 
-    def _waited(self, candidate: Candidate) -> float:
-        return self._clock() - self._files.since(candidate.files.values())
-
     def _say_missing(self, candidate: Candidate, test: _Test, written: PairingOutcome) -> None:
         """Report once what a test waits for."""
+        label = _printable(candidate.name)
         for name, why in written.unread.items():
             stood = self._still_for(candidate.files.get(name, candidate.folder / name))
-            what = f"{_label(candidate)}: {_printable(name)} cannot be read"
+            file = _printable(name)
             if stood > self.plan.patience:
-                self._say_once(f"{what} yet ({why}); waiting for it")
+                self._say_once(sentence("campaign.unread_file", test=label, file=file, why=why))
             if stood > REMINDER_DELAY:
-                self._say_once(f"{what} after an hour; waiting for it")
+                self._say_once(sentence("campaign.long_unread_file", test=label, file=file))
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
-            self._say(f"{_label(candidate)}: waits for {waits}")
+            self._say(f"{label}: waits for {waits}")
 
     def _say_sheet(self, candidate: Candidate, written: PairingOutcome) -> None:
-        lines = [
-            f"{_label(candidate)}: wrote {_printable(self._below(candidate.sheet))}"
-        ] * written.is_new
-        lines += [f"{'  ' * written.is_new}{message}" for message in written.messages]
+        lines = [*written.messages]
+        if written.is_new:
+            head = f"{_printable(candidate.name)}: wrote {_printable(self._below(candidate.sheet))}"
+            lines = [head, *(f"  {message}" for message in lines)]
         if written.open:
             lines.append(f"  to fill in: {', '.join(written.open)}; it is processed then")
         if lines:
             self._say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
-        summary = None if outcome.folder is None else read_summary(outcome.folder)
-        if outcome.state == "failed" or outcome.folder is None or summary is None:
-            lines = failure_lines(_label(candidate), outcome.code, outcome.reason)
+        label = _printable(candidate.name)
+        if outcome.state == "failed" or outcome.folder is None:
+            lines = failure_lines(label, outcome.code, outcome.reason)
         else:
+            summary = json.loads((outcome.folder / SUMMARY_FILE).read_bytes())
             others = self._campaign.values_beside(candidate.sheet)
-            settings = display_settings(candidate.sheet)
-            lines = verdict(_label(candidate), summary, others, settings)
+            lines = verdict(label, summary, others, display_settings(candidate.sheet))
             self._draw(outcome.folder)
         self._say("\n".join(lines))
 
     def _marks(self, candidate: Candidate) -> Marks:
-        return tuple((str(path), self._files.mark(path)) for path in _paths(candidate))
+        return tuple((str(path), self._files.mark(path)) for path in candidate.paths)
 
     def _still_for(self, path: Path) -> float:
-        return self._clock() - self._files.since([path])
+        return self._clock() - self._files.still_since([path])
 
     def _below(self, path: Path) -> str:
         with suppress(ValueError):
             return path.relative_to(self._campaign.raw).as_posix()
         return str(path)
-
-
-def _refuse_vanished(candidate: Candidate) -> None:
-    """Raise an `OSError` if exports are missing, which is not a fault of the test."""
-    for path in (candidate.sheet, *candidate.files.values()):
-        with path.open("rb") as stream:
-            stream.read(1)
-
-
-def _label(candidate: Candidate) -> str:
-    return _printable(candidate.name)
-
-
-def _paths(candidate: Candidate) -> list[Path]:
-    return [*sorted(candidate.files.values()), candidate.sheet]
-
-
-def _mark(path: Path) -> Mark | None:
-    try:
-        about = path.stat()
-    except OSError:
-        return None
-    return about.st_size, about.st_mtime_ns
 
 
 def _printable(name: str) -> str:

@@ -13,21 +13,19 @@ import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import IO, Any, NoReturn, TypeVar, cast
 
-from labpipe.errors import ProcessingError, error_text
+from labpipe.errors import ProcessingError
 
 A = TypeVar("A")
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessDied:
-    """Outcome of a call whose process ended before the call.
+class ProcessDied(Exception):  # noqa: N818  an outcome
+    """The process of a call ended before the call.
 
     Parameters
     ----------
@@ -35,8 +33,9 @@ class ProcessDied:
     limit : s, time limit if it was exceeded; else None
     """
 
-    exit_code: int
-    limit: float | None = None
+    def __init__(self, exit_code: int, limit: float | None = None) -> None:
+        super().__init__(exit_code, limit)
+        self.exit_code, self.limit = exit_code, limit
 
     @property
     def how(self) -> str:
@@ -47,45 +46,16 @@ class ProcessDied:
             return f"by the signal {signal.Signals(-self.exit_code).name}"
         return f"by the signal {-self.exit_code}"
 
+    def error(self, about: object) -> ProcessingError:
+        """Make the error for the user.
 
-def describe_death(what: object, died: ProcessDied) -> tuple[str, str]:
-    """Describe the death of a process.
-
-    Parameters
-    ----------
-    what : subject of the call, such as the file of a test
-    died : the outcome
-
-    Returns
-    -------
-    code : see `labpipe.errors.CODES`
-    reason : the message for the user
-    """
-    if died.limit is not None:
-        expected = f"an end within {died.limit / 60.0:g} minutes"
-        state = "no end; the process was ended"
-        remedy = "Check the export for damage, or choose a longer --limit."
-        return "time_limit", error_text(what, "", expected=expected, found=state, remedy=remedy)
-    reason = error_text(
-        what,
-        "",
-        expected="a process that completes",
-        found=f"that it was ended {died.how}",
-        remedy="Often memory runs out: close other programs, or choose fewer --jobs.",
-    )
-    return "process_died", reason
-
-
-@dataclass(frozen=True, slots=True)
-class CallRaised:
-    """Outcome of a call that raised an exception.
-
-    Parameters
-    ----------
-    error : the exception
-    """
-
-    error: Exception
+        Parameters
+        ----------
+        about : subject of the call, such as the file of a test
+        """
+        if self.limit is not None:
+            return ProcessingError.about("campaign.time_limit", about, minutes=self.limit / 60.0)
+        return ProcessingError.about("campaign.process_died", about, how=self.how)
 
 
 class WorkerProcess:
@@ -101,9 +71,7 @@ class WorkerProcess:
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
 
-    def call(
-        self, work: Callable[[], T], *, limit: float | None = None
-    ) -> T | ProcessDied | CallRaised:
+    def call(self, work: Callable[[], T], *, limit: float | None = None) -> T:
         """Run a call in the process and wait for it.
 
         Parameters
@@ -111,10 +79,12 @@ class WorkerProcess:
         work : can be pickled, such as a partial of a module-level function
         limit : s, time limit, after which the process is ended; None for no limit
 
-        Returns
-        -------
-        The result; `ProcessDied` if the process was killed, crashed, ran out of memory or took
-        too long.
+        Raises
+        ------
+        ProcessDied
+            If the process was killed, crashed, ran out of memory or took too long.
+        Exception
+            If the call raises it.
         """
         call = pickle.dumps(work)
         if self.process is None or self.process.poll() is not None:
@@ -123,7 +93,8 @@ class WorkerProcess:
         is_late = threading.Event()
         timer = threading.Timer(
             min(threading.TIMEOUT_MAX, limit or threading.TIMEOUT_MAX),
-            partial(_end_late, self.process, is_late),
+            _end_late,
+            (self.process, is_late),
         )
         timer.daemon = True
         timer.start()
@@ -134,8 +105,11 @@ class WorkerProcess:
         timer.cancel()
         timer.join()
         if answer is None:
-            return ProcessDied(self.close(), limit if is_late.is_set() else None)
-        return cast("T | CallRaised", pickle.loads(answer))
+            raise ProcessDied(self.close(), limit if is_late.is_set() else None)
+        result, error = pickle.loads(answer)
+        if error is not None:
+            raise error
+        return cast("T", result)
 
     def close(self) -> int:
         """End the process, also during a call, and return its exit code; 0 without a process."""
@@ -183,7 +157,7 @@ def _submitting(
 
 def as_completed(
     work: Callable[[A], T], arguments: Iterable[A], *, jobs: int, limit: float | None = None
-) -> Generator[tuple[A, T | ProcessDied | CallRaised], None, None]:
+) -> Generator[tuple[A, Future[T]], None, None]:
     """Call a function on many arguments in parallel processes.
 
     Parameters
@@ -195,15 +169,15 @@ def as_completed(
 
     Yields
     ------
-    Argument and result in the order of completion; `ProcessDied` if the process was killed,
-    crashed, ran out of memory or took too long.
+    Argument and completed future, in the order of completion. Its result raises as
+    `WorkerProcess.call`.
 
     Notes
     -----
     On an interrupt, started calls are completed.
     """
     remaining = iter(arguments)
-    running: dict[Future[T | ProcessDied | CallRaised], A] = {}
+    running: dict[Future[T], A] = {}
     with _submitting(jobs, limit) as submit:
         for argument in islice(remaining, jobs):
             running[submit(partial(work, argument))] = argument
@@ -212,12 +186,12 @@ def as_completed(
             argument = running.pop(future)
             for following in islice(remaining, 1):
                 running[submit(partial(work, following))] = following
-            yield argument, future.result()
+            yield argument, future
 
 
 def in_processes(
     calls: Sequence[Callable[[], T]], *, jobs: int, limit: float | None = None
-) -> Generator[T | ProcessDied, None, None]:
+) -> Generator[Future[T], None, None]:
     """Call functions in parallel processes, with results in order.
 
     Parameters
@@ -227,19 +201,12 @@ def in_processes(
 
     Yields
     ------
-    Their results in order; `ProcessDied` if the process ended first.
-
-    Raises
-    ------
-    Exception
-        If a call raises it.
+    Their completed futures in order; a result raises as `WorkerProcess.call`.
     """
     with _submitting(jobs, limit) as submit:
         for future in [submit(call) for call in calls]:
-            outcome = future.result()
-            if isinstance(outcome, CallRaised):
-                raise outcome.error
-            yield outcome
+            wait([future])
+            yield future
 
 
 def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
@@ -261,13 +228,10 @@ def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     """
     if jobs == 1:
         return [call() for call in calls]
-    results: list[T] = []
-    for outcome in in_processes(calls, jobs=jobs):
-        if isinstance(outcome, ProcessDied):
-            code, reason = describe_death("labpipe", outcome)
-            raise ProcessingError(reason, code=code)
-        results.append(outcome)
-    return results
+    try:
+        return [future.result() for future in in_processes(calls, jobs=jobs)]
+    except ProcessDied as died:
+        raise died.error("labpipe") from died
 
 
 _START = (
@@ -321,7 +285,7 @@ def serve() -> NoReturn:
     threading.Thread(target=_read_calls, args=(requests, calls), daemon=True).start()
     try:
         while True:
-            _send(_outcome(calls.get()), out)
+            _send(_answer(calls.get()), out)
     except SystemExit as error:
         os._exit(error.code if isinstance(error.code, int) else 1)
 
@@ -333,8 +297,8 @@ def _read_calls(requests: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
     os._exit(1)  # no receiver for the outcome; files are complete, old or new
 
 
-def _outcome(call: bytes) -> bytes:
+def _answer(call: bytes) -> bytes:
     try:
-        return pickle.dumps(pickle.loads(call)())
-    except Exception as error:  # noqa: BLE001  returned to the caller
-        return pickle.dumps(CallRaised(error))
+        return pickle.dumps((pickle.loads(call)(), None))
+    except Exception as error:  # noqa: BLE001  raised again in the parent
+        return pickle.dumps((None, error))

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 
 from labpipe.cli.terminal import from_here
-from labpipe.errors import UsageError, error_text
+from labpipe.errors import UsageError
 from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.mechanics.wire.bundle_packing import WANTED_FRACTION
 from labpipe.records.curve import Interval
@@ -36,22 +36,11 @@ def run(options: argparse.Namespace) -> int:
 def _bore(text: str) -> float:
     try:
         bore = parse_quantity(text, "m")
-    except ValueError as error:
-        raise _bore_error(text) from error
+    except ValueError:
+        bore = 0.0
     if not bore > 0.0:
-        raise _bore_error(text)
+        raise UsageError.about("cli.bad_bore", "--bore", found=text)
     return bore
-
-
-def _bore_error(text: str) -> UsageError:
-    message = error_text(
-        "--bore",
-        "",
-        expected='a length above zero with its unit, such as "10.7 mm"',
-        found=repr(text),
-        remedy="Write the inner diameter of the conduit.",
-    )
-    return UsageError(message)
 
 
 def bundle_table(modelled: ModelledBundle) -> str:

@@ -73,27 +73,19 @@ def calibration_table(done: Calibrated) -> str:
         f"{_rounded(1e3 * calibration.rmse, 3)} mN ({_percent(calibration.rmse_share)} of the "
         f"largest force)"
     ]
-    lines += [_parameter(parameter) for parameter in calibration.parameters]
-    lines += [
-        f"  {parameter.explanation}"
-        for parameter in calibration.parameters
-        if parameter.explanation
-    ]
-    priors = [
-        parameter.conflict.message
-        for parameter in calibration.parameters
-        if parameter.conflict is not None
-    ]
-    lines += [f"  {message}" for message in priors]
+    parameters = calibration.parameters
+    lines += [_parameter(parameter) for parameter in parameters]
+    explanations = [parameter.explanation for parameter in parameters if parameter.explanation]
+    conflicts = [parameter.conflict.message for parameter in parameters if parameter.conflict]
+    lines += [f"  {message}" for message in (*explanations, *conflicts)]
     if calibration.friction_separability is not None:
         lines.append(f"  {calibration.friction_separability.explanation}")
-    lines += ["", *_groups(done)]
-    lines += comparison_lines(done.comparisons)
-    printed_messages = {*(parameter.explanation for parameter in calibration.parameters), *priors}
+    heading = f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'role'}"
+    lines += ["", heading, *map(_group, done.groups), *comparison_lines(done.comparisons)]
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in calibration.notes
-        if note.message not in printed_messages
+        if note.message not in {*explanations, *conflicts}
     ]
     lines.append(f"results: {from_here(done.folder)}")
     return "\n".join(lines)
@@ -135,11 +127,6 @@ def _cells(rmse: float, share: str, inside: str) -> str:
     return f" {_rounded(1e3 * rmse, 3):>8} {share:>8} {inside:>8}"
 
 
-def _groups(done: Calibrated) -> list[str]:
-    heading = f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'role'}"
-    return [heading, *(_group(group) for group in done.groups)]
-
-
 def _group(group: ValidationGroup) -> str:
     role = "calibrating" if group.is_calibrated else "predicted"
     head = f"  {f'{group.wire}, {1e3 * group.length:.4g} mm':<14}{len(group.samples):>8}"
@@ -164,24 +151,22 @@ def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str
     max_name_width = 28
     if not comparisons:
         return []
-    width = min(max_name_width, max(len(comparison.curve.name) for comparison in comparisons))
-    width = max(width, len("external curve"))
+    names = [_shortened(comparison.curve.name, max_name_width) for comparison in comparisons]
+    width = max(map(len, (*names, "external curve")))
     heading = f"  {'external curve':<{width}}  {'compared with':<22}{'points':>8}{'rms mN':>9}"
     lines = ["", f"{heading}{'of peak':>9}{'in band':>9}"]
-    for comparison in comparisons:
-        curve = comparison.curve
-        specimen = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
+    for name, comparison in zip(names, comparisons, strict=True):
+        specimen = f"{comparison.curve.wire}, {1e3 * comparison.curve.length:.4g} mm"
         for compared_with, match in (("tests", comparison.tests), ("model", comparison.model)):
             if match is not None:
-                curve_name = (
-                    curve.name
-                    if len(curve.name) <= max_name_width
-                    else f"{curve.name[: max_name_width - 1]}…"
-                )
-                name = f"  {curve_name:<{width}}  {f'{compared_with} of {specimen}':<22}"
-                lines.append(f"{name}{_numbers(match)}")
+                row = f"  {name:<{width}}  {f'{compared_with} of {specimen}':<22}"
+                lines.append(f"{row}{_numbers(match)}")
     notes = [note for comparison in comparisons for note in comparison.notes]
     return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]
+
+
+def _shortened(name: str, width: int) -> str:
+    return name if len(name) <= width else f"{name[: width - 1]}…"
 
 
 def _numbers(match: CurveMatch) -> str:

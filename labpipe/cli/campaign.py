@@ -28,8 +28,9 @@ from labpipe.campaign.running import (
     run_campaign,
 )
 from labpipe.cli.terminal import counting, from_here
-from labpipe.errors import UsageError, error_text
+from labpipe.errors import UsageError
 from labpipe.report.wording import count_of
+from labpipe.store.replace import replacing
 
 _MAX_LISTED = 20
 """Largest number of tests or files that a list shows."""
@@ -77,29 +78,22 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.out == "xlsx" and options.file is None:
-        raise UsageError(
-            error_text("--out xlsx", "", expected="a file to write", found="none",
-                      remedy="Add --file results.xlsx.")
-        )  # fmt: skip
+        raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
         _print_notes(overview)
-        with query_results(sync.catalog, options.where) as answer:
-            if options.out == "xlsx":
-                count = write_workbook(answer, options.file)
-            elif options.file is not None:
-                from labpipe.store.replace import replacing
-
-                with (
-                    replacing(options.file) as temporary,
-                    temporary.open(
-                        "w", encoding="utf-8", newline="", errors="backslashreplace"
-                    ) as out,
-                ):
-                    count = write_answer(answer, options.out, out)
-            else:
-                count = write_answer(answer, options.out, sys.stdout)
-    print(f"{count} rows", file=sys.stderr)
+        answer = query_results(sync.catalog, options.where)
+    if options.out == "xlsx":
+        write_workbook(answer, options.file)
+    elif options.file is not None:
+        with (
+            replacing(options.file) as part,
+            part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,
+        ):
+            write_answer(answer, options.out, out)
+    else:
+        write_answer(answer, options.out, sys.stdout)
+    print(f"{len(answer.rows)} rows", file=sys.stderr)
     return 0
 
 
@@ -113,17 +107,10 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.saved is not None:
         return _import_decisions(options, campaign)
     if not options.test or not options.decision:
-        raise UsageError(
-            error_text("labpipe campaign decide", "", expected="a test and accept or reject",
-                      found="none",
-                      remedy="Name both, or import a file that a report page saved with --from.")
-        )  # fmt: skip
+        raise UsageError.about("cli.no_decision", "labpipe campaign decide")
     for key in ("because", "by"):
         if not getattr(options, key).strip():
-            raise UsageError(
-                error_text(f"--{key}", "", expected="a text", found="none",
-                          remedy=f"Add --{key} TEXT; it is stored with the decision.")
-            )  # fmt: skip
+            raise UsageError.about("cli.no_reason", f"--{key}", option=f"--{key}")
     decision = Decision("", "", options.decision, options.because.strip(), options.by.strip())
     row = decide(campaign, options.test, decision)
     print(f"{escaped(row.folder)}: {row.state}")
@@ -133,10 +120,7 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Import the decisions that a report page saved."""
     if options.test:
-        raise UsageError(
-            error_text("--from", "", expected="no test together with it", found=options.test,
-                      remedy="Decide on a test, or import a file.")
-        )  # fmt: skip
+        raise UsageError.about("cli.test_and_file", "--from", test=options.test)
     imported, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
     for fault in faults:
         print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
@@ -265,21 +249,24 @@ def _as_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
+    tests = {
+        folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
+        for folder, row in overview.rows.items()
+    }
+    running = {
+        folder: {"host": claim.host.split()[0], "pid": claim.pid, "since": claim.since}
+        for folder, claim in overview.claims.items()
+    }
+    not_applied = [
+        {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
+        for decision, why in overview.unapplied
+    ]
     return {
         "campaign": campaign.name,
         "counts": {state: overview.counts[state] for state in STATES},
-        "tests": {
-            folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
-            for folder, row in overview.rows.items()
-        },
-        "running": {
-            folder: {"host": claim.host.split()[0], "pid": claim.pid, "since": claim.since}
-            for folder, claim in overview.claims.items()
-        },
-        "decisions_not_applied": [
-            {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
-            for decision, why in overview.unapplied
-        ],
+        "tests": tests,
+        "running": running,
+        "decisions_not_applied": not_applied,
         "files": files,
         "notes": overview.notes,
     }

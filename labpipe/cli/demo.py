@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
@@ -17,7 +17,7 @@ from labpipe.cli.harness import harness_table
 from labpipe.cli.process import headline, process_all, table
 from labpipe.cli.report import status_of
 from labpipe.cli.terminal import from_here
-from labpipe.mechanics.studies.calibration_study import MODEL_FILE, Calibrated, calibrate_tests
+from labpipe.mechanics.studies.calibration_study import MODEL_FILE, calibrate_tests
 from labpipe.mechanics.studies.harness_section import DEFAULT_SHEET
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
 from labpipe.mechanics.studies.harness_study import follow_harness
@@ -81,29 +81,21 @@ def _one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     folders_by_kind = run_jobs(
         [partial(simulate_campaigns, [campaign], raw) for campaign in FIRST_LOOK], jobs=options.jobs
     )
-    wires = write_wire_sheet(raw)
     tests = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
-    processed, refused = process_all(
-        tests, out=out, figures=lambda _: not options.no_figures, png=options.png, jobs=options.jobs
-    )
+    processed, refused = _process(tests, out, tests, options)
     if not processed:
         return 2  # messages are printed already
     first, *others = processed
     print("\n".join((table(first), "", *map(headline, others))))
-    page, status = _report(out, wires)
-    print("\nopen in a browser, the report first:")
-    print("\n".join(f"  {from_here(path)}" for path in (page, *_main_figures(processed))))
-    print(_NEXT.format(export=from_here(raw / first.result.test / first.result.inputs[0].file)))
-    return _status(processed, refused, status)
-
-
-def _main_figures(processed: Sequence[Processed]) -> list[Path]:
-    """Return one figure of each test."""
-    return [
+    page, status = _report(out, write_wire_sheet(raw))
+    main_figures = [
         next(path for name in _MAIN_FIGURES for path in test.figures if path.name == f"{name}.svg")
         for test in processed
         if test.figures
     ]
+    _print_files("open in a browser, the report first", (page, *main_figures))
+    print(_NEXT.format(export=from_here(raw / first.result.test / first.result.inputs[0].file)))
+    return _status(processed, refused, status)
 
 
 def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
@@ -113,20 +105,56 @@ def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
         [partial(simulate_campaigns, campaign, raw / name) for name, campaign in CAMPAIGNS.items()],
         jobs=options.jobs,
     )
-    processed, refused = _process_campaigns(raw, out, options)
-    print(_results(processed))
+    processed, refused = list[Processed](), 0
+    for name in CAMPAIGNS:
+        tests = find_tests([raw / name])
+        first_of_type: dict[str, Path] = {}
+        for test in tests:
+            first_of_type.setdefault(load_test_sheet(test).specimen.type, test)
+        done, n_refused = _process(tests, out / name, first_of_type.values(), options)
+        processed += done
+        refused += n_refused
+    firsts: dict[str, Processed] = {}  # of each kind
+    for done_test in processed:
+        firsts.setdefault(done_test.result.protocol, done_test)
+    lines = (
+        f"\n{table(test)}\n" if test is firsts[test.result.protocol] else headline(test)
+        for test in processed
+    )
+    print("\n".join(lines).replace("\n\n\n", "\n\n").strip())
     wires = write_wire_sheet(raw / WIRES)
     print(f"reporting {', '.join(CAMPAIGNS)}", file=sys.stderr)
     reports = run_jobs(
         [partial(_report, out / name, wires) for name in CAMPAIGNS], jobs=options.jobs
     )
-    calibrated = _calibrate(raw / WIRES, out / WIRES, wires, is_drawn=not options.no_figures)
+    plan = raw / WIRES / "plan.yaml"
+    plan.write_text(PLAN, encoding="utf-8")
+    is_drawn = not options.no_figures
+    calibrated = calibrate_tests([out / WIRES], wires=wires, plan=plan, figures=is_drawn)
     print(f"\n{calibration_table(calibrated)}")
     harnesses = _follow_harnesses(raw / LINES, out / LINES, calibrated.folder / MODEL_FILE, options)
     print("\n".join(f"\n{harness_table(harness)}" for harness in harnesses))
-    _print_files([page for page, _ in reports], processed, calibrated, harnesses)
+    _print_files("reports, one page each", [page for page, _ in reports])
+    of_lines = [path for harness in harnesses for path in harness.files]
+    drawn = [path for first in firsts.values() for path in first.figures]
+    drawn = [path for path in (*drawn, *calibrated.files, *of_lines) if path.suffix == ".svg"]
+    if drawn:
+        _print_files("figures of a test of each kind, the calibration and the lines", drawn)
     is_failed = [int(harness.status is Status.FAILED) for harness in harnesses]
     return _status(processed, refused, *(status for _, status in reports), *is_failed)
+
+
+def _process(
+    tests: Sequence[Path], out: Path, drawn: Collection[Path], options: argparse.Namespace
+) -> tuple[list[Processed], int]:
+    """Process tests, and draw the figures of some."""
+    return process_all(
+        [*tests],
+        out=out,
+        figures=lambda test: not options.no_figures and test in drawn,
+        png=options.png,
+        jobs=options.jobs,
+    )
 
 
 def _status(processed: Sequence[Processed], refused: int, *reports: int) -> int:
@@ -140,36 +168,6 @@ def _report(folder: Path, wires: Path) -> tuple[Path, int]:
     title = f"Synthetic demo campaign: {folder.name}"
     reported = report_tests([folder], options=ReportOptions(title, wires=wires))
     return reported.files[0], status_of(reported)
-
-
-def _process_campaigns(
-    raw: Path, out: Path, options: argparse.Namespace
-) -> tuple[list[Processed], int]:
-    """Process each campaign, and draw the first test of each specimen type."""
-    processed, refused = [], 0
-    for name in CAMPAIGNS:
-        tests = find_tests([raw / name])
-        drawn = set() if options.no_figures else _first_of_each_type(tests)
-        done, n_refused = process_all(
-            tests, out=out / name, figures=drawn.__contains__, png=options.png, jobs=options.jobs
-        )
-        processed += done
-        refused += n_refused
-    return processed, refused
-
-
-def _first_of_each_type(tests: Sequence[Path]) -> set[Path]:
-    firsts: dict[str, Path] = {}
-    for test in tests:
-        firsts.setdefault(load_test_sheet(test).specimen.type, test)
-    return set(firsts.values())
-
-
-def _calibrate(raw: Path, out: Path, wires: Path, *, is_drawn: bool) -> Calibrated:
-    """Calibrate one of the wires with a plan."""
-    plan = raw / "plan.yaml"
-    plan.write_text(PLAN, encoding="utf-8")
-    return calibrate_tests([out], wires=wires, plan=plan, figures=is_drawn)
 
 
 def _follow_harnesses(
@@ -191,31 +189,6 @@ def _follow_harnesses(
     return done
 
 
-def _print_files(
-    pages: Sequence[Path],
-    processed: Sequence[Processed],
-    calibrated: Calibrated,
-    harnesses: Sequence[FollowedHarness],
-) -> None:
-    print("\nreports, one page each:")
-    print("\n".join(f"  {from_here(page)}" for page in pages))
-    firsts = [path for first in _firsts(processed) for path in first.figures]
-    lines = [path for harness in harnesses for path in harness.files]
-    drawn = [path for path in (*firsts, *calibrated.files, *lines) if path.suffix == ".svg"]
-    if drawn:
-        print("\nfigures of a test of each kind, the calibration and the lines:")
-        print("\n".join(f"  {from_here(path)}" for path in drawn))
-
-
-def _results(processed: Sequence[Processed]) -> str:
-    """Lay out the first test of each kind in full, the others in one line."""
-    firsts = _firsts(processed)
-    lines = [f"\n{table(test)}\n" if test in firsts else headline(test) for test in processed]
-    return "\n".join(lines).replace("\n\n\n", "\n\n").strip()
-
-
-def _firsts(processed: Sequence[Processed]) -> list[Processed]:
-    kinds: dict[str, Processed] = {}
-    for test in processed:
-        kinds.setdefault(test.result.protocol, test)
-    return list(kinds.values())
+def _print_files(heading: str, paths: Iterable[Path]) -> None:
+    print(f"\n{heading}:")
+    print("\n".join(f"  {from_here(path)}" for path in paths))

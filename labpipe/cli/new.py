@@ -5,22 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Collection
 
-from labpipe.errors import UsageError, error_text
+from labpipe.errors import UsageError
 from labpipe.process.sheet_writing import WrittenSheet, new_from_sheet, write_inferred_sheets
 
-_OPTIONS = (
-    "protocol",
-    "type",
-    "spool",
-    "sample",
-    "length",
-    "date",
-    "operator",
-    "force",
-    "markers",
-    "frame",
-    "because",
-)
+_NOT_VALUES = {"command", "folder", "sheet", "set", "overwrite"}
+"""Options that are no values of a test sheet."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -29,15 +18,15 @@ def run(options: argparse.Namespace) -> int:
         for sheet in new_from_sheet(options.sheet, options.folder, overwrite=options.overwrite):
             print(_describe(sheet, ()))
         return 0
-    typed = {name: getattr(options, name) for name in _OPTIONS}
-    values = {name: value for name, value in typed.items() if value is not None}
+    values = {
+        name: value
+        for name, value in vars(options).items()
+        if name not in _NOT_VALUES and value is not None
+    }
     for change in options.set:
         key, equals, value = change.partition("=")
         if not equals:
-            message = error_text(
-                "--set", "", expected="KEY=VALUE", found=change, remedy="For example: rig.cycles=1."
-            )
-            raise UsageError(message)
+            raise UsageError.about("cli.bad_set", "--set", found=change)
         values[key.strip()] = value.strip()
     printed: set[str] = set()
     for sheet in write_inferred_sheets(options.folder, values, overwrite=options.overwrite):

@@ -10,7 +10,7 @@ from pathlib import Path
 from labpipe.campaign.queries import escaped
 from labpipe.campaign.reporting import Reported, ReportOptions, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
-from labpipe.errors import UsageError, error_text, nearest
+from labpipe.errors import UsageError, nearest
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
@@ -41,17 +41,14 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     UsageError
         If a format of figures is unknown, or the logo is not a PNG or JPEG of the allowed size.
     """
-    formats = _list_of(options.figures)
+    formats = _list_of(getattr(options, "figures", ""))
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
-        message = error_text(
-            "--figures",
-            "",
-            expected=f"one or more of {', '.join(FORMATS)}",
+        raise UsageError.about(
+            "cli.figure_format", "--figures", known=", ".join(FORMATS),
             found=", ".join(map(repr, unknown)),
-            remedy=f"Nearest: {nearest(unknown[0], list(FORMATS), limit=1)[0]}.",
-        )
-        raise UsageError(message)
+            near=nearest(unknown[0], list(FORMATS), limit=1)[0],
+        )  # fmt: skip
     entries = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
     logo = "" if options.logo is None else read_logo(options.logo)
     return ReportOptions(
@@ -61,7 +58,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
         wires=options.wire,
         letterhead=Letterhead(tuple((name, text) for name, text in entries.items() if text), logo),
         formats=formats,
-        has_test_pages=options.pages,
+        has_test_pages=getattr(options, "pages", False),
     )
 
 

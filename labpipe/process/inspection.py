@@ -11,8 +11,14 @@ from typing import Any
 import numpy as np
 
 from labpipe.readers import recognise_export
-from labpipe.readers.time_axes import SAMPLED_ON_EVENT, TIME_VARIABLE, find_holes
-from labpipe.readers.tracking import blank, longest, unchanged
+from labpipe.readers.recording_checks import (
+    SAMPLED_ON_EVENT,
+    TIME_VARIABLE,
+    blank,
+    find_holes,
+    longest,
+    unchanged,
+)
 from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor

@@ -18,7 +18,7 @@ from labpipe.process.sheet_inference import (
 from labpipe.protocol.load import find_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
-from labpipe.readers.sheet_cells import Cell, read_campaign_sheet
+from labpipe.readers.workbooks import Cell, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
 
 _PLAIN = ("date", "operator")

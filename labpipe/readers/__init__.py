@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any
 
 from labpipe.errors import ReadError
-from labpipe.readers.raw_files import unreadable
 from labpipe.readers.workbooks import is_workbook, open_sheets
 from labpipe.records.quality import Severity
 from labpipe.records.recording import EXPORT_FORMATS, ExportFormat
@@ -19,14 +18,6 @@ if TYPE_CHECKING:
     from labpipe.records.recording import Recording
 
 __all__ = ["READERS", "Reader", "read_export", "recognise_export"]
-
-
-class _Module(Protocol):
-    """Interface of the module of a format."""
-
-    def recognise(self, path: Path) -> bool: ...
-
-    def read(self, path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,18 +31,20 @@ class Reader:
         """Return the name of the format, as in protocols."""
         return self.format.name
 
+    @property
+    def module(self) -> Any:
+        """Return its module, which has the functions `recognise` and `read`."""
+        return import_module(self.format.module)
+
     def recognise(self, path: Path) -> bool:
         """Return whether the content of a file is of this format."""
         is_of_kind = self.format.is_workbook if is_workbook(path) else self.format.is_text
-        return is_of_kind and self._module.recognise(path)
+        return is_of_kind and bool(self.module.recognise(path))
 
-    def read(self, path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
+    def read(self, path: Path, **choices: object) -> Recording:
         """Read a file; faults of the time axis become notes of severity error."""
-        return self._module.read(path, channels=channels)
-
-    @property
-    def _module(self) -> _Module:
-        return cast("_Module", import_module(self.format.module))
+        recording: Recording = self.module.read(path, **choices)
+        return recording
 
 
 READERS: dict[str, Reader] = {
@@ -82,9 +75,9 @@ def recognise_export(path: Path) -> Reader:
         open_sheets(path)  # raises if it cannot be opened
     from labpipe.readers.unknown_files import describe_unknown
 
-    unknown = describe_unknown(path)
-    expected = f"an export of a known format ({', '.join(READERS)})"
-    raise unreadable(path, "", expected, unknown.what, unknown.remedy)
+    what, remedy = describe_unknown(path)
+    formats = ", ".join(READERS)
+    raise ReadError.about("readers.unknown_format", path, formats=formats, what=what, remedy=remedy)
 
 
 def read_export(
@@ -119,20 +112,13 @@ def read_export(
     allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
     export_reader = _find_reader(path, allowed, dialect)
     if export_reader.name not in allowed:
-        expected = f"a file of the format {' or '.join(allowed)}"
-        remedy = "Name the right file, or change `reader` in the protocol."
-        raise unreadable(path, "", expected, f"one of the format {export_reader.name}", remedy)
-    if export_reader.name == "load-frame":
-        from labpipe.readers import load_frame
-
-        recording = load_frame.read(path, channels=channels, dialect=dialect, part=part)
-    else:
-        recording = export_reader.read(path, channels=channels)
+        names, name = " or ".join(allowed), export_reader.name
+        raise ReadError.about("readers.other_format", path, allowed=names, name=name)
+    choices = {"dialect": dialect, "part": part} if export_reader.name == "load-frame" else {}
+    recording = export_reader.read(path, channels=channels, **choices)
     for note in recording.notes:
         if note.severity is Severity.ERROR:
-            expected = "time that increases from sample to sample"
-            remedy = "Export the recording again; it cannot be processed as it is."
-            raise unreadable(path, note.where, expected, note.message, remedy)
+            raise ReadError.about("readers.unusable_time", path, note.where, note=note.message)
     return recording
 
 

@@ -6,11 +6,12 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
+from itertools import product
 from typing import TypeAlias
 
-from labpipe.errors import ReadError, error_text, nearest
+from labpipe.errors import ReadError, nearest
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Recording
 
 ReportOptions: TypeAlias = str | tuple[str, ...]
@@ -25,23 +26,16 @@ _MAX_NOTED = 3
 class NoChannelError(ReadError):
     """A name matches no channel of an export, or more than one.
 
-    Parameters
+    Attributes
     ----------
-    message : the message
     wanted : the wanted names
     parts : specimens or sheets of a load-frame export that each have such a channel; empty if the
         error has another cause
     """
 
     code = "missing_channel"
-
-    def __init__(self, message: str, wanted: tuple[str, ...], parts: tuple[str, ...] = ()) -> None:
-        super().__init__(message)
-        self.wanted, self.parts = wanted, parts
-
-    def __reduce__(self) -> tuple[type[NoChannelError], tuple[object, ...]]:
-        """Support pickling between processes."""
-        return type(self), (str(self), self.wanted, self.parts)
+    wanted: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
 
 
 def select_channel(recording: Recording, wanted: ReportOptions, file: object) -> Channel:
@@ -100,7 +94,8 @@ def find_in_parts(
     except NoChannelError as error:
         clocks = dict.fromkeys(channel.clock for channel in channels)
         parts = tuple(part for part in clocks if _has_channel(error.wanted, part, channels))
-        raise NoChannelError(str(error), error.wanted, parts if len(parts) > 1 else ()) from error
+        error.parts = parts if len(parts) > 1 else ()
+        raise
 
 
 def _has_channel(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
@@ -128,30 +123,25 @@ def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: 
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
     paths = [path for _, path in pairs]
-    for matches in (_exact, _loose):
-        for name in names:
-            indices = matches(name, pairs)
-            if len(indices) == 1:
-                return indices[0]
-            if indices:
-                same = _quoted_list([paths[i] for i in indices])
-                message = error_text(
-                    file,
-                    f"channel {name!r}",
-                    expected="a name that only one channel has",
-                    found=f"{len(indices)} channels of that name",
-                    remedy=f"Give the full path, one of: {same}.",
-                )
-                raise NoChannelError(message, names)
-    close = list(dict.fromkeys(near for name in names for near in nearest(name, paths)))[:5]
-    remedy = "The file holds no channels."
-    if close:
-        remedy = f"Nearest: {_quoted_list(close)}. `labpipe inspect` lists them all."
-    place = f"channel {' or '.join(map(repr, names[:6]))}"
-    place += f" or {len(names) - 6} more" if len(names) > 6 else ""
-    expected = f"one of the {len(paths)} channels of the file"
-    message = error_text(file, place, expected=expected, found="no such channel", remedy=remedy)
-    raise NoChannelError(message, names)
+    for matches, name in product((_exact, _loose), names):
+        indices = matches(name, pairs)
+        if len(indices) == 1:
+            return indices[0]
+        if indices:
+            same, place = _quoted_list([paths[i] for i in indices]), f"channel {name!r}"
+            error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=same)
+            break
+    else:
+        near = dict.fromkeys(path for name in names for path in nearest(name, paths))
+        shown, place = (
+            _quoted_list([*near][:5]) or "none",
+            f"channel {' or '.join(map(repr, names[:6]))}",
+        )
+        error = NoChannelError.about(
+            "readers.no_channel", file, place, count=len(paths), near=shown
+        )
+    error.wanted = names
+    raise error
 
 
 def is_exact_name(wanted: ReportOptions, channel: Channel) -> bool:
@@ -230,31 +220,25 @@ def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
     -------
     Notes ``constant_channel``, ``units_not_stated`` and ``names_not_unique``.
     """
-    total, notes = len(channels), []
-
-    def add(code: str, message: str) -> None:
-        notes.append(QualityNote(code, Severity.INFO, "channels", message))
-
-    constant = [channel.path for channel in channels if _is_constant(channel.values)]
-    if constant:
-        shown = _first_paths(constant)
-        add("constant_channel", f"{len(constant)} of {total} channels never change: {shown}")
-    without_unit = [channel.path for channel in channels if not channel.unit_in_file]
-    if without_unit and len(without_unit) == total:
-        add("units_not_stated", "the export states no units; the protocol must")
-    elif without_unit:
-        shown = f"{len(without_unit)} of {total} channels: {_first_paths(without_unit)}"
-        add("units_not_stated", f"no unit is stated for {shown}")
+    notes, total = [], len(channels)
+    if constant := [channel.path for channel in channels if _is_constant(channel.values)]:
+        which = _first_paths(constant, total)
+        notes.append(QualityNote.of("readers.constant_channel", "channels", which=which))
+    if without_unit := [channel.path for channel in channels if not channel.unit_in_file]:
+        which = _first_paths(without_unit, total)
+        notes.append(QualityNote.of("readers.units_not_stated", "channels", which=which))
     names = Counter(channel.name for channel in channels)
-    shared = [f"{count} are called '{name}'" for name, count in names.items() if count > 1]
-    if shared:
-        shown = ", ".join(shared[:_MAX_NOTED])
-        add("names_not_unique", f"of {total} channels {shown}: distinguish them by path")
+    if shared := [f"{count} are called '{name}'" for name, count in names.items() if count > 1]:
+        which = f"of {total} channels {', '.join(shared[:_MAX_NOTED])}"
+        notes.append(QualityNote.of("readers.names_not_unique", "channels", which=which))
     return notes
 
 
-def _first_paths(paths: list[str]) -> str:
-    return _quoted_list(paths[:_MAX_NOTED]) + (" ..." if len(paths) > _MAX_NOTED else "")
+def _first_paths(paths: list[str], total: int) -> str:
+    if len(paths) == total:
+        return "any channel"
+    more = " ..." if len(paths) > _MAX_NOTED else ""
+    return f"{len(paths)} of {total} channels: {_quoted_list(paths[:_MAX_NOTED])}{more}"
 
 
 def _is_constant(values: Floats) -> bool:

@@ -6,20 +6,20 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from email.utils import parsedate
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 
+from labpipe.errors import ReadError
 from labpipe.readers.channels import ReportOptions, channel_notes, find_channel, unique_names
-from labpipe.readers.raw_files import unreadable
-from labpipe.readers.time_axes import clock_notes
+from labpipe.readers.recording_checks import clock_notes
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 
 _PROGRAM_VERSION = re.compile(r"ControlDesk version:\s*([\w.]+)")
-_SAVED = re.compile(r"Created on: \w{3} (\w{3}) +(\d{1,2}) [\d:]+ (\d{4})")
-_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,6 @@ class Export:
     origin : the export's text on model and program
     metadata : its properties
     notes : notes from its header
-    start : s, stated start time; None if not stated
     """
 
     axes: Sequence[tuple[str, Callable[[], object]]]
@@ -61,7 +60,6 @@ class Export:
     origin: str
     metadata: Mapping[str, object]
     notes: Sequence[QualityNote] = ()
-    start: float | None = None
 
 
 def load_export(
@@ -98,23 +96,10 @@ def load_export(
     ]
     used = range(len(names)) if channels is None else sorted({t.clock for t in traces})
     clocks = {i: Clock(names[i], _samples(export.axes[i][1]())) for i in used}
-    notes = [*export.notes]
-    if len(names) > 1:
-        message = f"{len(names)} time axes: {', '.join(names)}"
-        notes.append(QualityNote("several_clocks", Severity.INFO, "file", message))
-    broken = [trace.path for trace in traces if "\\n" in trace.path]
-    if broken:
-        message = f"a path holds the two characters backslash-n: '{broken[0]}'"
-        notes.append(QualityNote("line_break_in_path", Severity.INFO, "channels", message))
-    for clock in clocks.values():
-        notes += clock_notes(clock)
-    if export.start is not None and clocks:
-        notes += _start_note(next(iter(clocks.values())), export.start)
-    loaded = []
-    for trace in traces:
-        channel, its_notes = _channel(trace, clocks[trace.clock], path)
-        loaded.append(channel)
-        notes += its_notes
+    channels_and_notes = [_channel(trace, clocks[trace.clock], path) for trace in traces]
+    loaded = [channel for channel, _ in channels_and_notes]
+    notes = [note for clock in clocks.values() for note in clock_notes(clock)]
+    notes += [note for _, its_notes in channels_and_notes for note in its_notes]
     version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
         reader=reader,
@@ -123,7 +108,7 @@ def load_export(
         clocks=tuple(clocks.values()),
         channels=tuple(loaded),
         metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
-        notes=(*notes, *channel_notes(loaded)),
+        notes=(*export.notes, *notes, *channel_notes(loaded)),
     )
 
 
@@ -131,31 +116,21 @@ def _samples(values: object) -> Floats:
     return np.asarray(values, dtype=np.float64).ravel()
 
 
-def _start_note(clock: Clock, stated: float) -> list[QualityNote]:
-    """Compare the stated start with the first time axis, to within half a step."""
-    first, second = clock.time[:2] if len(clock.time) > 1 else (stated, stated)
-    if abs(stated - first) <= 0.5 * abs(second - first):
-        return []
-    message = f"StartTimestamp says {stated:.7g} s, the time axis begins at {first:.7g} s: kept"
-    return [QualityNote("start_differs", Severity.INFO, f"clock {clock.name}", message)]
-
-
 def _channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[QualityNote]]:
     """Load a channel; infinities become NaN, which are noted."""
     values = _samples(trace.load())
-    if len(values) != len(clock.time):
-        expected = f"{len(clock.time)} samples as on its time axis '{clock.name}'"
-        remedy = "Export the recording again; the file may have been edited."
-        raise unreadable(path, f"channel '{trace.path}'", expected, f"{len(values)}", remedy)
-    infinite, blank = int(np.isinf(values).sum()), np.flatnonzero(~np.isfinite(values))
-    notes = []
-    if infinite:
+    total, notes = len(values), []
+    if total != len(clock.time):
+        place, wanted = f"channel '{trace.path}'", len(clock.time)
+        raise ReadError.about(
+            "readers.channel_length", path, place, wanted=wanted, axis=clock.name, total=total
+        )
+    if len(blank := np.flatnonzero(~np.isfinite(values))):
         values = np.where(np.isinf(values), np.nan, values)
-    if len(blank):
-        message = f"{len(blank)} of {len(values)} samples are not numbers"
-        message += f" ({infinite} of them infinite)" if infinite else ""
-        message += f", the first at sample {blank[0] + 1}"
-        notes.append(QualityNote("not_finite", Severity.WARNING, trace.path, message))
+        count, first = len(blank), blank[0] + 1
+        notes.append(
+            QualityNote.of("readers.not_finite", trace.path, count=count, total=total, first=first)
+        )
     unit = trace.unit_in_file
     return Channel(trace.name, trace.path, values, clock=clock.name, unit_in_file=unit), notes
 
@@ -185,10 +160,8 @@ def day_of_saving(header: str) -> date | None:
     -------
     The day; None if there is none.
     """
-    match = _SAVED.search(header)
-    if match is None or match[1] not in _MONTHS:
-        return None
-    return _day(int(match[3]), _MONTHS.index(match[1]) + 1, int(match[2]))
+    parsed = parsedate(header.partition("Created on: ")[2])
+    return _day(*parsed[:3]) if parsed else None
 
 
 def written_date(text: str, near: date | None) -> str:
@@ -208,21 +181,17 @@ def written_date(text: str, near: date | None) -> str:
     >>> written_date("4-5-2023 17:30:33", date(2023, 5, 4))
     '2023-05-04'
     """
-    # Of a day, a month or a year.
-    max_digits = 4
     max_days_to_saving = 7
-    digits = re.findall(r"\d+", text)[:3]
-    if len(digits) < 3 or near is None or max(map(len, digits)) > max_digits:
+    if near is None:
         return ""
-    a, b, c = map(int, digits)
-    orders = [(a, b, c)] if a > 31 else [(c, a, b), (c, b, a)]
+    orders = permutations(re.findall(r"\d+", text)[:3])
     days = [day for order in orders if (day := _day(*order)) is not None]
-    days.sort(key=lambda day: abs((day - near).days))
-    return days[0].isoformat() if days and abs((days[0] - near).days) <= max_days_to_saving else ""
+    day = min(days, key=lambda day: abs((day - near).days), default=date.max)
+    return day.isoformat() if abs((day - near).days) <= max_days_to_saving else ""
 
 
-def _day(year: int, month: int, day: int) -> date | None:
+def _day(*parts: str | int) -> date | None:
     try:
-        return date(year, month, day)
-    except ValueError:
+        return date(*map(int, parts))
+    except (TypeError, ValueError, OverflowError):
         return None

@@ -36,10 +36,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.errors import nearest
+from labpipe.errors import ReadError, nearest
 from labpipe.readers.number_table import Body, read_columns, sheet_text
-from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content, unreadable
-from labpipe.readers.sheet_cells import workbook_cells
+from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content
 from labpipe.readers.text_cells import (
     NUMERAL,
     are_units,
@@ -50,7 +49,7 @@ from labpipe.readers.text_cells import (
     split_line,
     without_brackets,
 )
-from labpipe.readers.workbooks import is_workbook, open_sheets
+from labpipe.readers.workbooks import is_workbook, open_sheets, workbook_cells
 from labpipe.records.arrays import Floats
 from labpipe.units import si_factor, whole_number
 
@@ -58,7 +57,6 @@ __all__ = ["CurveColumn", "read_curve"]
 
 MIN_CURVE_POINTS = 3
 """Points of a curve."""
-_ENCODINGS = ("utf-8", "latin-1")
 _USUAL_NAMES = {
     "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
     "force": ("force", "tip force"),
@@ -68,10 +66,6 @@ HALF_MODEL_SUFFIX = "HALF"
 """Suffix of the name of a set whose force is that of a half model."""
 _HEADING = re.compile(r"\s*+([^\s(][^(]*)\((\w+,\w+,\w+)\) for set (\S+) and time\s++(\S+)\s*+")
 _DEFLECTION, _FORCE = "displacements", "total force"
-_RUN_AGAIN = "Run ccx again; the file may have been cut off."
-_PRINT_REMEDY = (
-    "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,36 +136,38 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     wanted = (deflection, force)
     columns = [_find_column(table, column) for column in wanted]
     if columns[0] == columns[1]:
-        found, remedy = f"column {columns[0] + 1} for both", "Name another one for the force."
-        raise unreadable(path, table.head, "two columns", found, remedy)
+        raise ReadError.about("readers.one_column_twice", path, table.head, number=columns[0] + 1)
     factors = [_unit_factor(table, i, column) for i, column in zip(columns, wanted, strict=True)]
     rows, points = _points(table, columns)
-    places = [[f"{table.body.place(row)}, column {i + 1}" for i in columns] for row in rows]
     across, up = (
         column.sign * factor * values
         for column, factor, values in zip(wanted, factors, points, strict=True)
     )
-    turns = np.flatnonzero(np.diff(across) <= 0.0)
-    if len(turns):
-        remedy = "Keep the first loading only, its points in order, each deflection once."
-        if across[-1] < across[0]:
-            remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
-        before, here = (1e3 * across[turns[0] + i] for i in (0, 1))
-        expected = f"a deflection above the one before ({before:.6g} mm)"
-        raise unreadable(path, places[turns[0] + 1][0], expected, f"{here:.6g} mm", remedy)
+
+    def place(point: int, column: int) -> str:
+        return f"{table.body.place(rows[point])}, column {columns[column] + 1}"
+
+    if len(turns := np.flatnonzero(np.diff(across) <= 0.0)):
+        before, here = 1e3 * across[turns[0] :][:2]
+        raise ReadError.about(
+            "readers.deflection_counts_down"
+            if across[-1] < across[0]
+            else "readers.deflection_turns",
+            path,
+            place(turns[0] + 1, 0),
+            before=before,
+            here=here,
+        )
     top = int(np.argmax(np.abs(up)))
     if up[top] <= 0.0:
-        remedy = "If the file counts downwards, write 'sign: -1' for the force."
-        expected, found = "a largest force above zero", f"{up[top]:.6g} N"
-        raise unreadable(path, places[top][1], expected, found, remedy)
+        raise ReadError.about("readers.force_counts_down", path, place(top, 1), force=up[top])
     return across, up
 
 
 def _sheet_table(path: Path) -> _Table:
     unread = next((cell for row in workbook_cells(path) for cell in row if cell.unread), None)
     if unread is not None:
-        remedy = "Correct the cell, and save the workbook in the spreadsheet program."
-        raise unreadable(path, unread.place, "a value", unread.unread, remedy)
+        raise ReadError.about("readers.cell_without_value", path, unread.place, why=unread.unread)
     name, rows = next(iter(open_sheets(path).items()))
     return _table(lines_of(sheet_text(rows)), "\t", path, f"sheet '{name}'")
 
@@ -179,9 +175,8 @@ def _sheet_table(path: Path) -> _Table:
 def _text_table(path: Path) -> _Table:
     content = read_content(path)
     if is_binary(content):
-        remedy = "Save the curve as csv or xlsx."
-        raise unreadable(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
-    lines = lines_of(decode(content.data, content, _ENCODINGS, path))
+        raise ReadError.about("readers.binary_curve", path)
+    lines = lines_of(decode(content.data, content, ("utf-8", "latin-1"), path))
     if is_calculix(lines):
         lines = _tip_lines(lines, path)
     return _table(lines, "\t;, ", path)
@@ -200,8 +195,7 @@ def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -
         if first is not None:
             break
     else:
-        remedy = "Give deflection and force in two columns, one row per point."
-        raise unreadable(path, "", "rows of numbers", "none", remedy)
+        raise ReadError.about("readers.no_curve", path)
     above = [i for i, row in enumerate(rows[:first]) if any(row)]
     units: list[str] = []
     if len(above) > 1 and are_units(rows[above[-1]]):
@@ -226,27 +220,17 @@ def _points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floa
     """Return the rows with values, and both columns."""
     body = replace(table.body, columns=sorted(columns))
     arrays, notes = read_columns(body, table.path)
-    for note in notes:
-        if note.code == "truncated":
-            remedy = "Export the curve again; if the line is complete, add a line end."
-            expected = "a complete last line; the numbers above it are longer"
-            place = body.place(body.data.count(b"\n"))
-            found = repr(body.data[body.data.rfind(b"\n") + 1 :].decode()[-60:])
-            raise unreadable(table.path, place, expected, found, remedy)
-        if note.code != "lines_short":
-            remedy = "Correct the rows, or remove them."
-            raise unreadable(table.path, "", "rows of finite numbers", note.message, remedy)
+    if notes:
+        raise ReadError.about("readers.rows_of_curve", table.path, note=notes[0].message)
     points = [arrays[i] for i in columns]
     blank = np.isnan(points)
-    half = np.flatnonzero(blank[0] != blank[1])
-    if len(half):
+    if len(half := np.flatnonzero(blank[0] != blank[1])):
         place = f"{body.place(int(half[0]))}, column {columns[int(blank[1, half[0]])] + 1}"
-        remedy = "Correct the row, or remove it."
-        raise unreadable(table.path, place, "a finite number", "a blank cell", remedy)
+        raise ReadError.about("readers.half_a_point", table.path, place)
     rows = np.flatnonzero(~blank[0])
     if len(rows) < MIN_CURVE_POINTS:
-        expected, remedy = f"at least {MIN_CURVE_POINTS} points", "Give more points of the curve."
-        raise unreadable(table.path, "", expected, f"{len(rows)}", remedy)
+        least, count = MIN_CURVE_POINTS, len(rows)
+        raise ReadError.about("readers.few_points", table.path, least=least, count=count)
     return rows.tolist(), [values[rows] for values in points]
 
 
@@ -261,21 +245,18 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
     ]
     if len(matches) == 1:
         return matches[0]
-    if matches:
-        text = f"{len(matches)}: columns {', '.join(str(i + 1) for i in matches)}"
-        remedy = "Give the number of the right one."
-        raise unreadable(table.path, table.head, f"one column {names[0]!r}", text, remedy)
-    width = len(table.units)
     number = whole_number(wanted.column or "")
-    if number is not None and 1 <= number <= width:
+    if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
-    if not table.names:
-        remedy = f"Number it in the plan, such as {wanted.what}: {{column: 1, unit: mm}}."
-        expected = f"a row of names above the numbers, with a column {names[0]!r}"
-        raise unreadable(table.path, table.head, expected, "numbers alone", remedy)
-    remedy = f"Name it in the plan, such as {wanted.what}: {{column: U2, unit: {wanted.example}}}."
-    found = ", ".join(repr(name) for name in nearest(names[0], [*filter(None, table.names)]))
-    raise unreadable(table.path, table.head, f"a column {names[0]!r}", found, remedy)
+    near = ", ".join(map(repr, nearest(names[0], [*filter(None, table.names)])))
+    raise ReadError.about(
+        "readers.several_columns" if matches else "readers.no_column",
+        table.path,
+        table.head,
+        name=names[0],
+        found=", ".join(str(i + 1) for i in matches) or near or "numbers alone",
+        entry=f"{wanted.what}: {{column: 1, unit: {wanted.example}}}",
+    )
 
 
 def _split_unit(text: str, si_unit: str) -> tuple[str, str]:
@@ -297,18 +278,15 @@ def _unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
     stated = _split_unit(head, wanted.si_unit)[1] or table.units[at]
     place = f"{table.head}, column {at + 1}"
     unit = wanted.unit or stated
-    if not unit:
-        expected = f"a unit of the {wanted.what}"
-        remedy = f"Write it in the heading ({wanted.what} / {wanted.example}) or in the plan."
-        raise unreadable(table.path, place, expected, f"none in {head!r}", remedy)
     for text in {unit, stated or unit}:
         if not has_dimension_of(text, wanted.si_unit):
-            expected = f"a unit of the {wanted.what}, such as {wanted.example}"
-            raise unreadable(table.path, place, expected, f"{text!r}", "Correct the heading.")
+            what, example = wanted.what, wanted.example
+            raise ReadError.about(
+                "readers.unit_of_column", table.path, place, what=what, example=example, unit=text
+            )
     factor = si_factor(unit, wanted.si_unit)
     if stated and not math.isclose(si_factor(stated, wanted.si_unit), factor):
-        remedy = "Correct the one that is wrong."
-        raise unreadable(table.path, place, f"{unit!r}, as in the plan", f"{stated!r}", remedy)
+        raise ReadError.about("readers.other_unit", table.path, place, unit=unit, stated=stated)
     return factor
 
 
@@ -336,25 +314,13 @@ def _tip_lines(lines: Sequence[str], path: Path) -> list[str]:
     """Return lines of deflection and force of the tip, with units and line numbers of the file."""
     blocks = list(_blocks(lines, path))
     names = sorted({block.set_name for block in blocks})
-    if len(names) > 1:
-        raise unreadable(path, "", "one set of nodes", ", ".join(names), _PRINT_REMEDY)
     deflections, forces = (
         [block for block in blocks if block.quantity == quantity]
         for quantity in (_DEFLECTION, _FORCE)
     )
-    for quantity, printed in ((_DEFLECTION, deflections), (_FORCE, forces)):
-        if not printed:
-            found = f"only {', '.join(sorted({block.quantity for block in blocks}))}"
-            raise unreadable(path, "", f"blocks '{quantity}'", found, _PRINT_REMEDY)
-    times = [[block.time for block in printed] for printed in (deflections, forces)]
-    for block in (*deflections, *forces):
-        if not all(block.time in others for others in times):
-            expected = f"displacements and total force at time {block.time}"
-            found = f"only {block.quantity}"
-            raise unreadable(path, f"line {block.line}", expected, found, _RUN_AGAIN)
-    if times[0] != times[1]:
-        found = f"{len(deflections)} and {len(forces)} in another order"
-        raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)
+    if len(names) > 1 or [block.time for block in deflections] != [block.time for block in forces]:
+        found = f"{len(deflections)} and {len(forces)} of the sets {', '.join(names)}"
+        raise ReadError.about("readers.calculix_blocks", path, found=found)
     share = 2.0 if names[0].upper().endswith(HALF_MODEL_SUFFIX) else 1.0
     table = [""] * (len(lines) + 1)
     table[0] = "deflection / m\tforce / N"
@@ -371,14 +337,13 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
         quantity, _, set_name, time = (group.strip() for group in match.groups())
         second = 2 if quantity != _FORCE else 1  # behind the number of the node
         values, filled = [], [i for i in range(start + 1, end) if lines[i].strip()]
-        if not filled:
-            expected = f"numbers under '{quantity}'"
-            raise unreadable(path, f"line {start + 1}", expected, "none", _RUN_AGAIN)
-        for i in filled:
+        for i in filled or [start]:
             cells = lines[i].split()
             # Exponents of very small numbers beside it may lack the letter.
-            if len(cells) != second + 2 or not NUMERAL["."].fullmatch(cells[second]):
-                found = repr(lines[i].strip()[:60])
-                raise unreadable(path, f"line {i + 1}", f"{second + 2} numbers", found, _RUN_AGAIN)
+            if not filled or len(cells) != second + 2 or not NUMERAL["."].fullmatch(cells[second]):
+                count, line = second + 2, lines[i].strip()[:60]
+                raise ReadError.about(
+                    "readers.calculix_line", path, f"line {i + 1}", count=count, line=line
+                )
             values.append(float(cells[second]))
         yield _Block(quantity, set_name, time, filled[0] + 1, sum(values) / len(values))

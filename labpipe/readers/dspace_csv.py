@@ -26,17 +26,17 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
+from labpipe.errors import ReadError
 from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import Export, Trace, load_export, written_date
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import read_head, reading, unreadable
+from labpipe.readers.raw_files import read_content, read_head, reading
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from labpipe.units import whole_number
 
 _SAMPLES_MARK = b"\ntrace_values"
 _NAMES = "trace_names"
-_EXPORT_AGAIN = "Export the recording from ControlDesk as CSV again."
 _TRACE_PROPERTIES = (
     *("devices", "raster", "description", "displayidentifier", "path", "flags"),
     *("min", "max", "minWeak", "maxWeak"),
@@ -66,22 +66,18 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     ReadError
         If a row of properties, the samples or a wanted channel is missing or damaged.
     """
-    read_head(path)
-    with reading(path, "a readable file"):
-        content = path.read_bytes().removeprefix(BOM_UTF8)
+    content = read_content(path).data
     above, mark, data = (b"\n" + content).partition(_SAMPLES_MARK)
     if not mark:
-        last_line = content.count(b"\n") + 1
-        expected = "a line that begins with trace_values"
-        raise unreadable(path, f"line {last_line}", expected, "none", _EXPORT_AGAIN)
+        line = content.count(b"\n") + 1
+        raise ReadError.about("readers.no_trace_values", path, f"line {line}")
     with reading(path, "rows of properties"):
         text = above[1:].decode("utf-8", errors="replace")
         rows = list(csv.reader(io.StringIO(text, newline="")))
     properties = {row[0]: row[1:] for row in rows if row and row[0]}
     names = properties.get(_NAMES, [])
     if not names:
-        expected = "a row trace_names with one cell per trace"
-        raise unreadable(path, f"lines 1 to {len(rows)}", expected, "none", _EXPORT_AGAIN)
+        raise ReadError.about("readers.no_trace_names", path, f"lines 1 to {len(rows)}")
     body = Body(
         data=data,
         names=("", "time", *names[1:]),
@@ -106,7 +102,6 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
         origin=general.get("Origin", ""),
         metadata={"date": written_date(general.get("DateTime", ""), saved), **about},
         notes=notes,
-        start=None,  # the axis begins at 0 whatever StartTimestamp says (25.1)
     )
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
 

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.errors import ReadError
 from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import (
     Export,
@@ -39,8 +40,8 @@ from labpipe.readers.controldesk import (
     to_json,
     written_date,
 )
-from labpipe.readers.raw_files import read_head, reading, unreadable
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.readers.raw_files import read_head, reading
+from labpipe.records.quality import QualityNote
 
 if TYPE_CHECKING:
     import h5py
@@ -59,7 +60,6 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _REVISION = re.compile(r"Revision (\d+\.\d+)")
 _QUOTED = re.compile(r'"([^"]*)"$')
 _KNOWN_REVISIONS = frozenset({"2.0", "2.1"})
-_EXPORT_AGAIN = "Export the recording from ControlDesk again."
 _MAX_EAGER = 64
 """Elements; larger arrays are read on demand."""
 
@@ -188,30 +188,28 @@ def _find_recording(
     if len(structs) == 1:
         return next(iter(structs.items()))
     names = ", ".join(list(structs or variables)[:5]) or "nothing"
-    found = f"{len(structs)} among the variables {names}" if structs else f"only {names}"
-    expected = "one variable with the fields X and Y, as ControlDesk writes it"
-    raise unreadable(path, "", expected, found, "Export the recording from ControlDesk as MAT.")
+    raise ReadError.about("readers.no_struct", path, count=len(structs), names=names)
 
 
 def _parse(name: str, tree: Mapping[str, MatValue], created: str, path: Path) -> Export:
     axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
     general = _nested(tree, "Description", "General")
     written = _text(general, "DateTime") or _text(_nested(tree, "Capture"), "DateTime")
-    metadata = {
-        "variable": name,
-        "created": created,
-        "revision": _revision(tree, path),
-        "date": written_date(written, day_of_saving(created)),
-        **{key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}},
-    }
-    start = _nested(tree, "Description", "Measurement").get("StartTimestamp")
+    revision = _revision(tree, path)
+    is_known = revision in _KNOWN_REVISIONS
+    note = QualityNote.of("readers.revision_unseen", "file", revision=revision or "not stated")
     return Export(
         axes=[(_text(axis, "Raster"), _loader(axis, "X", path)) for axis in axes],
         traces=[_trace(item, len(axes), path) for item in traces],
         origin=_text(general, "Origin"),
-        metadata=metadata,
-        notes=_notes(metadata, path),
-        start=_number(start),
+        metadata={
+            "variable": name,
+            "created": created,
+            "revision": revision,
+            "date": written_date(written, day_of_saving(created)),
+            **{key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}},
+        },
+        notes=() if is_known else (note,),
     )
 
 
@@ -219,8 +217,7 @@ def _structs(tree: Mapping[str, MatValue], field: str, path: Path) -> list[dict[
     items = tree[field]
     if isinstance(items, list) and all(isinstance(item, dict) and "Data" in item for item in items):
         return items
-    expected = "a struct with the field Data"
-    raise unreadable(path, f"field {field}", expected, "something else", _EXPORT_AGAIN)
+    raise ReadError.about("readers.no_data", path, f"field {field}")
 
 
 def _trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
@@ -229,10 +226,8 @@ def _trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
     full = f"{folder}/{port}" if folder else port
     index = _number(item.get("XIndex", 1))
     if index is None or not 1 <= index <= n_axes or index != int(index):
-        place, found = f"channel '{full}', XIndex", str(to_json(item.get("XIndex")))
-        raise unreadable(
-            path, place, f"the number of a time axis, 1 to {n_axes}", found, _EXPORT_AGAIN
-        )
+        place, found = f"channel '{full}', XIndex", to_json(item.get("XIndex"))
+        raise ReadError.about("readers.no_axis", path, place, count=n_axes, index=found)
     return Trace(
         name=quoted.group(1) if quoted else port,
         path=full,
@@ -285,21 +280,8 @@ def _revision(tree: Mapping[str, MatValue], path: Path) -> str:
     if None not in numbers:
         revision = ".".join(f"{number:g}" for number in numbers)
     if revision and not revision.startswith("2."):
-        remedy = "Export the recording with ControlDesk 7 as MAT."
-        raise unreadable(path, "Info", "a file format revision 2.x", revision, remedy)
+        raise ReadError.about("readers.revision", path, "Info", revision=revision)
     return revision
-
-
-def _notes(metadata: Mapping[str, object], path: Path) -> list[QualityNote]:
-    notes: list[QualityNote] = []
-    name, revision = str(metadata["variable"]), metadata["revision"]
-    if name != path.stem:
-        message = f"the variable is called '{name}', not after the file"
-        notes.append(QualityNote("variable_name_differs", Severity.INFO, "file", message))
-    if revision not in _KNOWN_REVISIONS:
-        message = f"file format revision {revision or 'not stated'}: only 2.0 and 2.1 are known"
-        notes.append(QualityNote("revision_unseen", Severity.WARNING, "file", message))
-    return notes
 
 
 @dataclass(slots=True)
@@ -316,17 +298,14 @@ class _Cursor:
             message = f"ends after {len(self.data)} bytes, within the tag of an element"
             raise ValueError(message)
         kind, size = struct.unpack_from(self.order + "II", self.data, self.at)
-        start, padded = self.at + 8, 8
+        start = self.at + 8
+        padded = size if kind == _COMPRESSED else -(-size // 8) * 8
         if kind >> 16:  # small element: one word with size and type, then its data
-            size, kind, start = kind >> 16, kind & 0xFFFF, self.at + 4
-        elif kind != _COMPRESSED:
-            padded += -(-size // 8) * 8
-        else:
-            padded += size
+            size, kind, start, padded = kind >> 16, kind & 0xFFFF, self.at + 4, 0
         if start + size > len(self.data):
             message = f"an element of {size} bytes with {len(self.data) - start} bytes left"
             raise ValueError(message)
-        self.at = min(self.at + padded, len(self.data))
+        self.at = min(self.at + 8 + padded, len(self.data))
         return kind, self.data[start : start + size]
 
     def numbers(self) -> np.ndarray:

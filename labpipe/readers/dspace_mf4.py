@@ -21,19 +21,19 @@ import logging
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, redirect_stdout, suppress
+from contextlib import closing, contextmanager, redirect_stdout
 from html import unescape
-from io import StringIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from traceback import walk_tb
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ReadError, error_text
+from labpipe.errors import ReadError
 from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import Export, Trace, load_export
-from labpipe.readers.raw_files import DAMAGE_ERRORS, read_head, reading
+from labpipe.readers.raw_files import read_head, reading
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 
@@ -62,7 +62,6 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     ReadError
         If asammdf is not installed, the file is damaged, or a wanted channel is missing.
     """
-    read_head(path)
     with _open_file(path) as file:
         return load_export(_parse(file), reader="dspace-mf4", path=path, channels=channels)
 
@@ -73,52 +72,32 @@ def _open_file(path: Path) -> Iterator[Any]:
         warnings.simplefilter("ignore")  # about optional parts of asammdf
         try:
             from asammdf import MDF
-            from asammdf.blocks.utils import MdfException
         except ImportError as error:
-            raise ReadError(_not_installed(path)) from error
+            raise ReadError.about("readers.no_asammdf", path) from error
         logging.getLogger("asammdf").disabled = True  # it logs what is raised here
-        # For a damaged file asammdf (8.8) leaves some of its own streams open.
         with (
-            reading(path, "a whole MDF 4 file", also=(MdfException,)),
-            path.open("rb") as stream,
+            reading(path, "a whole MDF 4 file"),
             redirect_stdout(StringIO()),  # it prints the groups of a damaged file
-            closing(_open_or_close(MDF, stream, (*DAMAGE_ERRORS, MdfException))) as file,
+            closing(_open_or_close(MDF, path.read_bytes())) as file,
         ):
             yield file
 
 
-def _open_or_close(mdf: Any, stream: BinaryIO, broken: tuple[type[Exception], ...]) -> Any:
+def _open_or_close(mdf: Any, content: bytes) -> Any:
     """Open a file; close the partial object that asammdf (8.8) leaves for a damaged one.
 
     Only the traceback refers to it, and its deletion would print to stderr.
     """
     try:
-        return mdf(stream)
-    except broken as error:
+        return mdf(BytesIO(content))
+    except Exception as error:
         for frame, _ in walk_tb(error.__traceback__):
-            partial = frame.f_locals.get("self")
+            partial: Any = frame.f_locals.get("self")
             if hasattr(partial, "_mapped_file"):
-                _close_streams(partial)
+                partial._closed = True
+                if getattr(partial, "_tempfile", None) is not None:
+                    partial._tempfile.close()
         raise
-
-
-def _close_streams(partial: Any) -> None:
-    for name in ("_file", "_mapped_file", "_tempfile"):
-        stream = getattr(partial, name, None)
-        if stream is not None:
-            with suppress(BufferError):  # a memory map that the traceback still uses
-                stream.close()
-    partial._closed = True
-
-
-def _not_installed(path: Path) -> str:
-    return error_text(
-        path,
-        "",
-        expected="the package asammdf to read MF4",
-        found="it is not installed",
-        remedy='Run: pip install "labpipe[mf4]", or export the recording as MAT.',
-    )
 
 
 def _parse(file: Any) -> Export:
@@ -139,7 +118,6 @@ def _parse(file: Any) -> Export:
         traces=traces,
         origin=about.get("Origin", ""),
         metadata={"mdf": file.version, "start_time": file.header.start_time.isoformat(), **about},
-        start=_parse_float(about.get("StartTimestamp", "")),
     )
 
 
@@ -168,10 +146,3 @@ def _loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
         return np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)
 
     return load
-
-
-def _parse_float(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None

@@ -23,7 +23,7 @@ import csv
 import re
 from codecs import BOM_UTF8
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,13 +32,12 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ReportOptions
 from labpipe.readers.number_table import Body, read_columns, rows_note, sheet_columns
-from labpipe.readers.raw_files import read_head, reading, unreadable
+from labpipe.readers.raw_files import read_content, read_head, reading
+from labpipe.readers.recording_checks import clock_notes, track_notes
 from labpipe.readers.text_cells import as_text
-from labpipe.readers.time_axes import clock_notes
-from labpipe.readers.tracking import track_notes
 from labpipe.readers.workbooks import forget_sheets, is_workbook, open_sheets
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import whole_number
 
@@ -51,7 +50,6 @@ _LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
 _KNOWN_VERSIONS = ("1.21", "1.23", "1.24", "1.25")
 """Format versions of known files."""
 _READ_TYPES = ("Marker", "Rigid Body")
-_EXPORT_AGAIN = "Export the take from Motive as CSV again."
 _LABELS = ("Type", "Name", "ID")
 _KEYS = (
     *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate"),
@@ -99,15 +97,14 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     """
     if is_workbook(path):
         return _read_workbook(path)
-    with reading(path, "a readable file"):
-        content = path.read_bytes().removeprefix(BOM_UTF8)
+    content = read_content(path).data
     if not content.startswith(_ROW_STARTS):
         return _read_table_style(content, path)
     from labpipe.readers.motive_rows import parse_rows
 
     with reading(path, "lines of a row-style export"):
         export = parse_rows(content.decode("utf-8", errors="replace"), path)
-    return _recording("motive-csv", export.version, export.tracks, export.about, export.notes)
+    return _recording("motive-csv", *export)
 
 
 def _read_table_style(content: bytes, path: Path) -> Recording:
@@ -132,9 +129,7 @@ def _read_table_style(content: bytes, path: Path) -> Recording:
 def _read_workbook(path: Path) -> Recording:
     sheets, name = open_sheets(path), _find_sheet(path)
     if name is None:
-        remedy = "Save the sheet of the take alone as xlsx."
-        expected = "a sheet whose first cell is Format Version"
-        raise unreadable(path, "", expected, "none", remedy)
+        raise ReadError.about("readers.no_sheet_of_take", path)
     forget_sheets()
     rows = sheets[name]
     header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
@@ -147,17 +142,13 @@ def _read_workbook(path: Path) -> Recording:
 def _table_recording(
     reader: str, header: Header, columns: Columns, notes: list[QualityNote], path: Path
 ) -> Recording:
-    infinite = np.array([np.isinf(values) for values in columns.values()])
-    if infinite.any():
+    if count := sum(int(np.isinf(values).sum()) for values in columns.values()):
         columns = {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}
-        row = int(np.flatnonzero(infinite.any(axis=0))[0]) + 1
-        message = f"{int(infinite.sum())} infinite numbers count as blank, the first in data row"
-        notes = [*notes, _note("not_finite", f"{message} {row}", Severity.WARNING)]
+        notes = [*notes, QualityNote.of("readers.infinite_numbers", "take", count=count)]
     tracks, track_notes = _marker_tracks(header, columns, path)
     objects = [{"type": group.type, "name": group.name, "id": group.id} for group in header.groups]
-    about = {**header.about, "objects": objects}
     notes = [*_header_notes(header, path), *notes, *track_notes]
-    return _recording(reader, header.version, tracks, about, notes)
+    return _recording(reader, header.version, tracks, {**header.about, "objects": objects}, notes)
 
 
 def _recording(
@@ -175,12 +166,6 @@ def _recording(
         metadata=about,
         notes=(*notes, *clock_notes(Clock("frames", tracks.time)), *track_notes(tracks)),
     )
-
-
-def _note(
-    code: str, message: str, severity: Severity = Severity.INFO, where: str = "take"
-) -> QualityNote:
-    return QualityNote(code, severity, where, message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,14 +274,17 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
         length is unknown, or columns of data have no type.
     """
     about = _key_values(rows[0])
-    _check_version(about, path)
-    last = _last_row(rows, path)
+    version, unit = (about.get(key, "") for key in ("Format Version", "Length Units"))
+    if not re.fullmatch(r"1\.\d+", version):
+        raise ReadError.about("readers.take_version", path, "line 1", version=version)
+    last = next((i for i, row in enumerate(rows) if row and row[0].strip() == "Frame"), None)
+    if last is None:
+        raise ReadError.about("readers.no_row_of_frames", path, f"lines 1 to {len(rows)}")
     start, time_column = _leading_columns(rows[last])
     labels = _labels(rows[1:last], start, last, path)
-    if about.get("Length Units") not in _LENGTH_UNITS:
-        expected = f"Length Units, one of {', '.join(_LENGTH_UNITS)}"
-        found = f"'{about.get('Length Units', '')}'"
-        raise unreadable(path, "line 1", expected, found, _EXPORT_AGAIN)
+    if unit not in _LENGTH_UNITS:
+        units = ", ".join(_LENGTH_UNITS)
+        raise ReadError.about("readers.length_units", path, "line 1", units=units, unit=unit)
     groups = _groups(labels, rows[last], start, last, path)
     furthest = max((max(group.columns.values()) for group in groups), default=0)
     return Header(
@@ -316,26 +304,6 @@ def _key_values(cells: Cells) -> dict[str, str]:
         ends = [*known[1:], len(cells)]
         pairs = {cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(known, ends, strict=True)}
     return {key.strip(): value.strip().rstrip(",") for key, value in pairs.items() if key.strip()}
-
-
-def _check_version(about: Mapping[str, str], path: Path) -> None:
-    version = about.get("Format Version", "")
-    if re.fullmatch(r"1\.\d+", version):
-        return
-    found = f"'{version}'" if version else "no version"
-    remedy = "Export the take with Format Version 1.2x (Motive 2 or 3)."
-    expected = "Format Version 1.x after the first comma"
-    raise unreadable(path, "line 1", expected, found, remedy)
-
-
-def _last_row(rows: Sequence[Cells], path: Path) -> int:
-    """Return the number of the last header row, which begins with Frame."""
-    for i, row in enumerate(rows):
-        if row and row[0].strip() == "Frame":
-            return i
-    place = f"lines 1 to {len(rows)}"
-    expected, found = "a header row that begins with Frame", "none"
-    raise unreadable(path, place, expected, found, _EXPORT_AGAIN)
 
 
 def _leading_columns(row: Cells) -> tuple[int, int | None]:
@@ -364,11 +332,9 @@ def _labels(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[st
     else:
         labels = dict(zip((*_LABELS, "Quantity"), filled, strict=False))
     missing = [word for word in _LABELS if word not in labels]
-    if missing and (named or filled):
-        place = f"lines 2 to {last}"
-        expected = f"header rows {', '.join(_LABELS)}"
-        missing_text = f"none for {', '.join(missing)}"
-        raise unreadable(path, place, expected, missing_text, _EXPORT_AGAIN)
+    if missing and filled:
+        names = ", ".join(missing)
+        raise ReadError.about("readers.no_labels", path, f"lines 2 to {last}", names=names)
     return labels
 
 
@@ -387,7 +353,7 @@ def _groups(
             continue  # padding of a spreadsheet
         if not type_:
             place = f"line {last + 1}, cell {column + 1}"
-            raise unreadable(path, place, "a column with a type", "none", _EXPORT_AGAIN)
+            raise ReadError.about("readers.no_type", path, place)
         number = 0
         while (quantity, axis) in groups.get((type_, name, id_, number), {}):
             number += 1  # the same name and id again: another object
@@ -404,11 +370,9 @@ def _marker_tracks(
 ) -> tuple[MarkerTracks, list[QualityNote]]:
     """Convert columns to tracks in SI; return notes on the column of times and on rotations."""
     frames = columns[0]
-    bad = np.flatnonzero(~np.isfinite(frames))
-    if len(bad):
+    if len(bad := np.flatnonzero(~np.isfinite(frames))):
         place = f"line {header.rows + 1 + int(bad[0])}, cell 1"
-        remedy = f"{_EXPORT_AGAIN[:-1]}; the file may have been edited."
-        raise unreadable(path, place, "a frame number", "none", remedy)
+        raise ReadError.about("readers.no_frame_number", path, place)
     time, rate, notes = _time(header, columns, frames)
     markers, bodies = (
         [group for group in header.groups if group.type == kind] for kind in _READ_TYPES
@@ -428,12 +392,9 @@ def _marker_tracks(
         ),
         unit_in_file=header.about["Length Units"],
     )
-    turned = [body.name for body in bodies if _euler_axes(body, header.about)]
-    if turned:
-        message = f"Euler angles of type '{header.about['Rotation Type']}' in degrees were"
-        message += " converted to quaternions as intrinsic rotations: no real file has confirmed"
-        message += " that convention"
-        notes.append(_note("rotation_from_euler", message, Severity.WARNING, ", ".join(turned)))
+    if turned := ", ".join(body.name for body in bodies if _euler_axes(body, header.about)):
+        order = header.about["Rotation Type"]
+        notes.append(QualityNote.of("readers.rotation_from_euler", turned, order=order))
     return tracks, notes
 
 
@@ -466,33 +427,22 @@ def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     )
 
 
-def _header_notes(header: Header, path: Path) -> list[QualityNote]:
-    notes = []
+def _header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
     if header.version not in _KNOWN_VERSIONS:
-        message = f"Format Version {header.version} has not been seen in a real file:"
-        message += f" read by the rules of {', '.join(_KNOWN_VERSIONS)}"
-        notes.append(_note("version_unseen", message, Severity.WARNING, "file"))
-    take, start = (header.about.get(key, "") for key in ("Take Name", "Capture Start Time"))
+        known = ", ".join(_KNOWN_VERSIONS)
+        yield QualityNote.of("readers.version_unseen", "file", version=header.version, known=known)
+    take = header.about.get("Take Name", "")
     if take and take != path.stem:
-        message = f"the take is called '{take}', the file '{path.name}'"
-        notes.append(_note("take_name_differs", message, where="file"))
-    if start and not start.endswith((" AM", " PM")):
-        message = f"Capture Start Time '{start}': AM or PM is missing"
-        notes.append(_note("start_time_unclear", message, where="file"))
-    count = Counter(group.type for group in header.groups)
-    fitted = count.pop("Rigid Body Marker", 0)
-    if fitted:
-        message = f"{fitted} Rigid Body Marker are fitted positions, not measurements: left out"
-        notes.append(_note("fitted_markers", message, where="markers"))
-    others = [f"{n} of type {kind}" for kind, n in count.items() if kind not in _READ_TYPES]
-    if others:
-        notes.append(_note("columns_left_out", f"left out: {', '.join(others)}", where="columns"))
+        yield QualityNote.of("readers.take_name_differs", "file", take=take, file=path.name)
+    left_out = Counter(group.type for group in header.groups if group.type not in _READ_TYPES)
+    if fitted := left_out.pop("Rigid Body Marker", 0):
+        yield QualityNote.of("readers.fitted_markers", "markers", count=fitted)
+    if others := ", ".join(f"{n} of type {kind}" for kind, n in left_out.items()):
+        yield QualityNote.of("readers.columns_left_out", "columns", types=others)
     names = Counter((group.type, group.name) for group in header.groups)
     shared = [name for (kind, name), n in names.items() if n > 1 and kind in _READ_TYPES]
     if shared:
-        message = f"objects with the same name have their id added: {', '.join(shared[:5])}"
-        notes.append(_note("names_not_unique", message, where="markers"))
-    return notes
+        yield QualityNote.of("readers.objects_of_one_name", "markers", names=", ".join(shared[:5]))
 
 
 def _time(
@@ -505,26 +455,17 @@ def _time(
     written = None if header.time_column is None else columns[header.time_column]
     if header.rate is None:
         time = frames * np.nan if written is None else written
-        message = "line 1 states no Export Frame Rate: it is derived from the times"
-        return (
-            time,
-            derived_rate(time),
-            [_note("rate_not_stated", message, Severity.WARNING, where)],
-        )
+        return time, derived_rate(time), [QualityNote.of("readers.rate_not_stated", where)]
     time = frames / header.rate
     if written is None or not len(time):
         return time, header.rate, []
-    apart = np.abs(written - time)
-    if not np.isfinite(apart).all() or apart.max() > max_deviation:
-        worst = float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan
-        message = f"the column of times is up to {1e3 * worst:.4g} ms off frame / rate: kept"
-        note = _note("time_column_differs", message, Severity.WARNING, where)
+    apart = 1e3 * float(np.abs(written - time).max())  # NaN if a time is missing
+    if not apart <= 1e3 * max_deviation:
+        note = QualityNote.of("readers.time_column_differs", where, apart=apart)
         return written, header.rate, [note]
-    if apart.max() <= rounding:
+    if apart <= 1e3 * rounding:
         return time, header.rate, []
-    message = "the column of times is rounded to milliseconds"
-    message += f" (up to {1e3 * apart.max():.3g} ms off): frame / rate is used"
-    return time, header.rate, [_note("time_rounded", message, where=where)]
+    return time, header.rate, [QualityNote.of("readers.time_rounded", where, apart=apart)]
 
 
 def derived_rate(time: Floats) -> float:
@@ -549,8 +490,7 @@ def _position(group: Group, header: Header, path: Path) -> list[int]:
     if axes is None:
         place = f"line {header.rows}, {group.type} '{group.name}'"
         found = ", ".join(" ".join(key).strip() for key in group.columns)
-        expected, remedy = "the columns X, Y and Z of Position", "Export the take with positions."
-        raise unreadable(path, place, expected, found, remedy)
+        raise ReadError.about("readers.no_position", path, place, columns=found)
     return axes
 
 

@@ -3,39 +3,13 @@
 from __future__ import annotations
 
 import codecs
-import csv
-import struct
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from xml.parsers.expat import ExpatError
 
-from labpipe.errors import ReadError, error_text
+from labpipe.errors import LabpipeError, ReadError
 
-DAMAGE_ERRORS: tuple[type[Exception], ...] = (
-    OSError,  # h5py and the operating system
-    EOFError,
-    ValueError,  # also pandas' ParserError and every UnicodeError
-    LookupError,
-    TypeError,  # scipy, for an unknown tag
-    AttributeError,  # a file whose structure differs from its header
-    ArithmeticError,
-    AssertionError,
-    MemoryError,  # a damaged length
-    RuntimeError,  # h5py; NotImplementedError and RecursionError too
-    ExpatError,  # damaged XML inside an MF4
-    SyntaxError,  # as ElementTree calls damaged XML inside a workbook
-    struct.error,
-    zlib.error,
-    zipfile.BadZipFile,
-    csv.Error,
-)
-"""Errors that the format libraries raise for damaged files."""
-
-_CHECK_NAME = "Check the name and the folder."
 _EXPORT_AGAIN = "Export the recording again; the file may have been cut off while copying."
 HEAD_BYTES = 65536
 """Bytes in which the header of an export is searched."""
@@ -46,48 +20,36 @@ _BYTE_ORDER_MARKS = (
 )
 
 
-def unreadable(file: object, place: str, expected: str, found: str, remedy: str) -> ReadError:
-    """Return a ReadError; parameters as for `labpipe.errors.error_text`."""
-    return ReadError(error_text(file, place, expected=expected, found=found, remedy=remedy))
-
-
 @contextmanager
-def reading(
-    path: Path,
-    what: str,
-    *,
-    also: tuple[type[BaseException], ...] = (),
-    remedy: str = _EXPORT_AGAIN,
-) -> Iterator[None]:
+def reading(path: Path, what: str, *, remedy: str = _EXPORT_AGAIN) -> Iterator[None]:
     """Turn errors of a format library into a ReadError that names the file.
 
     Parameters
     ----------
     path : the export
     what : the expected content, such as ``a whole MAT v5 file``
-    also : further errors, of one library
     remedy : what the operator can do
 
     Raises
     ------
     ReadError
-        Instead of every error of `DAMAGE_ERRORS` and `also`.
+        Instead of every other error: libraries raise errors of any class for damaged files.
     """
     try:
         yield
+    except LabpipeError:
+        raise
     except FileNotFoundError as error:
-        found = "none of that name"
-        message = error_text(path, "", expected="a file", found=found, remedy=_CHECK_NAME)
-        raise ReadError(message, code="missing_export") from error
+        raise ReadError.about("readers.no_such_file", path) from error
     except PermissionError as error:
-        found = "one that may not be read"
-        raise unreadable(path, "", "a file", found, "Check its permissions.") from error
-    except (*DAMAGE_ERRORS, *also) as error:
+        raise ReadError.about("readers.not_permitted", path) from error
+    except Exception as error:
         if isinstance(error, OSError) and error.filename is not None:
-            found = f"one that cannot be opened ({error.strerror})"
-            raise unreadable(path, "", "a file", found, _CHECK_NAME) from error
-        first_line = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise unreadable(path, "", what, f"a damaged one ({first_line[:160]})", remedy) from error
+            raise ReadError.about("readers.cannot_open", path, reason=error.strerror) from error
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
+        raise ReadError.about(
+            "readers.damaged", path, what=what, reason=reason, remedy=remedy
+        ) from error
 
 
 def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
@@ -109,15 +71,13 @@ def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
     """
     with reading(path, "a readable file"):
         if path.is_dir():
-            remedy = "Name one of the files in it."
-            raise unreadable(path, "", "a file", "a folder", remedy)
+            raise ReadError.about("readers.folder", path)
         if path.exists() and not path.is_file():  # reading a pipe would block
-            raise unreadable(path, "", "a file", "a pipe or a device", "Name a plain file.")
+            raise ReadError.about("readers.no_plain_file", path)
         with path.open("rb") as stream:
             head = stream.read(size)
     if not head:
-        remedy = "Save or export it again."
-        raise unreadable(path, "", "a file with content", "an empty file (0 bytes)", remedy)
+        raise ReadError.about("readers.empty_file", path)
     return head
 
 
@@ -203,15 +163,10 @@ def lines_of(text: str) -> list[str]:
     return [line.rstrip("\r") for line in text.split("\n")]
 
 
-def line_start(data: bytes, lines: int) -> int:
-    """Return the offset of the line with this number, counted from 0."""
-    offset = 0
-    for _ in range(lines):
-        end = data.find(b"\n", offset)
-        if end < 0:
-            return len(data)
-        offset = end + 1
-    return offset
+def lines_from(data: bytes, number: int) -> bytes:
+    """Return the lines from the one with this number on, counted from 0."""
+    parts = data.split(b"\n", number)
+    return parts[number] if len(parts) > number else b""
 
 
 def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) -> str:
@@ -245,6 +200,4 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
         else:
             with suppress(UnicodeDecodeError):  # a character cut at the end is omitted
                 return codecs.getincrementaldecoder(encoding)().decode(data, final=False)
-    expected = f"text in {' or '.join(encodings)}"
-    remedy = "Name the encoding in a card of your own."
-    raise unreadable(path, "", expected, "other bytes", remedy)
+    raise ReadError.about("readers.encoding", path, encodings=" or ".join(encodings))

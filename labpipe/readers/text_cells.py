@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from datetime import date, time, timedelta
 
+from labpipe.errors import ReadError
 from labpipe.units import si_factor
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}([.,]\d{3})+)([eE][+-]?\d+)?")
@@ -46,22 +47,6 @@ NUMERAL = {
     for sign in DECIMAL_SIGNS
 }
 """Pattern of a number, by its decimal sign."""
-LOST_DECIMALS = (
-    "A spreadsheet read the decimal sign as a thousands separator and the numbers are lost:"
-    " export the test again and do not save it from a spreadsheet."
-)
-EXPORT_AGAIN = "Export the test again; the file may have been cut off or edited."
-_ONE_SIGN_REMEDY = (
-    "Export the test again with one decimal sign in the whole file and no thousands separator."
-)
-_TIME_STAMP_REMEDY = (
-    "Export the time in seconds since the start of the test, or name the column under `words` in a"
-    " card of your own; see docs/how-to/new-dialect.md."
-)
-_WORD_REMEDY = (
-    "Export the test again with a blank cell where a value is missing, and without rows of text"
-    " between the samples."
-)
 INFINITE_WORDS = frozenset({"inf", "infinity"})
 _GROUPED_DIGITS = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
 
@@ -109,36 +94,38 @@ def is_summary_row(row: Sequence[str]) -> bool:
     return bool(_WORD.match(first)) and not is_infinite and not is_missing(first)
 
 
-def describe_cell(cell: str, decimal: str) -> tuple[str, str, str]:
-    """Describe a cell that cannot be read as a number.
+def cell_error(cell: str, decimal: str, path: object, place: str) -> ReadError:
+    """Return the error on a cell that cannot be read as a number.
 
     Parameters
     ----------
     cell : without surrounding blanks
     decimal : decimal sign of the file
-
-    Returns
-    -------
-    Expected, found and remedy, for `labpipe.errors.error_text`.
+    path, place : of the cell
 
     Examples
     --------
-    >>> describe_cell("10:00:00.5", ".")[1], describe_cell("1.020,5", ",")[1]
-    ("'10:00:00.5', a time stamp", "'1.020,5', with a thousands separator")
+    >>> cell_error("10:00:00.5", ".", "a.csv", "line 3").args[0][:65]
+    "a.csv, line 3: expected a number with a decimal point, found '10:"
     """
-    expected, shown = f"a number with {DECIMAL_SIGNS[decimal]}", quoted([cell[:40]])
-    if NUMERAL[decimal].fullmatch(cell):
-        return "a number below 1.8e308", f"{shown}, which is too large", EXPORT_AGAIN
-    if is_grouped(cell):
-        return expected, shown, LOST_DECIMALS
-    if _TIME_STAMP.fullmatch(cell):
-        return expected, f"{shown}, a time stamp", _TIME_STAMP_REMEDY
-    other = "," if decimal == "." else "."
-    signs = [DECIMAL_SIGNS[other]] if NUMERAL[other].fullmatch(cell) else []
-    signs += ["a thousands separator"] if _THOUSANDS.fullmatch(cell) else []
-    if signs:
-        return expected, f"{shown}, with {' or '.join(signs)}", _ONE_SIGN_REMEDY
-    return expected, shown, _WORD_REMEDY if is_summary_row([cell]) else EXPORT_AGAIN
+    other = NUMERAL["," if decimal == "." else "."]
+    return ReadError.about(
+        "readers.number_too_large"
+        if NUMERAL[decimal].fullmatch(cell)
+        else "readers.lost_decimals"
+        if _GROUPED_DIGITS.fullmatch(cell)
+        else "readers.time_stamp"
+        if _TIME_STAMP.fullmatch(cell)
+        else "readers.other_signs"
+        if other.fullmatch(cell) or _THOUSANDS.fullmatch(cell)
+        else "readers.word_among_numbers"
+        if is_summary_row([cell])
+        else "readers.no_number",
+        path,
+        place,
+        sign=DECIMAL_SIGNS[decimal],
+        cell=cell[:40],
+    )
 
 
 def split_line(line: str, separator: str) -> list[str]:
@@ -179,18 +166,9 @@ def are_units(cells: Sequence[str]) -> bool:
     return bool(bare) and all(is_unit(cell) for cell in bare)
 
 
-def bare_unit(cell: str, brackets: str) -> str | None:
-    """Remove the brackets of a unit; None if required ones are missing."""
-    if not brackets:
-        return cell
-    is_in_brackets = len(cell) > 1 and cell[0] == brackets[0] and cell[-1] == brackets[1]
-    return cell[1:-1].strip() if is_in_brackets else None
-
-
 def without_brackets(cell: str) -> str:
     """Remove the brackets of a unit, if any."""
-    bare = (bare_unit(cell, brackets) for brackets in _BRACKETED)
-    return next((text for text in bare if text is not None), cell)
+    return cell[1:-1].strip() if len(cell) > 1 and cell[0] + cell[-1] in _BRACKETED else cell
 
 
 def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
@@ -205,22 +183,15 @@ def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
     -------
     Both; None if there is no unit.
     """
-    patterns = [_BRACKETED[brackets]] if brackets else list(_BRACKETED.values())
-    match = next(
-        (pattern_match for pattern in patterns if (pattern_match := pattern.fullmatch(cell))), None
-    )
-    if match is None and not brackets:
-        match = _UNIT_AFTER_MARK.fullmatch(cell)
-        match = match if match is not None and is_unit(match[2]) else None
-    return None if match is None else (match[1].strip(), match[2].strip())
+    patterns = [_BRACKETED[brackets]] if brackets else [*_BRACKETED.values(), _UNIT_AFTER_MARK]
+    for pattern in patterns:
+        match = pattern.fullmatch(cell)
+        if match and (pattern is not _UNIT_AFTER_MARK or is_unit(match[2])):
+            return match[1].strip(), match[2].strip()
+    return None
 
 
 def quoted(cells: Sequence[str]) -> str:
     """Quote cells in a message."""
     text = ", ".join(cell for cell in cells if cell)
     return f"'{text[:60]}'" if text else "nothing"
-
-
-def is_grouped(cell: str) -> bool:
-    """Return whether a cell has two thousands separators: no valid number has."""
-    return _GROUPED_DIGITS.fullmatch(cell) is not None

@@ -1,63 +1,40 @@
-"""Cells of workbooks (xlsx, xls), parsed in this process or in a child process.
+"""Cells of workbooks (xlsx, xls), read by calamine, and tables that people keep in them or in csv.
 
-The libraries allocate a table for each sheet, from its first cell to its last one: one stray cell
-in the last corner of a sheet needs hundreds of gigabytes, and the process is killed. So only a
-small xlsx whose cells are close together is parsed in this process.
+The library allocates a table for each sheet, from its first cell to its last one: one stray cell in
+the last corner of a sheet needs hundreds of gigabytes. So an xlsx whose cells are far apart is
+refused before it is parsed.
+
+A table of a person is an xlsx, or a csv separated by comma, semicolon or tab, in UTF-8.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import re
+import warnings
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError
-from labpipe.readers.raw_files import read_head, reading, unreadable
-
-if TYPE_CHECKING:
-    from python_calamine import CalamineSheet
-
+from labpipe.readers.raw_files import read_head, reading
 
 Sheets = Mapping[str, Sequence[Sequence[object]]]
-
-_CHILD = """
-import pathlib, pickle, sys
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
-except (ImportError, OSError, ValueError):
-    pass  # no such limit on this system
-from labpipe.errors import ReadError
-from labpipe.readers.workbooks import cells_of
-path = pathlib.Path(sys.argv[1])
-try:
-    sheets = cells_of(path, lambda name: print(f"sheet '{name}'", file=sys.stderr, flush=True))
-except ReadError as error:
-    sheets = error
-pickle.dump(sheets, sys.stdout.buffer, protocol=5)
-"""
-_CHILD_BYTES = 4 << 30
-"""Memory limit of a child process; the largest sheet of an old workbook needs 1 GB."""
-_CHILD_SECONDS = 120.0
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _MAX_CELLS = 10_000_000
-"""Cells allowed for any workbook: some 400 MB."""
+"""Cells allowed for any sheet: some 400 MB."""
 _MAX_SPARSITY = 20
 """Beyond that, allowed cells per filled cell."""
-_LARGE_BYTES = 2_000_000
-"""Uncompressed size of a workbook that is always parsed in a child process."""
-_FAR_CELLS_REMEDY = "Delete the rows and columns behind the table, and save the workbook."
-_CELL = re.compile(rb'<c r="([A-Z]{1,3})(\d{1,7})"')
-"""A cell as most programs write it."""
+_FILLED_CELL = re.compile(rb'<c r="([A-Z]{1,3})(\d+)"[^>/]*>(?!</c>)')
+"""Column and row of a cell with content, as most programs write it."""
 _PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
 """Name of the part of an encrypted workbook, in an old binary document."""
-_OTHER_FORMATS = {
-    "content.xml": "an OpenDocument spreadsheet (ods)",
-    "xl/workbook.bin": "a binary workbook (xlsb)",
-}
+_SEPARATORS = ",;\t"
+_NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
 
 
 def is_workbook(path: Path) -> bool:
@@ -84,7 +61,7 @@ def open_sheets(path: Path) -> Sheets:
     Raises
     ------
     ReadError
-        If it is not a complete workbook.
+        If it is not a complete workbook, or its cells are far apart.
 
     Notes
     -----
@@ -107,137 +84,55 @@ def forget_sheets() -> None:
 def _parsed(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
     """Return the cells of a workbook, or the fault that all who recognise formats will meet."""
     try:
-        return _sheets(path)
+        with reading(path, "a whole workbook"):
+            return _sheets(path)
     except ReadError as error:
         return error
 
 
 def _sheets(path: Path) -> Sheets:
-    from python_calamine import CalamineError
-
-    with reading(path, "a whole workbook", also=(CalamineError,)):
-        if not read_head(path, 8).startswith(_XLSX):
-            return _read_in_child(path)
-        _refuse_others(path)
-        return cells_of(path) if _is_small_and_compact(path) else _read_in_child(path)
-
-
-def cells_of(path: Path, before: Callable[[str], None] = lambda _: None) -> Sheets:
-    """Read the cells of all sheets in this process; see `open_sheets`.
-
-    Parameters
-    ----------
-    path : the workbook
-    before : called with the name of each sheet before it is parsed
-    """
     from python_calamine import CalamineWorkbook, PasswordError
 
-    sheets = {}
+    if read_head(path, 8).startswith(_XLSX):
+        _check_archive(path)
     try:
         with CalamineWorkbook.from_path(path) as book:
-            for name in book.sheet_names:
-                before(name)
-                sheets[name] = _rows(path, name, book.get_sheet_by_name(name))
+            return {
+                name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+                for name in book.sheet_names
+            }
     except PasswordError as error:
-        remedy = "Open it in the spreadsheet program and save a copy without a password."
-        raise unreadable(
-            path, "", "a workbook that opens", "one with a password", remedy
-        ) from error
-    return sheets
+        raise ReadError.about("readers.locked_workbook", path) from error
 
 
-def _rows(path: Path, name: str, sheet: CalamineSheet) -> list[list[Any]]:
-    """Return the cells of a sheet; refuse one that is nearly empty: searching it takes minutes."""
-    rows, columns = sheet.total_height + 1, sheet.total_width + 1  # they count from 0
-    if rows * columns > _MAX_CELLS:
-        filled = sum(cell != "" for row in sheet.iter_rows() for cell in row)
-        if rows * columns > _MAX_SPARSITY * filled:
-            found = f"a sheet of {rows} rows and {columns} columns with {filled} cells"
-            place = f"sheet '{name}', cell {column_letters(columns)}{rows}"
-            raise unreadable(path, place, "cells close together", found, _FAR_CELLS_REMEDY)
-    return sheet.to_python(skip_empty_area=False)
-
-
-def _read_in_child(path: Path) -> Sheets:
-    """Read a workbook in a child process.
-
-    A wrong place or length in it can exhaust the memory, which kills the process.
-    """
-    # Memory limit of a child process; the largest sheet of an old workbook needs 1 GB.
-    memory_limit = 4 << 30
-    import os
-    import pickle
-    import subprocess
-    import sys
-
-    command = [sys.executable, "-c", _CHILD, str(path), str(memory_limit)]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    try:
-        child = subprocess.run(
-            command, capture_output=True, timeout=_CHILD_SECONDS, check=True, env=environment
-        )
-        sheets: Sheets | ReadError = pickle.loads(child.stdout)
-    except subprocess.TimeoutExpired as error:
-        found = f"one that was not read within {_CHILD_SECONDS:.0f} s"
-        raise unreadable(path, "", "a whole workbook", found, _FAR_CELLS_REMEDY) from error
-    except (subprocess.CalledProcessError, pickle.UnpicklingError) as error:
-        lines = (getattr(error, "stderr", b"") or b"").decode(errors="replace").splitlines()
-        raise _child_error(path, lines) from error
-    if isinstance(sheets, ReadError):
-        raise sheets
-    return sheets
-
-
-def _child_error(path: Path, lines: Sequence[str]) -> ReadError:
-    """Return the error on a workbook whose reading ended the child process.
-
-    The process names each sheet before parsing it.
-    """
-    place = next((line for line in reversed(lines) if line.startswith("sheet '")), "")
-    memory = next((line for line in lines if "memory" in line.casefold()), "")
-    if memory:
-        found = f"cells so far apart that the memory did not suffice ({memory})"
-        return unreadable(path, place, "cells close together", found, _FAR_CELLS_REMEDY)
-    found = f"a damaged one ({lines[-1] if lines else 'no reason'})"
-    remedy = "Open it in the spreadsheet program and save it again as xlsx."
-    return unreadable(path, place, "a whole workbook", found, remedy)
-
-
-def _is_small_and_compact(path: Path) -> bool:
-    """Return whether a workbook is small, and its sheets can be parsed without a memory limit."""
-    with zipfile.ZipFile(path) as parts:
-        if sum(part.file_size for part in parts.infolist()) > _LARGE_BYTES:
-            return False
-        texts = [parts.read(name) for name in parts.namelist() if name.endswith(".xml")]
-    sizes = [_size(text) for text in texts if b"worksheet" in text[:4096].replace(b"\0", b"")]
-    return None not in sizes and sum(size or 0 for size in sizes) <= _MAX_CELLS
-
-
-def _size(text: bytes) -> int | None:
-    """Return rows times columns of a sheet, blank cells included, by a search of its text.
-
-    None if the places of its cells are not written as most programs write them.
-    """
-    cells: list[tuple[bytes, bytes]] = _CELL.findall(text)
-    is_plain = b"<c " in text or b"<sheetData/>" in text
-    if not is_plain or len(cells) < text.count(b"</c>"):
-        return None
-    max_columns: int = 26 ** max((len(letters) for letters, _ in cells), default=0)
-    return max((int(row) for _, row in cells), default=0) * max_columns
-
-
-def _refuse_others(path: Path) -> None:
+def _check_archive(path: Path) -> None:
+    """Refuse an archive of something else, and sheets whose cells are far apart."""
     with zipfile.ZipFile(path) as parts:
         names = parts.namelist()
-    format_name = next((text for name, text in _OTHER_FORMATS.items() if name in names), None)
-    remedy = "Save it as xlsx in the spreadsheet program."
-    if format_name is None and not any(name.startswith("xl/") for name in names):
-        format_name, remedy = (
-            "a zip archive of something else",
-            "Unpack it, and name the export in it.",
-        )
-    if format_name is not None:
-        raise unreadable(path, "", "an xlsx workbook", format_name, remedy)
+        if "xl/workbook.bin" in names or not any(name.startswith("xl/") for name in names):
+            raise ReadError.about("readers.no_xlsx", path)
+        for name in names:
+            if name.startswith("xl/worksheets/"):
+                _check_places(parts.read(name), path, Path(name).stem)
+
+
+def _check_places(text: bytes, path: Path, sheet: str) -> None:
+    """Refuse a sheet whose first and last cell span much more cells than are filled."""
+    places: list[tuple[bytes, bytes]] = _FILLED_CELL.findall(text)
+    if not places:
+        return
+    column = max(_column_number(letters) for letters in {letters for letters, _ in places})
+    row = max(int(number) for _, number in places)
+    if row * column > max(_MAX_CELLS, _MAX_SPARSITY * len(places)):
+        place = f"{sheet}, cell {column_letters(column)}{row}"
+        raise ReadError.about("readers.cells_far_apart", path, place, filled=len(places))
+
+
+def _column_number(letters: bytes) -> int:
+    number = 0
+    for letter in letters:
+        number = 26 * number + letter - ord("A") + 1
+    return number
 
 
 def column_letters(number: int) -> str:
@@ -247,3 +142,206 @@ def column_letters(number: int) -> str:
         number, letter = divmod(number - 1, 26)
         letters = chr(ord("A") + letter) + letters
     return letters
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell of a table that a person keeps.
+
+    Parameters
+    ----------
+    text : the text without surrounding blanks; dates as 2026-03-04
+    place : such as ``cell C4``, or ``line 4, column 3`` in a csv
+    unread : why its value cannot be read, such as ``the error #DIV/0!``; empty otherwise
+    """
+
+    text: str
+    place: str
+    unread: str = ""
+
+
+Row: TypeAlias = tuple[Cell, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table with a heading.
+
+    Parameters
+    ----------
+    heading : the cells of the first non-blank row
+    rows : the non-blank rows below, each as long as the heading
+    """
+
+    heading: Row
+    rows: tuple[Row, ...]
+
+
+def read_campaign_sheet(path: Path) -> Table:
+    """Read the table of a campaign: one row per test.
+
+    Parameters
+    ----------
+    path : an xlsx workbook (its first sheet is read), or a csv
+
+    Raises
+    ------
+    ReadError
+        If the file is neither, is damaged, has no row below a heading, or has cells beyond it.
+    """
+    cells = workbook_cells(path) if is_workbook(path) else csv_cells(path)
+    return as_table(cells, path, rows_of="one row per test")
+
+
+def sheets_of(path: Path) -> dict[str, bool]:
+    """Return the names of the sheets of a workbook, and whether they are visible.
+
+    Raises
+    ------
+    ReadError
+        If the workbook is damaged.
+    """
+    from python_calamine import CalamineWorkbook, SheetVisibleEnum
+
+    open_sheets(path)  # raises if it cannot be opened safely
+    with reading(path, "a whole workbook"), CalamineWorkbook.from_path(path) as book:
+        return {
+            sheet.name: sheet.visible == SheetVisibleEnum.Visible for sheet in book.sheets_metadata
+        }
+
+
+def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
+    """Return the filled rows of a sheet; an additional last one has cells that cannot be read.
+
+    Parameters
+    ----------
+    path : the workbook, xlsx
+    sheet : its name; the first one if empty
+    where : prefix of the places of its cells
+
+    Raises
+    ------
+    ReadError
+        If the workbook is damaged.
+    """
+    sheets = open_sheets(path)
+    if not zipfile.is_zipfile(path):
+        raise ReadError.about("readers.old_workbook", path)
+    name = sheet or next(iter(sheets))
+    before = f"{where}, cell " if where else "cell "
+    with reading(path, "a whole workbook"):
+        unread = [
+            Cell("", f"{before}{place}", why) for place, why in _unread_cells(path, name).items()
+        ]
+    shown = [
+        [
+            Cell(_cell_text(value), f"{before}{column_letters(column)}{line}")
+            for column, value in enumerate(row, start=1)
+        ]
+        for line, row in enumerate(sheets[name], start=1)
+        if any(value != "" for value in row)
+    ]
+    return [*shown, unread] if unread else shown
+
+
+def _unread_cells(path: Path, name: str) -> dict[str, str]:
+    """Return places of cells that calamine reads as blank: errors, formulas without values."""
+    from openpyxl import load_workbook
+
+    with zipfile.ZipFile(path) as parts:
+        texts = [parts.read(part) for part in parts.namelist() if "xl/worksheets/" in part]
+    if not any(b"<f" in text or b't="e"' in text for text in texts):
+        return {}  # most sheets: avoids reading them twice more
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about styles and extensions, which are not read
+        formulas, values = (load_workbook(path, data_only=only)[name] for only in (False, True))
+    reasons = {
+        cell.coordinate: _why_unread(cell, values[cell.coordinate])
+        for row in formulas.iter_rows()
+        for cell in row
+    }
+    return {place: why for place, why in reasons.items() if why}
+
+
+def _why_unread(formula: Any, value: Any) -> str:
+    """Return why a cell cannot be read, by its formula and stored value; empty if it can."""
+    if value.data_type == "e" and value.value is not None:
+        return f"the error {value.value}"
+    # A formula that returns an empty text is stored as text ("str"): an intended blank.
+    if formula.data_type == "f" and value.value is None and value.data_type != "str":
+        return "a formula without a stored value"
+    return ""
+
+
+def _cell_text(value: object) -> str:
+    """Return the value of a cell as displayed: 1 for 1.0."""
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return str(value).strip()
+
+
+def csv_cells(path: Path) -> list[list[Cell]]:
+    """Return all cells of a csv; the separator is the most frequent one of line 1, or ``sep=;``.
+
+    Raises
+    ------
+    ReadError
+        If it is not UTF-8 text.
+    """
+    with reading(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            text = stream.read()
+        # csv splits lines; str.splitlines also splits at U+0085 and U+2028
+        first = next((line for line in io.StringIO(text, newline="") if line.strip()), "")
+        separator = max(_SEPARATORS, key=first.count)
+        if named := _NAMED_SEPARATOR.fullmatch(first.rstrip("\r\n")):
+            separator = named[1]
+            text = text.replace(first, "\n", 1)  # blank, so that line numbers stay right
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+        return [
+            [
+                Cell(cell.strip(), f"line {reader.line_num}, column {column}")
+                for column, cell in enumerate(row, start=1)
+            ]
+            for row in reader
+        ]
+
+
+def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = "") -> Table:
+    """Split cells into a heading and the rows below it.
+
+    Parameters
+    ----------
+    cells : of the whole sheet
+    path : named in errors
+    rows_of : meaning of a row, such as ``one row per test``
+    place : of the table in the file, for messages; empty for the whole file
+
+    Raises
+    ------
+    ReadError
+        If there is no row below a heading, a cell beyond it, or cells that cannot be read, which
+        are all in one message.
+    """
+    faults = [
+        str(ReadError.about("readers.cell_without_value", path, cell.place, why=cell.unread))
+        for row in cells
+        for cell in row
+        if cell.unread
+    ]
+    if faults:
+        raise ReadError("\n".join(faults))
+    filled = [row for row in cells if any(cell.text for cell in row)]
+    if len(filled) < 2:
+        count = len(filled)
+        raise ReadError.about("readers.no_rows", path, place, rows_of=rows_of, count=count)
+    width = max(i for i, cell in enumerate(filled[0], start=1) if cell.text)
+    return Table(tuple(filled[0][:width]), tuple(_fit_row(row, width, path) for row in filled[1:]))
+
+
+def _fit_row(row: list[Cell], width: int, path: Path) -> Row:
+    """Return a row with the length of the heading."""
+    for cell in row[width:]:
+        if cell.text:
+            raise ReadError.about("readers.no_heading", path, cell.place, text=cell.text)
+    return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))

@@ -13,6 +13,7 @@ from pathlib import Path
 
 _ROOT = Path(__file__).parents[2]
 _START = 60.0
+_SETTINGS = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
 
 
 @dataclass
@@ -72,7 +73,7 @@ def _started(
         return subprocess.Popen(
             [sys.executable, "-m", f"distributed.cli.{program}", *arguments],
             cwd=folder or home,
-            env={**os.environ, "PYTHONPATH": str(_ROOT)},
+            env={**os.environ, "PYTHONPATH": str(_ROOT), **_SETTINGS},
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,

@@ -43,7 +43,7 @@ def folder(tmp_path: Path) -> Path:
 def sure(content: Content) -> Content:
     """As if all hashes had been taken long after the files were written."""
     stamps = {
-        name: replace(stamp, taken=stamp.taken + 10**10) for name, stamp in content.stamps.items()
+        name: stamp._replace(taken=stamp.taken + 10**10) for name, stamp in content.stamps.items()
     }
     return replace(content, stamps=stamps)
 

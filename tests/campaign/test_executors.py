@@ -24,7 +24,7 @@ from labpipe.campaign.executors import (
     process_tests,
 )
 from labpipe.campaign.watching import WarmWorker
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerProcess, in_processes
+from labpipe.campaign.workers import ProcessDied, WorkerProcess, in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, Task, process_test
 from tests.builders.small_pulls import small_pulls
@@ -81,17 +81,20 @@ def test_a_process_that_dies_costs_its_call_alone() -> None:
         partial(os._exit, 3),
         *(partial(max, number, 0) for number in range(4)),
     ]
-    died = ProcessDied(-signal.SIGTERM), ProcessDied(3)
-    assert list(in_processes(calls, jobs=2)) == [*died, *range(4)]
+    killed, left, *others = in_processes(calls, jobs=2)
+    assert [future.result() for future in others] == [*range(4)]
     assert list(in_processes([], jobs=3)) == []
-    assert [one.how for one in died] == ["by the signal SIGTERM", "with exit code 3"]
+    for future, how in ((killed, "by the signal SIGTERM"), (left, "with exit code 3")):
+        died = future.exception()
+        assert isinstance(died, ProcessDied)
+        assert died.how == how
     assert ProcessDied(-63).how == "by the signal 63"
 
 
 def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> None:
     work = [f"sleep 0.2; echo > '{tmp_path}/{number}'" for number in range(3)]
     found = in_processes([partial(int, "1"), *(partial(os.system, each) for each in work)], jobs=1)
-    assert next(found) == 1
+    assert next(found).result() == 1
     found.close()
     assert [path.name for path in tmp_path.iterdir()] == ["0"]
 
@@ -99,9 +102,10 @@ def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> N
 def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
     late, second = in_processes(calls, jobs=2, limit=1.0)
-    assert isinstance(late, ProcessDied)
-    assert late.limit == 1.0
-    assert second == 2
+    with pytest.raises(ProcessDied) as died:
+        late.result()
+    assert died.value.limit == 1.0
+    assert second.result() == 2
 
 
 def test_a_process_that_dies_between_two_calls_costs_none() -> None:
@@ -119,7 +123,8 @@ def test_a_process_that_dies_between_two_calls_costs_none() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
 def test_where_memory_is_short_a_test_goes_and_not_the_run() -> None:
     file = Path("/proc/self/oom_score_adj")
-    assert list(in_processes([file.read_text], jobs=1)) == ["500\n"]
+    (future,) = in_processes([file.read_text], jobs=1)
+    assert future.result() == "500\n"
     assert int(file.read_text()) < 500
 
 
@@ -129,7 +134,7 @@ from functools import partial
 from pathlib import Path
 from labpipe.campaign.workers import as_completed
 ended = as_completed(eval, ["__import__('os').getpid()", "__import__('time').sleep(60)"], jobs=1)
-print(next(ended)[1], flush=True)
+print(next(ended)[1].result(), flush=True)
 time.sleep(60)
 """
 
@@ -160,16 +165,23 @@ def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
 
 def test_what_came_of_a_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    died = outcome_of_call(task, ProcessDied(-signal.SIGTERM))
+    died = outcome_of_call(task, raising(ProcessDied(-signal.SIGTERM)))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
-    late = outcome_of_call(task, ProcessDied(-signal.SIGTERM, 120.0))
+    late = outcome_of_call(task, raising(ProcessDied(-signal.SIGTERM, 120.0)))
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
     done = Outcome(task.sheet, None, "ok")
-    assert outcome_of_call(task, done) is done
+    assert outcome_of_call(task, lambda: done) is done
     with pytest.raises(ZeroDivisionError):
-        outcome_of_call(task, CallRaised(ZeroDivisionError()))
+        outcome_of_call(task, raising(ZeroDivisionError()))
+
+
+def raising(error: Exception) -> Callable[[], Outcome]:
+    def call() -> Outcome:
+        raise error
+
+    return call
 
 
 @pytest.fixture(scope="module")

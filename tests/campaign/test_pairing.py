@@ -208,7 +208,7 @@ def test_a_file_stands_still_once_it_did_not_change_for_long_enough(tmp_path: Pa
         times.append(times[-1] + seconds)
         assert files.look(path) == state_of_file
     assert files.moving_for(path) == pytest.approx(3.9)
-    assert times[-1] - files.since([path]) == pytest.approx(2.0)
+    assert times[-1] - files.still_since([path]) == pytest.approx(2.0)
     os.utime(path, (1.0, 1.0))  # it changes at the same size
     assert files.look(path) == "growing"
     times.append(times[-1] + 1.0)

@@ -52,8 +52,8 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
 
 
 def asked(catalog: Catalog, where: str) -> list[dict[str, object]]:
-    with query_results(catalog, where) as answer:
-        return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
+    answer = query_results(catalog, where)
+    return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
 
 
 @pytest.mark.parametrize(
@@ -104,8 +104,7 @@ def test_a_condition_that_is_none(
 
 def written(catalog: Catalog, form: str, where: str = "") -> str:
     out = io.StringIO()
-    with query_results(catalog, where) as answer:
-        write_answer(answer, form, out)
+    write_answer(query_results(catalog, where), form, out)
     return out.getvalue()
 
 
@@ -127,14 +126,13 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
 def test_a_text_in_a_csv_is_no_formula(cell: str) -> None:
     """A quote stands before what a spreadsheet would take for a formula."""
     out, text = io.StringIO(), cell.removeprefix("'")
-    write_answer(Answer((text, "value"), iter([(text, -1.5)])), "csv", out)
+    write_answer(Answer((text, "value"), [(text, -1.5)]), "csv", out)
     rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
     assert rows == [[cell, "value"], [cell, "-1.5"]]
 
 
 def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None:
-    with query_results(catalog, "") as answer:
-        assert write_workbook(answer, tmp_path / "out.xlsx") == 4
+    write_workbook(query_results(catalog, ""), tmp_path / "out.xlsx")
     sheet = openpyxl.load_workbook(tmp_path / "out.xlsx")["results"]
     rows = list(sheet.iter_rows())
     assert ("s", "=odd\\x07") in [(cell.data_type, cell.value) for cell in rows[0]]
@@ -150,6 +148,6 @@ def test_more_rows_than_a_sheet_takes(
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)
     message = "expected 3 rows at most, found more. Select fewer with --where, or use"
-    with query_results(catalog, "") as answer, pytest.raises(UsageError, match=message):
-        write_workbook(answer, tmp_path / "out.xlsx")
+    with pytest.raises(UsageError, match=message):
+        write_workbook(query_results(catalog, ""), tmp_path / "out.xlsx")
     assert not (tmp_path / "out.xlsx").exists()

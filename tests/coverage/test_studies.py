@@ -85,9 +85,7 @@ def test_a_page_says_what_is_counted_of_the_kept_rows(own: Study) -> None:
     page = (study.ROOT / "docs" / "explanations" / own.page).read_text(encoding="utf-8")
     shown = page.partition(f"<!-- {own.name}: begin -->")[2].partition(f"<!-- {own.name}: end")[0]
     assert shown.strip() == study.published(own, study.kept_rows(own.seeds))
-    too_seldom = [line.split("|")[1:3] for line in shown.splitlines() if "| **too" in line]
-    explained = [[" stranded-wire ", " `peak_force.3` "]] if own.name == "tests" else []
-    assert too_seldom == explained
+    assert "| **too" not in shown, "an interval that holds too seldom is not explained"
 
 
 @pytest.mark.parametrize(("tenths", "is_seldom"), [(10, False), (9, False), (8, True)])

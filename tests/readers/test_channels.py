@@ -13,7 +13,7 @@ from labpipe.readers.channels import (
     NoChannelError,
     find_channel,
 )
-from labpipe.readers.time_axes import clock_notes, find_holes
+from labpipe.readers.recording_checks import clock_notes, find_holes
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock

@@ -32,8 +32,15 @@ from labpipe.protocol.wire_rows import (
     heading_faults,
     wire_spec,
 )
-from labpipe.readers.sheet_cells import Cell, Table, as_table, csv_cells, sheets_of, workbook_cells
-from labpipe.readers.workbooks import is_workbook
+from labpipe.readers.workbooks import (
+    Cell,
+    Table,
+    as_table,
+    csv_cells,
+    is_workbook,
+    sheets_of,
+    workbook_cells,
+)
 from labpipe.records.wire import WireSpec
 
 PROOF_STRAIN = 0.002

@@ -23,35 +23,25 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.errors import nearest
+from labpipe.errors import ReadError, nearest
 from labpipe.readers.channels import ReportOptions, channel_notes, find_in_parts, unique_names
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.load_frame.column_titles import time_column
 from labpipe.readers.load_frame.recognition import CardNames, choose_card, recognise_card
-from labpipe.readers.load_frame.tables import (
-    MIN_SAMPLES,
-    Export,
-    Table,
-    file_note,
-    read_sheets,
-    read_text,
-)
-from labpipe.readers.raw_files import read_content, unreadable
-from labpipe.readers.time_axes import clock_notes
+from labpipe.readers.load_frame.tables import MIN_SAMPLES, Export, Table, read_sheets, read_text
+from labpipe.readers.number_table import rows_note
+from labpipe.readers.raw_files import read_content
+from labpipe.readers.recording_checks import clock_notes
 from labpipe.readers.workbooks import forget_sheets, open_sheets
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.units import si_factor, whole_number
 
 __all__ = ["assemble", "read", "recognise"]
-
-_STATE_UNIT = (
-    "Write it in a row below the names, or in brackets as in 'Time (s)', or state it in a card of"
-    " your own (time_unit); see docs/how-to/new-dialect.md."
-)
 
 
 def recognise(path: Path) -> bool:
@@ -123,44 +113,32 @@ def assemble(
     ReadError
         If a channel or part does not exist, or the unit of time is missing or wrong.
     """
-    tables = [_without_codes(_without_mark(table, card), card) for table in export.tables]
+    tables = [_without_mark(_without_codes(table, card), card) for table in export.tables]
     tables = _choose_part(tables, part, path)
     notes = [*export.notes]
     if len(export.tables) == 1 and tables:
         notes += _count_notes(export, tables[0], card)
     if card.fallback:
-        message = "no vendor's card fits: names and units were detected by their text, check them"
-        notes.append(file_note("dialect_generic", message))
-    several = len(tables) > 1
-    clocks, about_clocks, all_channels = [], {}, list[Channel]()
-    clock_notes_by_name = {}
-    for table in tables:
-        name = table.part if several else "time"
-        column = time_column(table.names, table.units, card)
-        clock, about, its_notes = _clock(table, column, name, card, path)
-        clocks.append(clock)
-        about_clocks[name] = about
-        clock_notes_by_name[name] = [*table.notes, *its_notes]
-        all_channels += _channels(table, column, name, f"{table.part}/" if several else "")
-    chosen, kept = all_channels, {clock.name for clock in clocks}
+        notes.append(QualityNote.of("readers.dialect_generic", "file"))
+    parts = [_part(table, card, path, is_alone=len(tables) == 1) for table in tables]
+    chosen = [channel for its in parts for channel in its.channels]
     if channels is not None:
-        if all_channels:
-            indices = sorted(set(find_in_parts(channels, all_channels, path)))
-            chosen = [all_channels[i] for i in indices]
-        kept = {channel.clock for channel in chosen}
-    notes += [
-        note for name in clock_notes_by_name if name in kept for note in clock_notes_by_name[name]
-    ]
+        if chosen:
+            indices = sorted(set(find_in_parts(channels, chosen, path)))
+            chosen = [chosen[i] for i in indices]
+        used = {channel.clock for channel in chosen}
+        parts = [its for its in parts if its.clock.name in used]
+    notes += [note for its in parts for note in its.notes]
     return Recording(
         reader="load-frame",
         program=" ".join((card.program, _match_group(card.model, export.head))).strip(),
         program_version=_match_group(card.version, export.head),
-        clocks=tuple(clock for clock in clocks if clock.name in kept),
+        clocks=tuple(its.clock for its in parts),
         channels=tuple(chosen),
         metadata={
             "dialect": card.name,
             **export.about,
-            "clocks": {name: about for name, about in about_clocks.items() if name in kept},
+            "clocks": {its.clock.name: its.about for its in parts},
         },
         notes=(*notes, *_missing_notes(chosen, card), *channel_notes(chosen)),
     )
@@ -169,6 +147,15 @@ def assemble(
 def _match_group(pattern: re.Pattern[str] | None, head: str) -> str:
     match = pattern.search(head) if pattern is not None else None
     return match[1].strip() if match else ""
+
+
+def _without_codes(table: Table, card: Card) -> Table:
+    """Replace the codes of missing values by NaN."""
+    columns = {
+        i: np.where(np.isin(values, card.missing), np.nan, values) if card.missing else values
+        for i, values in table.columns.items()
+    }
+    return replace(table, columns=columns)
 
 
 def _without_mark(table: Table, card: Card) -> Table:
@@ -180,21 +167,9 @@ def _without_mark(table: Table, card: Card) -> Table:
     if any(last.get(name) != value for name, value in mark.items()):
         return table
     values_text = ", ".join(f"{name} {value:g}" for name, value in mark.items())
-    message = f"the last row ({table.rows}) is a mark, not a sample ({values_text}): left out"
-    note = file_note("last_row_left_out", message)
+    note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=values_text)
     columns = {i: values[:-1] for i, values in table.columns.items()}
     return replace(table, columns=columns, notes=(*table.notes, note))
-
-
-def _without_codes(table: Table, card: Card) -> Table:
-    """Replace the codes of missing values by NaN."""
-    if not card.missing:
-        return table
-    columns = {
-        i: np.where(np.isin(values, card.missing), np.nan, values)
-        for i, values in table.columns.items()
-    }
-    return replace(table, columns=columns)
 
 
 def _choose_part(tables: list[Table], part: str | None, path: object) -> list[Table]:
@@ -205,61 +180,60 @@ def _choose_part(tables: list[Table], part: str | None, path: object) -> list[Ta
         return chosen
     names = [table.part or table.also for table in tables if table.part or table.also]
     close = ", ".join(f"'{name}'" for name in nearest(part, names))
-    remedy = f"Nearest: {close}." if close else "Leave `part` out: the export does not name parts."
-    expected = f"one of the {len(tables)} specimens or sheets of the file"
-    raise unreadable(path, f"part '{part}'", expected, "no such part", remedy)
+    raise ReadError.about(
+        "readers.no_such_part" if close else "readers.no_parts",
+        path,
+        f"part '{part}'",
+        count=len(tables),
+        nearest=close,
+    )
 
 
 def _count_notes(export: Export, table: Table, card: Card) -> list[QualityNote]:
     """Compare the stated numbers of samples and of columns with the actual ones."""
-    notes = []
-    for what, key, count in (
-        ("rows", card.stated_rows, table.rows),
-        ("columns", card.stated_columns, len(table.names)),
-    ):
-        stated = whole_number(str(export.about.get(key, ""))) if key else None
-        if stated not in {None, count}:
-            message = f"the header states {stated} {what}, the file holds {count}"
-            notes.append(file_note(f"{what}_differ", message, Severity.WARNING))
+    rows, columns = (
+        whole_number(str(export.about.get(key, ""))) if key else None
+        for key in (card.stated_rows, card.stated_columns)
+    )
+    notes, held = rows_note(rows, table.rows), len(table.names)
+    if columns not in {None, held}:
+        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=held))
     return notes
 
 
-def _channels(table: Table, time: int | None, clock: str, prefix: str) -> list[Channel]:
+class _Part(NamedTuple):
+    """One table as part of the recording: its clock, what is known of it, channels, notes."""
+
+    clock: Clock
+    about: dict[str, object]
+    channels: list[Channel]
+    notes: list[QualityNote]
+
+
+def _part(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
+    name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
+    column = time_column(table.names, table.units, card)
     paths = unique_names(table.names)
-    return [
-        Channel(
-            name=table.names[i] or paths[i],
-            path=prefix + paths[i],
-            values=values,
-            clock=clock,
-            unit_in_file=table.units[i],
-        )
+    channels = [
+        Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
         for i, values in table.columns.items()
-        if i != time
+        if i != column
     ]
-
-
-def _clock(
-    table: Table, column: int | None, name: str, card: Card, path: object
-) -> tuple[Clock, dict[str, object], list[QualityNote]]:
-    where, about = f"clock {name}", dict[str, object]()
+    about, notes = dict[str, object](), [*table.notes]
     if column is None:
-        message = f"the export has no time: its {table.rows} rows are counted from 0"
         clock = Clock(name, np.arange(table.rows, dtype=np.float64), unit="1")
-        notes = [file_note("no_time", message, where=where)]
+        notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.rows))
     else:
         unit = table.units[column] or card.time_unit
         factor, time = _seconds(unit, table.names[column], path), table.columns[column]
         clock = Clock(name, time if factor == 1.0 else factor * time)
-        about = {"time": table.names[column], "unit_in_file": unit}
-        notes = clock_notes(clock, is_variable=card.variable_rate)
+        about |= {"time": table.names[column], "unit_in_file": unit}
+        notes += clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.rows < MIN_SAMPLES:
-        message = f"only {table.rows} samples: the test was not completed, or not exported"
-        message += " completely"
-        notes.append(file_note("few_samples", message, Severity.WARNING, where))
+        notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
     if table.part or table.also:
         about["part"] = table.part or table.also
-    return clock, about, notes
+    return _Part(clock, about, channels, notes)
 
 
 def _seconds(unit: str, name: str, path: object) -> float:
@@ -268,17 +242,27 @@ def _seconds(unit: str, name: str, path: object) -> float:
             return si_factor(spelling or "none", "s")
         except ValueError:
             continue
-    found, remedy = (f"'{unit}'", "Correct the row of units.") if unit else ("none", _STATE_UNIT)
-    raise unreadable(path, f"column '{name}'", "a unit of time such as s", found, remedy)
+    raise ReadError.about(
+        "readers.no_unit_of_time" if unit else "readers.time_without_unit",
+        path,
+        f"column '{name}'",
+        unit=unit,
+    )
 
 
 def _missing_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]:
     codes = " or ".join(f"{code:.0f}" for code in card.missing)
-    notes = []
-    for channel in channels:
-        blank = np.flatnonzero(np.isnan(channel.values))
-        if len(blank):
-            message = f"{len(blank)} of {len(channel.values)} values are missing"
-            message += f" (blank or {codes})" * bool(codes) + f", the first in row {blank[0] + 1}"
-            notes.append(file_note("missing_values", message, Severity.WARNING, channel.path))
-    return notes
+    shown = f" (blank or {codes})" if codes else ""
+    missing = [(channel, np.flatnonzero(np.isnan(channel.values))) for channel in channels]
+    return [
+        QualityNote.of(
+            "readers.missing_values",
+            channel.path,
+            count=len(rows),
+            total=len(channel.values),
+            codes=shown,
+            first=rows[0] + 1,
+        )
+        for channel, rows in missing
+        if len(rows)
+    ]

@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -19,43 +19,32 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    model_validator,
 )
 
-from labpipe.errors import ReadError, error_text, nearest
-from labpipe.readers.raw_files import reading, unreadable
+from labpipe.errors import ReadError
+from labpipe.readers.raw_files import reading
 
 LAB_FOLDER = "dialects"
 """Folder of a lab's own cards, in the working folder beside ``protocols``."""
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_EXPECTED = {
-    "string_type": "text",
-    "string_pattern_mismatch": "text",
-    "bool_type": "true or false",
-    "float_type": "a number",
-    "finite_number": "a number",
-    "tuple_type": "a list in square brackets",
-    "dict_type": "a table of names",
-    "extra_forbidden": "a key of a card",
-    "missing": "this key",
-}
-"""What a value should be, by the type of error of pydantic."""
 
 
-def _require(is_right: bool, expected: str) -> None:
+def _require(is_right: bool, message: str) -> None:
     if not is_right:
-        raise ValueError(expected)
+        raise ValueError(message)
 
 
 def _compiled(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
     try:
         return re.compile(str(value), flags)
     except (re.error, OverflowError, RecursionError) as error:
-        message = "a pattern"
+        message = f"a wrong pattern: {error}"
         raise ValueError(message) from error
 
 
 def _one_group(pattern: re.Pattern[str]) -> re.Pattern[str]:
-    _require(pattern.groups == 1, "a pattern with one group in round brackets")
+    _require(pattern.groups == 1, "a pattern needs one group in round brackets")
     return pattern
 
 
@@ -63,12 +52,13 @@ def _encoding(name: str) -> str:
     is_known = name == "detect"
     with suppress(LookupError):
         is_known = is_known or bool(codecs.lookup(name))
-    _require(is_known, "the name of an encoding")
+    _require(is_known, "not the name of an encoding")
     return name
 
 
 def _separator(sign: str) -> str:
-    _require(sign == "blanks" or (len(sign) == 1 and sign.isascii()), 'one sign, or "blanks"')
+    is_sign = sign == "blanks" or (len(sign) == 1 and sign.isascii())
+    _require(is_sign, 'should be one sign, or "blanks"')
     return " " if sign == "blanks" else sign
 
 
@@ -153,6 +143,19 @@ class Card(BaseModel):
     layout: Literal["one", "side by side", "blocks", "specimen above"] = "one"
     source: str = ""
 
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        """Refuse a card that lacks what its kind of names needs."""
+        needs = {
+            "alone": ("header_words", self.header_words),
+            "listed": ("listed and start", self.listed and self.start),
+            "with units": ("brackets", self.brackets),
+        }
+        keys, values = needs.get(self.names, ("", True))
+        _require(bool(values), f"names = '{self.names}' needs {keys}")
+        _require(bool(self.recognise or self.blank), "recognise needs at least one pattern")
+        return self
+
     def fits(self, text: str) -> bool:
         """Return whether all patterns of the card are found in a text."""
         return bool(self.recognise) and all(pattern.search(text) for pattern in self.recognise)
@@ -178,55 +181,22 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
         reported at once), or keys contradict each other.
     """
     if not _NAME.fullmatch(name):
-        expected, remedy = "a name of small letters, digits and hyphens", "Rename the file."
-        raise unreadable(source, "", expected, f"'{name}'", remedy)
+        raise ReadError.about("readers.name_of_card", source, name=name)
     try:
         keys = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and huge numbers
-        found, remedy = f"text that is none ({error})", "Correct the line named there."
-        raise unreadable(source, "", "a card in TOML", found, remedy) from error
-    try:
-        card = Card.model_validate({"name": name, "source": str(source), **keys})
+        return Card.model_validate({"name": name, "source": str(source), **keys})
     except ValidationError as error:
         faults = error.errors(include_url=False)
         raise ReadError("\n".join(_fault_text(fault, source) for fault in faults)) from error
-    _require_keys(card)
-    return card
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and huge numbers
+        raise ReadError.about("readers.no_toml", source, reason=error) from error
 
 
 def _fault_text(fault: Any, source: object) -> str:
     key = ".".join(part for part in fault["loc"] if isinstance(part, str))
-    expected = _EXPECTED.get(fault["type"], "")
-    found, remedy = repr(fault["input"])[:60], "Correct the card."
-    if fault["type"] == "missing":
-        found, remedy = "none", "Add it to the card."
-    elif fault["type"] == "extra_forbidden":
-        close = nearest(key, [*Card.model_fields], limit=3)
-        found, remedy = "another one", f"Nearest: {', '.join(close)}."
-    elif fault["type"] == "literal_error":
-        expected = f"one of {', '.join(map(repr, get_args(Card.model_fields[key].annotation)))}"
-    elif not expected:
-        why = fault["ctx"]["error"]
-        expected = str(why)
-        found += f" ({why.__cause__})" if why.__cause__ else ""
-    return error_text(source, f"key {key}", expected=expected, found=found, remedy=remedy)
-
-
-def _require_keys(card: Card) -> None:
-    """Refuse a card that lacks what its kind of names needs."""
-    needs = {
-        "alone": ("header_words", bool(card.header_words)),
-        "listed": ("listed", card.listed is not None and card.start is not None),
-        "with units": ("brackets", bool(card.brackets)),
-    }
-    key, has_key = needs.get(card.names, ("", True))
-    if not has_key:
-        also = " (and `start`)" if key == "listed" else ""
-        expected = f"this key{also}, as names = '{card.names}'"
-        raise unreadable(card.source, f"key {key}", expected, "none", "Add it to the card.")
-    if not card.recognise and not card.blank:
-        remedy = "Give text that every export of the program contains."
-        raise unreadable(card.source, "key recognise", "at least one pattern", "none", remedy)
+    place, why = f"key {key}" if key else "", fault["msg"].removeprefix("Value error, ")
+    value = "nothing" if isinstance(fault["input"], dict) else repr(fault["input"])[:60]
+    return str(ReadError.about("readers.key_of_card", source, place, value=value, why=why))
 
 
 @cache
@@ -266,9 +236,7 @@ def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
     cards = {}
     for file in lab_card_files(folder):
         if file.stem in shipped_cards():
-            found = f"'{file.stem}', which is a card of labpipe"
-            remedy = "Rename the file, and name the new dialect in the protocol."
-            raise unreadable(file, "", "a name of its own", found, remedy)
+            raise ReadError.about("readers.taken_name_of_card", file, name=file.stem)
         with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
             text = file.read_text(encoding="utf-8")
         cards[file.stem] = parse_card(text, name=file.stem, source=file)

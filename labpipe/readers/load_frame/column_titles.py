@@ -10,10 +10,8 @@ from itertools import pairwise
 from labpipe.errors import ReadError
 from labpipe.readers.channels import plain_name
 from labpipe.readers.load_frame.cards import Card
-from labpipe.readers.raw_files import unreadable
 from labpipe.readers.text_cells import (
     are_units,
-    bare_unit,
     has_dimension_of,
     hold_units,
     is_number,
@@ -24,17 +22,9 @@ from labpipe.readers.text_cells import (
     without_brackets,
 )
 
-_REMEDY = "Export the test again with names and units, or name another dialect."
-_CARD_REMEDY = (
-    "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
-)
 _TIME_WORDS = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
 Rows = Sequence[Sequence[str]]
 _Cells = tuple[str, ...]
-_Titles = tuple[_Cells, _Cells, int]
-"""Names, units, and the number of rows that hold them."""
-_Fault = Callable[[int, str, str], ReadError]
-"""Error of a row, counted upwards from 1 above the samples: expected and found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +69,7 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
         If there is no row of names, no required row of units, or no numbers.
     """
     # The longest real header has 56 lines.
-    max_lines = 400
-    head = lines[:max_lines]
+    head = lines[:400]
     if card.names == "listed":
         return _listed_titles(head, card, path)
     for separator in card.separators:
@@ -88,7 +77,7 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
         if _first_sample_row(rows, card) is not None:
             return header_of_rows(rows, card, path, f"line {first_line}", separator=separator)
     place = f"lines {first_line} to {first_line + len(head) - 1}"
-    raise unreadable(path, place, "a row of names and rows of numbers below it", "none", _REMEDY)
+    raise ReadError.about("readers.no_table", path, place)
 
 
 def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
@@ -112,16 +101,18 @@ def _first_sample_row(rows: Rows, card: Card) -> int | None:
 
 def _listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
     """Read names on separate lines, with the samples after a start line."""
-    if card.listed is None or card.start is None:  # a card without them is refused earlier
-        raise unreadable(path, "", "a card with `listed` and `start`", card.name, _REMEDY)
+    assert card.listed is not None  # a card without them is refused
+    assert card.start is not None
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
-        expected = f"a line '{card.start.pattern}' before the numbers"
-        raise unreadable(path, "", expected, f"none in {len(lines)} lines", _REMEDY)
+        pattern = card.start.pattern
+        raise ReadError.about("readers.no_start_line", path, pattern=pattern, lines=len(lines))
     cells = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
     if not cells:
-        expected = f"names in lines '{card.listed.pattern}'"
-        raise unreadable(path, f"lines 1 to {start}", expected, "none", _REMEDY)
+        pattern = card.listed.pattern
+        raise ReadError.about(
+            "readers.no_listed_names", path, f"lines 1 to {start}", pattern=pattern
+        )
     above = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
@@ -147,23 +138,28 @@ def header_of_rows(
     """
     first = _first_sample_row(rows, card)
     if first is None:
-        expected = "a row of names and rows of numbers below it"
-        raise unreadable(path, place, expected, "none", _REMEDY)
+        raise ReadError.about("readers.no_table", path, place)
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
     above = [_stripped(rows[i]) for i in filled]
 
-    def fault(row: int, expected: str, found: str, remedy: str = _REMEDY) -> ReadError:
+    def place_above(row: int) -> str:
         at = filled[max(len(filled) - row, 0)] if filled else 0
         word, number = place.rsplit(" ", 1)
-        return unreadable(path, f"{word} {int(number) + at}", expected, found, remedy)
+        return f"{word} {int(number) + at}"
 
     if separator == " " and card.name_starts is not None and len(above) > 1:
-        above[-2] = _joined_names(" ".join(rows[filled[-2]]), card.name_starts)
+        text = " ".join(rows[filled[-2]])
+        above[-2] = _joined_names(text, card.name_starts)
         if len(above[-2]) != len(rows[first]):
-            text = " ".join(rows[filled[-2]])
-            found = f"{len(above[-2])} in {quoted([text])}" if text else "none"
-            raise fault(2, f"{len(rows[first])} names, one per column", found, _CARD_REMEDY)
-    names, units, n_rows = _titles([(), (), *above][-2:], card, fault)
+            raise ReadError.about(
+                "readers.names_with_blanks",
+                path,
+                place_above(2),
+                wanted=len(rows[first]),
+                count=len(above[-2]),
+                text=quoted([text]),
+            )
+    names, units, n_rows = _titles([(), (), *above][-2:], card, path, place_above)
     above = above[:-n_rows]
     specimens: _Cells = ()
     has_specimens = card.names == "above units" and card.layout in {
@@ -173,20 +169,6 @@ def header_of_rows(
     if above and has_specimens:
         specimens = above.pop()
     return Header(names, units, first, above, separator, specimens)
-
-
-def _titles(rows: Sequence[_Cells], card: Card, fault: _Fault) -> _Titles:
-    """Read names and units from the two rows above the samples."""
-    above, last = rows
-    match card.names:
-        case "alone":
-            return last, tuple(card.units.get(name, "") for name in last), 1
-        case "any":
-            return _any_titles(last, above, fault)
-        case "with units":
-            return _titles_with_units(last, card.brackets, fault)
-        case _:
-            return _titles_above_units(last, above, card, fault)
 
 
 def _joined_names(text: str, starts: re.Pattern[str]) -> _Cells:
@@ -203,63 +185,65 @@ def _stripped(row: Sequence[str]) -> _Cells:
     return tuple(cells)
 
 
-def _padded(cells: _Cells, width: int) -> _Cells:
-    return cells + ("",) * (width - len(cells))
+def _titles(
+    rows: Sequence[_Cells], card: Card, path: object, place: Callable[[int], str]
+) -> tuple[_Cells, _Cells, int]:
+    """Return names, units, and the number of rows that hold them, above the samples.
 
-
-def _titles_with_units(cells: _Cells, brackets: str, fault: _Fault) -> _Titles:
-    if not any(name_and_unit(cell, brackets) for cell in cells):
-        expected = f"names with their units in {brackets} above the numbers"
-        raise fault(1, expected, quoted(cells))
-    names, units = zip(
-        *(name_and_unit(cell, brackets) or (cell, "") for cell in cells), strict=True
-    )
+    Names stand alone, with their units in the same cells, or above a row of units.
+    """
+    above, last = rows
+    if card.names == "alone":
+        return last, tuple(card.units.get(name, "") for name in last), 1
+    width = max(map(len, rows))
+    names, cells = (row + ("",) * (width - len(row)) for row in rows)
+    # A unit cell may repeat the name above it, as for a counter.
+    stated = ["" if cell == name else cell for name, cell in zip(names, cells, strict=True)]
+    pairs = [name_and_unit(cell, card.brackets) for cell in last]
+    if card.names == "above units":
+        _check_row_of_units(stated, card.brackets, last, path, place(1))
+        if _lacks_names(names, cells):
+            raise ReadError.about(
+                "readers.no_names_above_units",
+                path,
+                place(1),
+                names=quoted(above),
+                units=quoted(last),
+            )
+        return names, tuple(map(without_brackets, stated)), 2
+    if card.names == "with units" and not any(pairs):
+        brackets, row = card.brackets, quoted(last)
+        raise ReadError.about(
+            "readers.no_names_with_units", path, place(1), brackets=brackets, row=row
+        )
+    if card.names == "any":
+        if not any(last) or any(map(is_number, last)):
+            raise ReadError.about("readers.no_names", path, place(1), row=quoted(last))
+        has_both = any(pair is not None and pair[0] for pair in pairs)
+        if not has_both and are_units(stated) and not _lacks_names(names, cells):
+            return names, tuple(map(without_brackets, stated)), 2
+    names, units = zip(*(pair or (c, "") for pair, c in zip(pairs, last, strict=True)), strict=True)
     return names, units, 1
 
 
-def _titles_above_units(units: _Cells, names: _Cells, card: Card, fault: _Fault) -> _Titles:
-    bare = [bare_unit(cell, card.brackets) for cell in units if cell]
-    are_known = bool(card.brackets) or hold_units(_without_names(units, names))
-    if not bare or None in bare or not are_known or any(is_number(cell) for cell in units):
-        brackets = f" in {card.brackets}" if card.brackets else ""
-        raise fault(1, f"a row of units{brackets} above the numbers", quoted(units))
-    if _lacks_names(names, units):
-        expected = "a row of names, then a row of units, above the numbers"
-        raise fault(1, expected, f"{quoted(names)} above {quoted(units)}")
-    width = max(len(names), len(units))
-    stated = _without_names(_padded(units, width), names)
-    bare_units = tuple(bare_unit(cell, card.brackets) or "" for cell in stated)
-    return _padded(names, width), bare_units, 2
+def _check_row_of_units(
+    stated: Sequence[str], brackets: str, row: _Cells, path: object, place: str
+) -> None:
+    """Refuse a row of which no cell is a unit, or one is not in the brackets of the card."""
+    in_brackets = [cell[0] + cell[-1] == brackets for cell in stated if cell]
+    are_known = all(in_brackets) if brackets else hold_units(stated)
+    if not in_brackets or not are_known or any(map(is_number, row)):
+        where = f" in {brackets}" if brackets else ""
+        raise ReadError.about(
+            "readers.no_row_of_units", path, place, brackets=where, row=quoted(row)
+        )
 
 
-def _without_names(units: _Cells, names: _Cells) -> _Cells:
-    """Return units without those that repeat the name above, as for a counter."""
-    above = _padded(names, len(units))
-    return tuple("" if unit == name else unit for unit, name in zip(units, above, strict=False))
-
-
-def _lacks_names(names: _Cells, units: _Cells) -> bool:
+def _lacks_names(names: _Cells, cells: _Cells) -> bool:
     """Return whether a unit has no name, or all names are equal."""
-    unnamed = any(
-        unit and not name for name, unit in zip(_padded(names, len(units)), units, strict=False)
-    )
-    same = len(names) > 1 and len(set(names)) == 1
-    return unnamed or same or any(is_number(name) for name in names[:1])
-
-
-def _any_titles(cells: _Cells, above: _Cells, fault: _Fault) -> _Titles:
-    """Read names with units in their cells, above units, or without units."""
-    if not any(cells) or any(is_number(cell) for cell in cells):
-        raise fault(1, "a row of names above the numbers", quoted(cells))
-    bracketed = [name_and_unit(cell, kind) for cell in cells for kind in ("()", "[]")]
-    has_both = any(pair is not None and pair[0] for pair in bracketed)
-    stated = _without_names(cells, above)
-    if not has_both and are_units(stated) and not _lacks_names(above, cells):
-        width = max(len(above), len(cells))
-        units = tuple(without_brackets(cell) for cell in _padded(stated, width))
-        return _padded(above, width), units, 2
-    names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
-    return names, units, 1
+    unnamed = any(unit and not name for name, unit in zip(names, cells, strict=True))
+    filled = [name for name in names if name]
+    return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or is_number(names[0])
 
 
 def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:

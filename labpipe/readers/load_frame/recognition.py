@@ -16,14 +16,7 @@ from labpipe.readers.load_frame.column_titles import (
     time_column,
 )
 from labpipe.readers.load_frame.tables import sheet_head
-from labpipe.readers.raw_files import (
-    as_content,
-    decode,
-    is_binary,
-    is_blank,
-    read_head,
-    unreadable,
-)
+from labpipe.readers.raw_files import as_content, decode, is_binary, is_blank, read_head
 from labpipe.readers.workbooks import is_workbook, open_sheets
 
 _SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")
@@ -59,9 +52,8 @@ def recognise_card(path: Path) -> Card | None:
     for cards in ranks:
         fitting = [card for card in cards if card.kind == kind and fits(card)]
         if len(fitting) > 1:
-            found = f"one that fits {' and '.join(card.name for card in fitting)}"
-            remedy = "Name the `dialect` in the protocol."
-            raise unreadable(path, "", "an export that one card recognises", found, remedy)
+            names = " and ".join(card.name for card in fitting)
+            raise ReadError.about("readers.several_cards", path, cards=names)
         if fitting:
             return fitting[0]
     return None
@@ -89,19 +81,19 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     for name in allowed:
         if name not in cards:
-            close = ", ".join(nearest(name, list(cards), limit=3))
-            remedy = f"Nearest: {close}. A lab's own cards are in the folder dialects."
-            expected = f"one of the {len(cards)} cards"
-            raise unreadable(path, f"dialect '{name}'", expected, "no such card", remedy)
+            close, place = ", ".join(nearest(name, list(cards), limit=3)), f"dialect '{name}'"
+            raise ReadError.about(
+                "readers.no_such_card", path, place, count=len(cards), nearest=close
+            )
     card = recognise_card(path)
     if card is not None and (not allowed or card.name in allowed):
         return card
     if len(allowed) == 1 and (card is None or card.fallback):
         return cards[allowed[0]]
-    expected = f"an export of the dialect {' or '.join(allowed or cards)}"
-    found = "one that no card recognises" if card is None else f"one of the dialect {card.name}"
-    remedy = "Name the right file, or change `dialect` in the protocol."
-    raise unreadable(path, "", expected, found, remedy)
+    dialects = " or ".join(allowed or cards)
+    if card is None:
+        raise ReadError.about("readers.no_card_fits", path, dialects=dialects)
+    raise ReadError.about("readers.other_card_fits", path, dialects=dialects, card=card.name)
 
 
 def _text_test(path: Path) -> Callable[[Card], bool]:

@@ -20,27 +20,18 @@ from labpipe.readers.load_frame.column_titles import (
     header_of_rows,
     time_column,
 )
-from labpipe.readers.number_table import Body, read_columns, sheet_columns
-from labpipe.readers.raw_files import (
-    HEAD_BYTES,
-    Content,
-    decode,
-    is_blank,
-    line_start,
-    lines_of,
-    unreadable,
-)
+from labpipe.readers.number_table import Body, filled_rows, read_columns, sheet_columns
+from labpipe.readers.raw_files import HEAD_BYTES, Content, decode, is_blank, lines_from, lines_of
 from labpipe.readers.text_cells import as_text, is_sample, split_line
 from labpipe.readers.workbooks import Sheets
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 
 MIN_SAMPLES = 10
 """Fewer samples are not a complete test."""
 HEAD_ROWS = 60
 """Rows of a sheet in which names and units are searched."""
-_REMEDY = "Export the test again, or name another dialect."
-_BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
+_BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
 
 
@@ -88,13 +79,6 @@ class Export:
     head: str = ""
 
 
-def file_note(
-    code: str, message: str, severity: Severity = Severity.INFO, where: str = "file"
-) -> QualityNote:
-    """Return a note on an export."""
-    return QualityNote(code, severity, where, message)
-
-
 def read_text(
     content: Content, card: Card, path: Path, channels: Sequence[ReportOptions] | None = None
 ) -> Export:
@@ -119,37 +103,30 @@ def read_text(
     """
     head = decode(content.data[:HEAD_BYTES], content, card.encodings, path)
     if is_blank(content.data):
-        message = "only a byte order mark: a step of the test without samples"
-        return Export((), notes=(_no_samples(message),), head=head)
+        return Export((), notes=(QualityNote.of("readers.blank_export", "file"),), head=head)
     decimal = _decimal_of(head, card, path)
     if card.layout == "blocks":
         text = decode(content.data, content, card.encodings, path)
         return _read_blocks(text, decimal, card, path)
     header = find_header(lines_of(head), card, path)
-    data = content.data[line_start(content.data, header.first) :]
-    groups = _groups(header) if card.layout == "side by side" else [range(len(header.names))]
-    several = len(groups) > 1
-    wanted = _wanted_columns(header, card, None if several else channels, path)
-    body = _body(data, header, wanted, header.first + 1, decimal)
+    specimens = _specimens(header, card)
+    wanted = _wanted_columns(header, card, channels if len(specimens) == 1 else None, path)
+    body = _body(lines_from(content.data, header.first), header, wanted, header.first + 1, decimal)
     columns, notes = read_columns(replace(body, others_numeric=not card.words), path)
     tables = []
-    for group, part in zip(groups, _parts(header, groups), strict=True):
+    for part, group in specimens:
         names, units = (tuple(row[i] for i in group) for row in (header.names, header.units))
         titled = (i for i in group if header.names[i] or header.units[i])  # a blank one separates
         chosen = {i - group[0]: columns[i] for i in titled if i in columns}
-        tables.append(Table(part, names, units, _without_padding(chosen) if several else chosen))
-    about = _preamble(header.above) | _word_values(data, header, card)
+        rows = filled_rows(chosen)  # a shorter specimen is padded
+        tables.append(Table(part, names, units, {i: chosen[i][:rows] for i in chosen}))
+    about = _preamble(header.above) | _word_values(body, header, card)
     return Export(tuple(tables), about, tuple(notes), head)
 
 
 def _body(data: bytes, header: Header, columns: list[int], first_line: int, decimal: str) -> Body:
     names = unique_names(header.names)
     return Body(data, names, columns, first_line, header.separator, decimal)
-
-
-def _word_columns(names: Sequence[str], card: Card) -> list[int]:
-    """Return the columns of text according to the card."""
-    return [i for i, name in enumerate(names) if name in card.words]
 
 
 def _wanted_columns(
@@ -169,10 +146,6 @@ def _wanted_columns(
     return sorted(chosen | always | ({time} if time is not None else set()))
 
 
-def _no_samples(message: str) -> QualityNote:
-    return file_note("no_samples", message, Severity.WARNING)
-
-
 def _decimal_of(head: str, card: Card, path: Path) -> str:
     """Return the decimal sign of the card, or the one stated in the export."""
     if card.decimal_pattern is None:
@@ -180,48 +153,34 @@ def _decimal_of(head: str, card: Card, path: Path) -> str:
     match = card.decimal_pattern.search(head)
     if match is not None and match[1] in {".", ","}:
         return match[1]
-    expected = "the decimal sign that this program states"
-    found = f"'{head[:60].splitlines()[0] if head else ''}'"
-    remedy = "Export the test again, or name another dialect."
-    raise unreadable(path, "line 1", expected, found, remedy)
+    raise ReadError.about("readers.no_decimal_sign", path, "line 1", line=head[:60].splitlines()[0])
 
 
-def _groups(header: Header) -> list[range]:
-    """Return the columns of each specimen, which begins where the row of specimens is filled."""
+def _specimens(header: Header, card: Card) -> list[tuple[str, range]]:
+    """Return names and columns of the specimens; each begins where the row of them is filled."""
     width = len(header.names)
-    starts = [i for i, cell in enumerate(header.specimens[:width]) if cell]
-    repeats = [i for i, name in enumerate(header.names) if name == header.names[0]]
-    if not starts or starts[0] != 0 or len(starts) < len(repeats):
-        starts = repeats
-    return [range(a, b) for a, b in zip(starts, [*starts[1:], width], strict=True)]
-
-
-def _parts(header: Header, groups: Sequence[range]) -> list[str]:
-    """Return the names of the specimens."""
+    if card.layout != "side by side":
+        return [("", range(width))]
     titles = dict(enumerate(header.specimens))
-    names = [titles.get(group[0], "") for group in groups]
-    if len(groups) == 1:
-        return names
-    return unique_names([name or f"specimen {i}" for i, name in enumerate(names, start=1)])
+    starts = [i for i in range(width) if titles.get(i)]
+    repeats = [i for i, name in enumerate(header.names) if name == header.names[0]]
+    if starts[:1] != [0] or len(starts) < len(repeats):
+        starts = repeats
+    names = [titles.get(start, "") for start in starts]
+    if len(starts) > 1:
+        names = unique_names([name or f"specimen {i}" for i, name in enumerate(names, start=1)])
+    return list(zip(names, map(range, starts, [*starts[1:], width]), strict=True))
 
 
-def _without_padding(columns: dict[int, Floats]) -> dict[int, Floats]:
-    """Return columns up to the last row that is filled in one of them."""
-    filled = np.logical_or.reduce([~np.isnan(values) for values in columns.values()])
-    rows = int(np.flatnonzero(filled)[-1]) + 1 if filled.any() else 0
-    return {i: values[:rows] for i, values in columns.items()}
-
-
-def _word_values(data: bytes, header: Header, card: Card) -> dict[str, object]:
-    """Return the distinct texts in columns of text."""
+def _word_values(body: Body, header: Header, card: Card) -> dict[str, object]:
+    """Return the distinct texts in columns of text according to the card."""
     max_texts = 20
-    columns = _word_columns(header.names, card)
-    texts: dict[str, dict[str, None]] = {header.names[column]: {} for column in columns}
-    for line in lines_of(data.decode("utf-8", errors="replace")) if columns else ():
-        cells = dict(enumerate(split_line(line, header.separator)))
-        for column in columns:
-            if column in cells:
-                texts[header.names[column]].setdefault(cells[column].strip())
+    columns = {i: name for i, name in enumerate(header.names) if name in card.words}
+    texts: dict[str, dict[str, None]] = {name: {} for name in columns.values()}
+    for row in body.rows() if columns else ():
+        for i, name in columns.items():
+            if i < len(row):
+                texts[name].setdefault(row[i].strip())
     return {name: list(distinct)[:max_texts] for name, distinct in texts.items()}
 
 
@@ -268,35 +227,29 @@ def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
     blocks: list[_Block] = []
     notes: list[QualityNote] = []
     about: list[Sequence[str]] = []
-    first_line = 1
-    for lines, gap in zip(
-        *(_BLANK_LINE.split(text), [*_BLANK_LINE.findall(text), ""]), strict=True
-    ):
-        header = _header_of_block(lines, first_line, card, path) if lines.strip() else None
+    line = 1
+    for block in _BLANK_LINES.split(text):
+        header = _header_of_block(block, line, card, path) if block.strip() else None
         if header is None:
-            about += [split_line(line, "\t") for line in lines_of(lines)]
+            about += [split_line(row, "\t") for row in lines_of(block)]
         else:
             blanks = header.separator == " "  # parts of one key, not cells
             about += [[" ".join(row)] for row in header.above] if blanks else header.above
-            data = (lines + "\n" if gap else lines).encode()
-            data, first = data[line_start(data, header.first) :], first_line + header.first
+            data, first = lines_from(block.encode(), header.first), line + header.first
             wanted = _wanted_columns(header, card, None, path)
-            body = _body(data, header, wanted, first, decimal)
-            columns, its_notes = read_columns(body, path)
+            columns, its_notes = read_columns(_body(data, header, wanted, first, decimal), path)
             blocks.append(_Block(first, Table("", header.names, header.units, columns)))
             notes += its_notes
-        first_line += (lines + gap).count("\n")
+        line += block.count("\n")
     if not blocks:
-        expected = "a block of names, units and numbers"
-        raise unreadable(path, f"lines 1 to {first_line}", expected, "none", _REMEDY)
-    are_summaries = _are_summaries([block.table for block in blocks], card)
-    samples = [block for block, left_out in zip(blocks, are_summaries, strict=True) if not left_out]
-    summaries = [block for block, left_out in zip(blocks, are_summaries, strict=True) if left_out]
-    for line, table in summaries:
-        message = f"{table.rows} rows from line {line} have no time: a summary, not samples"
-        notes.append(file_note("summary_rows_left_out", message))
+        raise ReadError.about("readers.no_blocks", path, f"lines 1 to {line}")
+    samples, summaries = _without_summaries(blocks, card)
+    notes += [
+        QualityNote.of("readers.summary_blocks", "file", rows=table.rows, line=first)
+        for first, table in summaries
+    ]
     if not samples:
-        notes.append(_no_samples("all rows are a summary: the test took no samples"))
+        notes.append(QualityNote.of("readers.no_samples", "file"))
     tables, joined_notes = _joined(samples)
     metadata = _preamble(about)
     if summaries:
@@ -317,18 +270,21 @@ def _header_of_block(block: str, first_line: int, card: Card, path: Path) -> Hea
     return None
 
 
-def _are_summaries(tables: Sequence[Table], card: Card) -> list[bool]:
-    """Return which blocks are summaries: those without time; if none has time, extremes.
+def _without_summaries(blocks: Sequence[_Block], card: Card) -> tuple[list[_Block], list[_Block]]:
+    """Separate summaries from samples: blocks without time; if none has time, extremes.
 
     Extremes are two rows, of which the first one is never the smaller one.
     """
-    timed = [time_column(table.names, table.units, card) is not None for table in tables]
-    if any(timed):
-        return [not has_time for has_time in timed]
-    return [
-        all(len(values) == 2 and values[0] >= values[1] for values in table.columns.values())
-        for table in tables
-    ]
+    timed = [_has_time(block.table, card) for block in blocks]
+    if not any(timed):
+        columns = [block.table.columns.values() for block in blocks]
+        timed = [any(len(c) != 2 or not c[0] >= c[1] for c in group) for group in columns]
+    of_time = list(zip(blocks, timed, strict=True))
+    return [block for block, yes in of_time if yes], [block for block, yes in of_time if not yes]
+
+
+def _has_time(table: Table, card: Card) -> bool:
+    return time_column(table.names, table.units, card) is not None
 
 
 def _joined(blocks: Sequence[_Block]) -> tuple[list[Table], list[QualityNote]]:
@@ -345,9 +301,9 @@ def _joined(blocks: Sequence[_Block]) -> tuple[list[Table], list[QualityNote]]:
         part = f"block {number}" if len(groups) > 1 else ""
         tables.append(replace(first, part=part, columns=columns))
         if len(members) > 1:
-            places = ", ".join(str(line) for line, _ in members)
-            message = f"{len(members)} blocks of samples (from lines {places} on) are one recording"
-            notes.append(file_note("blocks_joined", message))
+            lines = ", ".join(str(line) for line, _ in members)
+            count = len(members)
+            notes.append(QualityNote.of("readers.blocks_joined", "file", count=count, lines=lines))
     return tables, notes
 
 
@@ -388,23 +344,18 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         tables[name] = _table_of_sheet(sheets[name], header, name, card, path)
         about |= _preamble(header.above)
     if not tables:
-        found = f"{len(faults)} sheets without"
-        general = unreadable(path, "", "a sheet with names, units and numbers", found, _REMEDY)
-        specific = (fault for fault in faults if "numbers below it" not in str(fault))
-        raise next(specific, general)
-    results = _sheets_of_results(tables, card)
-    left_out = [name for name in sheets if name not in tables or name in results]
+        general = ReadError.about("readers.no_sheets", path, count=len(faults))
+        raise next((fault for fault in faults if "numbers below it" not in str(fault)), general)
+    left_out = [name for name in sheets if name not in tables or _holds_results(name, tables, card)]
     notes = []
     if left_out:
-        rows_of = {
+        about["sheets"] = {
             name: [row for row in heads[name][:max_shown_rows] if any(row)] for name in left_out
         }
-        about["sheets"] = rows_of
-        names = ", ".join(f"'{name}'" for name in left_out)
-        message = f"{len(left_out)} sheets without samples were omitted: {names}"
-        notes.append(file_note("sheets_left_out", message))
+        names, count = ", ".join(f"'{name}'" for name in left_out), len(left_out)
+        notes.append(QualityNote.of("readers.sheets_left_out", "file", count=count, names=names))
     text = "\n".join("\t".join(row) for head in heads.values() for row in head)
-    kept = tuple(table for name, table in tables.items() if name not in results)
+    kept = tuple(table for name, table in tables.items() if name not in left_out)
     return Export(kept, about, tuple(notes), text)
 
 
@@ -415,29 +366,22 @@ def _header_of_sheet(head: Rows, sheet: str, card: Card, path: Path) -> Header:
     if time_column(header.names, header.units, card) is not None:
         return replace(header, specimens=())  # the row was edited; the sheet has a name as well
     place = f"sheet '{sheet}', row {max(header.first - 2, 1)}"
-    raise unreadable(path, place, "the specimen above the row of names", "none", _REMEDY)
+    raise ReadError.about("readers.no_specimen_above", path, place)
 
 
 def _table_of_sheet(
     rows: Sequence[Sequence[object]], header: Header, sheet: str, card: Card, path: Path
 ) -> Table:
-    names = dict(enumerate(unique_names(header.names)))
+    names = unique_names(header.names)
     wanted = {i: names[i] for i in _wanted_columns(header, card, None, path)}
     columns, notes = sheet_columns(rows, header.first, wanted, (path, f"sheet '{sheet}'"))
     specimen = next((cell for cell in header.specimens if cell), "")
     return Table(specimen or sheet, header.names, header.units, columns, sheet, tuple(notes))
 
 
-def _sheets_of_results(tables: Mapping[str, Table], card: Card) -> set[str]:
-    """Find sheets of results among sheets of samples: other columns, and no time or few rows."""
-    longest = max(tables.values(), key=lambda table: table.rows)
-    has_time = {
-        name: time_column(table.names, table.units, card) is not None
-        for name, table in tables.items()
-    }
-    return {
-        name
-        for name, table in tables.items()
-        if table.names != longest.names
-        and (table.rows < MIN_SAMPLES or (any(has_time.values()) and not has_time[name]))
-    }
+def _holds_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:
+    """Return whether a sheet holds results: other columns than the longest, no time or few rows."""
+    table, longest = tables[name], max(tables.values(), key=lambda table: table.rows)
+    any_time = any(_has_time(other, card) for other in tables.values())
+    is_odd = table.rows < MIN_SAMPLES or (any_time and not _has_time(table, card))
+    return table.names != longest.names and is_odd

@@ -132,8 +132,12 @@ def test_notes_on_channels() -> None:
     recording = assemble(Export((table,)), shipped_cards()["nexygen"], "a")
     assert [(note.code, note.where, note.message) for note in recording.notes] == [
         ("missing_values", "F [2]", "1 of 12 values are missing, the first in row 4"),
-        ("constant_channel", "channels", "1 of 3 channels never change: 'still'"),
-        ("units_not_stated", "channels", "no unit is stated for 1 of 3 channels: 'F [2]'"),
+        ("constant_channel", "channels", "values never change in 1 of 3 channels: 'still'"),
+        (
+            "units_not_stated",
+            "channels",
+            "no unit is stated for 1 of 3 channels: 'F [2]'; the protocol must state it",
+        ),
         (
             "names_not_unique",
             "channels",

@@ -129,5 +129,5 @@ def test_words_and_statistics_of_a_sheet(tmp_path: Path) -> None:
     assert np.flatnonzero(np.isnan(strain.values)).tolist() == [2, 5]
     assert len(strain.values) == len(rows)
     noted = {note.code: note.message for note in recording.notes}
-    assert noted["missing_words"].startswith("2 cells hold 'nan', 'N/A', the first in sheet 'v', r")
+    assert noted["missing_values"] == "2 of 20 values are missing, the first in row 3"
     assert noted["summary_rows_left_out"].startswith("2 rows from sheet 'v', row 25 on")

@@ -1,0 +1,271 @@
+"""Checks of time axes (holes, jitter) and of marker tracks (gaps, frozen poses, switches)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, median, stretches_of
+from labpipe.records.quality import QualityNote
+from labpipe.records.recording import Clock, MarkerTracks
+
+_LONG_STEP_FACTOR = 1.5
+"""Steps above this multiple of the median are holes, or jitter."""
+_MIN_JITTER = 0.05
+"""Relative deviation of regular steps from their median that is reported as jitter."""
+TIME_VARIABLE = "time_variable"
+"""Code of the note on a time axis whose long steps may be intended."""
+SAMPLED_ON_EVENT = frozenset({"OnChange"})
+"""Rasters that write a sample on each change: long steps are normal there."""
+_UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
+"""``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (1.1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """A stretch of a time axis in which samples were lost.
+
+    Parameters
+    ----------
+    after : number of the last sample before it, counted from 0
+    at : s, time of that sample
+    length : s, from that sample to the next one
+    """
+
+    after: int
+    at: float
+    length: float
+
+
+def find_holes(time: Floats) -> tuple[Hole, ...]:
+    """Find where samples were lost.
+
+    Parameters
+    ----------
+    time : shape (n,), s
+
+    Returns
+    -------
+    The holes in order of time; none if the axis has fewer than three samples or a NaN.
+
+    Notes
+    -----
+    A hole is a step above 1.5 medians that no neighbouring step compensates: after a late sample
+    follows a short step (``rec1_253.mat``: 1.51 ms, then 0.49 ms at 1 kHz), and no sample is lost.
+    """
+    steps = np.diff(time)
+    if len(steps) < 2 or _are_even(steps):
+        return ()
+    return _holes(time, steps, median(steps))
+
+
+def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]:
+    """Return notes on a time axis.
+
+    Parameters
+    ----------
+    clock : the time axis as exported
+    is_variable : whether the program samples at a variable rate, or omits unchanged samples: long
+        steps are no losses then
+
+    Returns
+    -------
+    Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing`` (both errors: the axis
+    cannot be used), ``time_repeats``, ``time_holes``, ``time_variable``, ``time_jitter``,
+    ``step_not_nominal``, ``time_start_not_zero``.
+    """
+    time, steps, where = clock.time, np.diff(clock.time), f"clock {clock.name}"
+    if len(time) == 0:
+        return [QualityNote.of("readers.clock_empty", where)]
+    if len(bad := np.flatnonzero(~np.isfinite(time))):
+        return [QualityNote.of("readers.time_not_finite", where, count=len(bad), first=bad[0] + 1)]
+    if len(back := np.flatnonzero(steps < 0.0)):
+        count, first = len(back), back[0] + 2
+        return [QualityNote.of("readers.time_not_increasing", where, count=count, first=first)]
+    notes = []
+    if len(same := np.flatnonzero(steps == 0.0)):
+        count, first = len(same), same[0] + 2
+        notes.append(QualityNote.of("readers.time_repeats", where, count=count, first=first))
+    if clock.name not in SAMPLED_ON_EVENT and len(steps) > 1:
+        notes += _step_notes(time, steps, where, is_variable=is_variable)
+    if time[0] != 0.0:
+        notes.append(QualityNote.of("readers.time_start_not_zero", where, start=time[0]))
+    return notes
+
+
+def _are_even(steps: Floats) -> bool:
+    """Return whether the steps are so even that there are neither holes nor jitter.
+
+    This avoids the median of millions of steps in most recordings.
+    """
+    shortest, longest = float(steps.min()), float(steps.max())
+    return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
+
+
+def _holes(time: Floats, steps: Floats, median: float) -> tuple[Hole, ...]:
+    if not median > 0.0:
+        return ()
+    long = np.flatnonzero(steps > _LONG_STEP_FACTOR * median)
+    padded = np.concatenate(([np.inf], steps, [np.inf]))
+    with_neighbour = steps[long] + np.minimum(padded[long], padded[long + 2])
+    lost = long[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median]
+    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in lost)
+
+
+def _step_notes(
+    time: Floats, steps: Floats, where: str, *, is_variable: bool
+) -> Iterator[QualityNote]:
+    # Above this count and share of all steps, long steps are normal for the program.
+    min_long_steps, min_long_share = 10, 0.05
+    regular, typical = steps, 0.0
+    if not _are_even(steps):
+        typical = median(steps)
+        if not typical > 0.0:
+            return
+        holes, steps_text = _holes(time, steps, typical), _range_text(steps, typical)
+        if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
+            yield QualityNote.of("readers.time_variable", where, steps=steps_text)
+            return
+        count, total = len(holes), len(steps)
+        if count > max(min_long_steps, min_long_share * total):
+            yield QualityNote.of(
+                "readers.many_long_steps", where, steps=steps_text, long=count, total=total
+            )
+            return
+        if holes:
+            lengths = [hole.length for hole in holes]
+            lost = sum(round(length / typical) - 1 for length in lengths)
+            span = f"{_duration(min(lengths))} to {_duration(max(lengths))}"
+            first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
+            yield QualityNote.of(
+                "readers.time_holes", where, count=count, span=span, lost=lost, first=first
+            )
+        regular = np.delete(steps, [hole.after for hole in holes])
+        if max(regular.max() - typical, typical - regular.min()) > _MIN_JITTER * typical:
+            yield QualityNote.of("readers.time_jitter", where, steps=_range_text(regular, typical))
+    yield from _nominal_note(regular, len(steps), where)
+
+
+def _range_text(steps: Floats, typical: float) -> str:
+    ends = f"{_duration(float(steps.min()))} to {_duration(float(steps.max()))}"
+    return f"steps from {ends} around {_duration(typical)}"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.4g} s" if seconds >= 1.0 else f"{1e3 * seconds:.4g} ms"
+
+
+def _nominal_note(steps: Floats, count: int, where: str) -> Iterator[QualityNote]:
+    """Compare the mean step with the nearest round step, or step of a round rate."""
+    # Relative deviation up to which the mean step has a round nominal value.
+    max_deviation = 0.002
+    step = float(steps.mean())
+    round_steps = (float(f"{step:.1e}"), 1.0 / float(f"{1.0 / step:.1e}"))
+    nominal = min(round_steps, key=lambda round_step: abs(step - round_step))
+    drift = abs(step - nominal) * count
+    if drift > 0.5 * nominal and abs(step - nominal) <= max_deviation * nominal:
+        mean, round_ = 1e3 * step, 1e3 * nominal
+        yield QualityNote.of(
+            "readers.step_not_nominal", where, mean=mean, nominal=round_, drift=drift
+        )
+
+
+def blank(positions: Floats) -> Flags:
+    """Find the frames in which an object has no position.
+
+    Parameters
+    ----------
+    positions : shape (frames, 3), m
+
+    Returns
+    -------
+    shape (frames,).
+    """
+    return np.asarray(np.isnan(positions).any(axis=1))
+
+
+def unchanged(positions: Floats) -> Flags:
+    """Find the steps over which a position stays the same to the last digit.
+
+    Parameters
+    ----------
+    positions : shape (frames, 3), m; NaN is never the same as anything
+
+    Returns
+    -------
+    shape (frames - 1,).
+    """
+    return np.asarray((np.diff(positions, axis=0) == 0.0).all(axis=1))
+
+
+def longest(flags: Flags) -> int:
+    """Return the length of the longest stretch of flagged samples, 0 if there is none."""
+    return max((stop - start for start, stop in stretches_of(flags)), default=0)
+
+
+def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
+    """Return notes on marker tracks.
+
+    Parameters
+    ----------
+    tracks : the take
+
+    Returns
+    -------
+    Notes ``take_empty``, ``frame_jumps``, ``marker_blank``, ``marker_gaps``, ``body_gaps``,
+    ``frozen_pose``, ``label_switch``, ``unlabelled_markers``.
+    """
+    if not tracks.names and not tracks.bodies:
+        return [QualityNote.of("readers.take_empty", "take")]
+    markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
+    bodies = {body.name: body.position for body in tracks.bodies}
+    gone = {name: blank(track) for name, track in (markers | bodies).items()}
+    never = [name for name in markers if len(gone[name]) and gone[name].all()]
+    notes = []
+    if never:
+        notes.append(QualityNote.of("readers.marker_blank", "markers", names=", ".join(never)))
+    for name, missing in gone.items():
+        if missing.any() and not missing.all():
+            count, total, most = int(missing.sum()), len(missing), longest(missing)
+            note = QualityNote.of(
+                "readers.marker_gaps" if name in markers else "readers.body_gaps",
+                name,
+                share=f"{count} of {total} frames",
+                longest=most,
+            )
+            notes.append(note)
+    notes += [*_frozen_notes(bodies | markers), *_switch_notes({m: gone[m] for m in markers})]
+    if unlabelled := sum(map(_is_unlabelled, tracks.names)):
+        total = len(tracks.names)
+        notes.append(
+            QualityNote.of("readers.unlabelled_markers", "markers", count=unlabelled, total=total)
+        )
+    return notes
+
+
+def _is_unlabelled(name: str) -> bool:
+    return _UNLABELLED.fullmatch(name) is not None
+
+
+def _frozen_notes(objects: Mapping[str, Floats]) -> Iterator[QualityNote]:
+    # Successive unchanged steps from which a pose counts as frozen, not as at rest.
+    min_frozen_steps = 10
+    for name, track in objects.items():
+        still = unchanged(track)
+        if (most := longest(still)) >= min_frozen_steps:
+            count, total = int(still.sum()), len(still)
+            yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
+
+
+def _switch_notes(gone: Mapping[str, Flags]) -> Iterator[QualityNote]:
+    """Find labelled markers missing in exactly the frames where an unlabelled one is seen."""
+    unlabelled = {name: missing for name, missing in gone.items() if _is_unlabelled(name)}
+    for name, missing in gone.items():
+        others = [other for other, hidden in unlabelled.items() if np.array_equal(~hidden, missing)]
+        if name not in unlabelled and others and missing.any():
+            ranges = [f"{start}-{stop - 1}" for start, stop in stretches_of(missing)[:3]]
+            rows, seen = ", ".join(ranges), ", ".join(others)
+            yield QualityNote.of("readers.label_switch", name, rows=rows, others=seen)
