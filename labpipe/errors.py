@@ -121,6 +121,27 @@ class Fault:
     at: At = "value"
     missing: str = ""
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        path: KeyPath = (),
+        /,
+        *,
+        at: At = "value",
+        missing: str = "",
+        **facts: object,
+    ) -> Self:
+        """Make a fault from a template of a room.
+
+        Parameters
+        ----------
+        name : of the template, such as ``protocol.no_key``
+        path, at, missing : see the class
+        facts : values of the fields of the template
+        """
+        return cls(path, **error_parts(name, **facts), at=at, missing=missing)
+
 
 def error_text(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
     """Format one message: file, place: expected X, found Y. What to do.

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from labpipe.api.many_tests import PathLike, groups, path_of, table
 from labpipe.api.one_test import Export, Test, inspect
-from labpipe.errors import UsageError, error_text
+from labpipe.errors import UsageError
 from labpipe.process.output_paths import RESULT_FILE, find_results, find_tests
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.read import read_outcome, read_result
@@ -86,8 +86,5 @@ def _sources(targets: Sequence[Path]) -> list[Path]:
 def _only_one(path: Path, find: Callable[[Sequence[Path]], list[Path]], remedy: str) -> Path:
     files = find([path])
     if len(files) > 1:
-        message = error_text(
-            path, "", expected="one test", found=f"{len(files)} of them", remedy=remedy
-        )
-        raise UsageError(message)
+        raise UsageError.about("api.many_tests", path, found=len(files), remedy=remedy)
     return files[0]

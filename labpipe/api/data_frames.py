@@ -6,7 +6,8 @@ a variable.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from labpipe.errors import UsageError, error_text, nearest
+from labpipe.errors import UsageError, nearest
 from labpipe.records.arrays import AXIS_LABELS
 from labpipe.records.curve import Series
 from labpipe.report.wording import Scale, shown_in
@@ -55,12 +56,24 @@ class Units:
         return Scale(1.0 / si_factor(target, unit), target)
 
 
-def _texts(texts: Iterable[str]) -> pd.Series:
-    return pd.Series(list(texts), dtype="str")
+def _table(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:
+    """Make a table of rows, of which None in a number is NaN.
+
+    Parameters
+    ----------
+    columns : type of each
+    rows : values in the order of the columns
+    """
+    return pd.DataFrame(list(rows), columns=list(columns)).astype(dict(columns))
 
 
-def _numbers(values: Iterable[float | None]) -> pd.Series:
-    return pd.Series([np.nan if value is None else value for value in values], dtype="float64")
+_RESULTS = {
+    "name": "str",
+    **dict.fromkeys(("value", "estimate", "lower", "upper"), "float64"),
+    **dict.fromkeys(("unit", "status", "code", "reason"), "str"),
+}
+_BUDGET = {"cause": "str", "change": "float64", "share": "float64", "is_common": "bool"}
+_NOTES = dict.fromkeys(("code", "severity", "where", "message"), "str")
 
 
 def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
@@ -76,26 +89,15 @@ def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (float64, NaN where not available),
     ``unit``, ``status``, ``code``, ``reason`` (text, the last two empty where there is none).
     """
-    rows = list(results)
-    scales = [units.of_result(row.name, row.unit) for row in rows]
-    ends = [(row.interval.lower, row.interval.upper) if row.interval else () for row in rows]
-    numbers = {
-        "value": [row.value for row in rows],
-        "estimate": [row.likely for row in rows],
-        "lower": [end[0] if end else None for end in ends],
-        "upper": [end[1] if end else None for end in ends],
-    }
-    factors = np.array([scale.factor for scale in scales], dtype=np.float64)
-    columns = {name: _numbers(values) * factors for name, values in numbers.items()}
-    columns |= {
-        "unit": _texts(scale.unit for scale in scales),
-        "status": _texts(str(row.status) for row in rows),
-        "code": _texts(", ".join(row.codes) for row in rows),
-        "reason": _texts(row.why for row in rows),
-    }
-    frame = pd.DataFrame(columns)
-    frame.index = pd.Index(_texts(row.name for row in rows), name="name")
-    return frame
+
+    def row(result: Result) -> list[object]:
+        factor, unit = units.of_result(result.name, result.unit)
+        ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
+        numbers = (result.value, result.likely, *ends)
+        scaled = [np.nan if number is None else number * factor for number in numbers]
+        return [result.name, *scaled, unit, result.status, ", ".join(result.codes), result.why]
+
+    return _table(_RESULTS, map(row, results)).set_index("name")
 
 
 def budget_frame(result: Result, units: Units) -> pd.DataFrame:
@@ -112,18 +114,11 @@ def budget_frame(result: Result, units: Units) -> pd.DataFrame:
     ``share`` of the variance, ``is_common`` to all tests of a rig. Empty if not known.
     """
     factor, unit = units.of_result(result.name, result.unit)
-    frame = pd.DataFrame(
-        {
-            "change": _numbers(factor * contribution.change for contribution in result.budget),
-            "share": _numbers(result.shares),
-            "is_common": pd.Series(
-                [contribution.is_common for contribution in result.budget], dtype="bool"
-            ),
-        }
-    )
-    frame.index = pd.Index(
-        _texts(contribution.cause for contribution in result.budget), name="cause"
-    )
+    rows = [
+        (part.cause, factor * part.change, share, part.is_common)
+        for part, share in zip(result.budget, result.shares, strict=True)
+    ]
+    frame = _table(_BUDGET, rows).set_index("cause")
     frame.attrs["units"] = {"change": unit, "share": "1"}
     return frame
 
@@ -181,14 +176,10 @@ def _positions(
 
 def quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
     """Make a table of quality notes: ``code``, ``severity``, ``where``, ``message``, all text."""
-    rows = list(notes)
-    columns = ("code", "severity", "where", "message")
-    return pd.DataFrame(
-        {name: _texts(str(getattr(note, name)) for note in rows) for name in columns}
-    )
+    return _table(_NOTES, ([getattr(note, name) for name in _NOTES] for note in notes))
 
 
-class Recordings:
+class Recordings(Mapping[str, pd.DataFrame]):
     """Recordings of a test as tables by name.
 
     A name is a role, such as ``force``: its channels by time. An export with several clocks
@@ -208,17 +199,11 @@ class Recordings:
         }
 
     def __getitem__(self, name: str) -> pd.DataFrame:
+        if not self._tables:
+            raise UsageError.about("api.no_recordings", "raw")
         if name not in self._tables:
-            names = list(self._tables)
-            raise UsageError(
-                error_text(
-                    "raw",
-                    "",
-                    expected=f"one of {', '.join(nearest(name, names))}" if names else "recordings",
-                    found=repr(name) if names else "none",
-                    remedy="`list(test.raw)` lists them." if names else "Process the test again.",
-                )
-            )
+            names = ", ".join(nearest(name, list(self._tables)))
+            raise UsageError.about("api.no_recording", "raw", name=name, names=names)
         return self._tables[name]()
 
     def __iter__(self) -> Iterator[str]:
@@ -253,13 +238,11 @@ def _tables(role: str, recording: Recording) -> Iterator[tuple[str, Callable[[],
 def _channels(recording: Recording, clock_name: str) -> pd.DataFrame:
     clock = recording.clock(clock_name)
     channels = [channel for channel in recording.channels if channel.clock == clock_name]
-    short = [channel.name for channel in channels]
-    names = [
-        channel.name if short.count(channel.name) == 1 else channel.path for channel in channels
-    ]
-    columns = {name: channel.values for name, channel in zip(names, channels, strict=True)}
+    counts = Counter(channel.name for channel in channels)
+    named = {one.name if counts[one.name] == 1 else one.path: one for one in channels}
+    columns = {name: channel.values for name, channel in named.items()}
     frame = pd.DataFrame(columns, index=pd.Index(clock.time, name="time"))
-    units = {name: channel.unit or NO_UNIT for name, channel in zip(names, channels, strict=True)}
+    units = {name: channel.unit or NO_UNIT for name, channel in named.items()}
     frame.attrs["units"] = {"time": clock.unit} | units
     return frame
 
@@ -377,12 +360,5 @@ def _xarray() -> Any:
     try:
         import xarray
     except ImportError as error:
-        message = error_text(
-            "xarray",
-            "",
-            expected="the package",
-            found="none",
-            remedy='Install it: pip install "labpipe[xarray]". pandas tables need no xarray.',
-        )
-        raise UsageError(message) from error
+        raise UsageError.about("api.no_xarray", "xarray") from error
     return xarray

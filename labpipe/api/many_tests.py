@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from labpipe.errors import LabpipeError, StoreError, UsageError, error_text, nearest, refusal
+from labpipe.errors import LabpipeError, StoreError, UsageError, nearest, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below, find_results
 from labpipe.store.replace import is_cut_off
 from labpipe.store.summaries import SUMMARY_FILE, read_summary
@@ -44,14 +44,7 @@ def path_of(location: PathLike) -> Path:
     except OSError as error:
         raise UsageError(refusal(error)) from error
     except ValueError as error:
-        text = error_text(
-            repr(os.fspath(location)),
-            "",
-            expected="a path",
-            found=str(error),
-            remedy="Name a file or a folder.",
-        )
-        raise UsageError(text) from error
+        raise UsageError.about("api.no_path", repr(os.fspath(location)), found=error) from error
     return path
 
 
@@ -69,14 +62,7 @@ def paths_of(locations: Paths) -> list[Path]:
     """
     several = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
     if not several:
-        text = error_text(
-            "folder",
-            "",
-            expected="a folder with processed tests",
-            found="an empty list",
-            remedy="Name one.",
-        )
-        raise UsageError(text)
+        raise UsageError.about("api.no_folders", "folder")
     return [path_of(location) for location in several]
 
 
@@ -153,15 +139,8 @@ def _summaries(places: Sequence[Path]) -> list[Path]:
         below = files_below(place, SUMMARY_FILE) if place.is_dir() else []
         files = [file for file in below if (file.parent / RESULT_FILE).exists()]
         if not files:
-            missing = "none" if place.is_dir() else "a file" if place.exists() else "nothing there"
-            message = error_text(
-                place,
-                "",
-                expected="a folder with processed tests",
-                found=missing,
-                remedy="`labpipe process` makes them from the exports of a test.",
-            )
-            raise UsageError(message)
+            found = "none" if place.is_dir() else "a file" if place.exists() else "nothing there"
+            raise UsageError.about("api.no_tests", place, found=found)
         summaries |= dict.fromkeys(files)
     return list(summaries)
 
@@ -187,10 +166,7 @@ def _read(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
 def _row(file: Path) -> _Row:
     """Read the fields of a test, and its results, from a summary."""
     if is_cut_off(file.parent):
-        state = "one whose files are being replaced, or were when a process was killed"
-        remedy = f"Wait until it is done, or finish it: `labpipe process {file.parent}`."
-        text = error_text(file, "", expected="a whole result", found=state, remedy=remedy)
-        raise StoreError(text)
+        raise StoreError.about("api.cut_off", file, folder=file.parent)
     content = read_summary(file)
     try:
         day = content.get("date")
@@ -204,24 +180,14 @@ def _row(file: Path) -> _Row:
         }
         return test, [_result(entry) for entry in content["results"]]
     except (AttributeError, LookupError, TypeError, ValueError) as error:
-        text = error_text(
-            file,
-            "",
-            expected="a whole summary",
-            found=f"a damaged one ({error})",
-            remedy="Process the test again.",
-        )
-        raise StoreError(text) from error
+        raise StoreError.about("api.damaged_summary", file, found=error) from error
 
 
 def _fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields of a sheet by name; of a bundle without the list of wires."""
     plain = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
-    bundle = {
-        name: value
-        for name, value in dict(specimen.get("bundle", {})).items()
-        if not isinstance(value, list)
-    }
+    parts = dict(specimen.get("bundle", {}))
+    bundle = {name: value for name, value in parts.items() if not isinstance(value, list)}
     taken = {*plain, *bundle, "test", "result", *_OF_TEST, *_NUMBERS, *_TEXTS}
     labels = {
         f"label_{name}" if name in taken else str(name): str(word)
@@ -232,15 +198,8 @@ def _fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
 
 def _result(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return an entry of a summary as the cells of a row."""
-    numbers = {name: entry[name] for name in _NUMBERS}
-    return {
-        "result": str(entry["name"]),
-        **{name: np.nan if number is None else float(number) for name, number in numbers.items()},
-        "unit": str(entry["unit"]),
-        "status": str(entry["status"]),
-        "code": str(entry["code"]),
-        "reason": str(entry["reason"]),
-    }
+    numbers = {name: np.nan if entry[name] is None else float(entry[name]) for name in _NUMBERS}
+    return {"result": str(entry["name"])} | numbers | {name: str(entry[name]) for name in _TEXTS}
 
 
 def _column(name: str, values: Sequence[Any]) -> pd.Series:
@@ -254,14 +213,8 @@ def _column(name: str, values: Sequence[Any]) -> pd.Series:
 def _check(by: Sequence[str], fields: list[str]) -> None:
     for name in by:
         if name not in fields:
-            text = error_text(
-                "by",
-                "",
-                expected=f"a field of the test sheets: {', '.join(nearest(name, fields))}",
-                found=repr(name),
-                remedy="Choose one of these.",
-            )
-            raise UsageError(text)
+            valid = ", ".join(nearest(name, fields))
+            raise UsageError.about("api.no_field", "by", fields=valid, found=name)
 
 
 def groups(

@@ -23,7 +23,7 @@ from labpipe.api.data_frames import (
     results_frame,
     shape_frame,
 )
-from labpipe.errors import ProcessingError, UsageError, error_text, nearest
+from labpipe.errors import ProcessingError, UsageError, nearest
 from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 
     from labpipe.records.result import Instrument, Result, Specimen
     from labpipe.report.figures import Figure
-
-_RESULT, _FIGURE, _PART, _CURVE, _SHAPE = "result", "figure", "part", "curve", "shape"
 
 
 class Test:
@@ -159,7 +157,7 @@ class Test:
     def _result(self, name: str) -> Result:
         results = {result.name: result for result in self._outcome.results}
         if name not in results:
-            raise self._unknown(_RESULT, name, list(results))
+            raise self._unknown("result", name, list(results))
         return results[name]
 
     @property
@@ -175,7 +173,7 @@ class Test:
             If the test has no curve.
         """
         if self._outcome.curve is None:
-            raise self._missing(_CURVE)
+            raise self._missing("curve")
         return curve_frame(self._outcome.curve, self._units)
 
     @property
@@ -191,7 +189,7 @@ class Test:
         """
         shape = self._full.shape
         if shape is None:
-            raise self._missing(_SHAPE)
+            raise self._missing("shape")
         return shape_frame(shape, self._units)
 
     @property
@@ -229,7 +227,7 @@ class Test:
         from labpipe.report.figures import FIGURES, draw_figure
 
         if name not in FIGURES:
-            raise self._unknown(_FIGURE, name, list(FIGURES))
+            raise self._unknown("figure", name, list(FIGURES))
         return draw_figure(self._full, name)
 
     def dataset(self, part: str) -> Dataset:
@@ -248,7 +246,7 @@ class Test:
         """
         parts = [*PARTS, *self._full.recordings]
         if part not in parts:
-            raise self._unknown(_PART, part, parts)
+            raise self._unknown("part", part, parts)
         dataset = dataset_of(self._full, part)
         if dataset is None:
             raise self._missing(part)
@@ -269,29 +267,19 @@ class Test:
         return page_of(self._outcome)
 
     def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
+        if not names:
+            return UsageError.about("api.none_of_these", self.name, what=what)
         examples = ", ".join(nearest(name, names, limit=7))
-        text = error_text(
-            self.name,
-            "",
-            expected=f"a {what} such as {examples}" if names else f"a {what}",
-            found=repr(name) if names else "none",
-            remedy="Choose one of these." if names else "Look at `quality`.",
-        )
-        return UsageError(text)
+        return UsageError.about("api.unknown", self.name, what=what, names=examples, found=name)
 
     def _missing(self, what: str) -> ProcessingError:
         notes = self._outcome.quality
         why = next((note.message for note in notes if note.severity is Severity.ERROR), "")
-        remedy = (
-            f"Why: {why.rstrip('.')}."
-            if why
-            else "Its protocol does not ask for one, or see `quality`."
-        )
-        return ProcessingError(
-            error_text(self.name, "", expected=f"a {what}", found="none", remedy=remedy)
-        )
+        remedy = f"Why: {why.rstrip('.')}." if why else _NOT_ASKED_FOR
+        return ProcessingError.about("api.missing_part", self.name, what=what, remedy=remedy)
 
 
+_NOT_ASKED_FOR = "Its protocol does not ask for one, or see `quality`."
 _CELL = "text-align:left;padding:1px 12px 1px 0"
 
 

@@ -14,8 +14,8 @@ from labpipe.messages import sentence
 from labpipe.process.protocol_match import all_protocols, majority
 from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
 from labpipe.process.sheet_writing import write_inferred_sheet
-from labpipe.protocol.campaign_plan import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
+from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import Role, Source
 from labpipe.protocol.values import has_control_characters

@@ -52,8 +52,8 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.pairing import list_candidates, plan_of
 from labpipe.errors import LabpipeError, StoreError
-from labpipe.protocol.campaign_plan import PLAN_NAME
 from labpipe.protocol.load import load_test_sheet
+from labpipe.protocol.plans import PLAN_NAME
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import locked
 

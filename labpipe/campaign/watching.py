@@ -37,7 +37,7 @@ from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import sentence
 from labpipe.process.protocol_match import all_protocols
 from labpipe.process.run import SUMMARY_FILE, draw_figures
-from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
+from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
 
 T = TypeVar("T")
 _MODULES = (

@@ -115,9 +115,8 @@ def _unusable(path: Path) -> str:
 
 def _loader_of(path: Path) -> Callable[[Path], object] | None:
     """Return the loader of a plan; None for a protocol, even a misspelt one."""
-    from labpipe.protocol.campaign_plan import PLAN_NAME
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.plans import CalibrationPlan
+    from labpipe.protocol.plans import PLAN_NAME, CalibrationPlan
 
     if path.name == PLAN_NAME:
         return load_campaign_plan

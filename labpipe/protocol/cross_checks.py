@@ -7,34 +7,50 @@ place hides nothing that is wrong in another.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, in_test_sheet, nearest
-from labpipe.protocol.faults import Values, block_in, list_in, not_among, one_of, shown
-from labpipe.protocol.plausible import plausible_faults, quantity_in, range_faults
-from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
-from labpipe.protocol.values import SI_UNITS, si_unit_like, unit_remedy
+from labpipe.protocol.source import (
+    KEYS,
+    MARKER_READERS,
+    PLAUSIBLE,
+    READERS,
+    ROLES,
+    filled_ranges,
+)
+from labpipe.protocol.values import SI_UNITS, in_si, quantity_remedy, si_unit_like, unit_remedy
+from labpipe.protocol.yaml_text import Values, block_in, list_in, not_among, one_of
 from labpipe.records.declarations import STEPS, defaults_of, existing_in
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
-from labpipe.units import parse_quantity, si_factor
 
 Faults: TypeAlias = Iterator[Fault]
 RESULTS: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """The kinds of results by their word in YAML."""
-CHANNEL_KEYS = (
+_CAMERA_KEYS = ("scale_uncertainty", "certificate")
+_CHANNEL_KEYS = (
     *("channel", "unit", "wrong_unit_in_file", "calibration"),
-    *("quantity", "plausible_peak", "scale_uncertainty", "zero_drift", "certificate"),
+    *("quantity", "plausible_peak", "zero_drift", *_CAMERA_KEYS),
 )
-_CAMERA_KEYS = frozenset({"scale_uncertainty", "certificate"})
-"""Keys of a channel that marker tracks have, too."""
-_SHAPE_STEPS = ("fit-shape", "three-point-shape")
-"""Steps of which one makes the shapes that `wire-shapes` shows."""
-_ADD_MARKERS = "Add the source 'markers'."
-_NAME_CLAMP = "Name the rigid body at the clamp in 'markers.clamp'."
-_TURNING_POINTS = "Set 'align.method' to 'turning-points'."
+_TRACKS, _CLAMP = "a source of marker tracks", "a clamped end"
+_CURVE, _BRANCHES, _MARKERS = "a block 'curve'", "a block 'branches'", "a block 'markers'"
+_CLOCKS = "a method that joins two clocks"
+_SHAPES = "a step that makes shapes"
+_REMEDIES = {
+    _TRACKS: "Add the source 'markers'.",
+    _CLAMP: "Name the rigid body at the clamp in 'markers.clamp'.",
+    _CLOCKS: "Set 'align.method' to 'turning-points'.",
+    _SHAPES: "Add the step 'fit-shape'.",
+}
+_OF_FIGURES = {
+    **dict.fromkeys(("force-displacement", "stiffness-lines", "timeline"), _CURVE),
+    "wire-shapes": _SHAPES,
+    "moment-curvature": "a result 'moment-curvature'",
+    "marker-quality": _TRACKS,
+}
+"""What a figure cannot do without."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +76,6 @@ class Channel:
         stated = self.values.get("quantity")
         return stated if isinstance(stated, str) else self.name if self.name in SI_UNITS else None
 
-    @property
-    def unit(self) -> str | None:
-        """SI unit of what it measures; None if that is not known."""
-        return SI_UNITS.get(self.quantity or "")
-
 
 class Outline:
     """Names and tags of a protocol as written, whether or not its details are valid.
@@ -78,19 +89,41 @@ class Outline:
         self.data = data
         self.sources = {role: block_in(data, "sources", role) for role in block_in(data, "sources")}
         self.channels = [
-            x for role, source in self.sources.items() for x in _channels(role, source)
+            channel for role, source in self.sources.items() for channel in _channels(role, source)
         ]
         self.steps = _tagged(data, "steps", "step")
         self.results = _tagged(data, "results", "result")
-        self.has_markers = "markers" in self.sources or any(
-            MARKER_READERS & {*readers_in(source)} for source in self.sources.values()
-        )
         self.has_clamp = self.block("markers").get("clamp") is not None
         self.made = [name for _, tag, step in self.steps for name in self.made_by(tag, step)]
         """Channels that the steps add, in order."""
-        self.names = [channel.name for channel in self.channels] + self.made
-        methods = ("turning-points", "common-start", "stated")
-        self.joins_clocks = self.block("align").get("method") in methods
+        self.measured = [channel.name for channel in self.channels]
+        self.names = self.measured + self.made
+        self.from_speed = {
+            str(step.get("channel")): str(step.get("force"))
+            for _, tag, step in self.steps
+            if tag == "travel-from-speed"
+        }
+        """Channels that are made from crosshead speed, and the force that each is made with."""
+        self.has = {*self._things()}
+        """What others may need."""
+
+    def _things(self) -> Iterator[str]:
+        readers = {word for source in self.sources.values() for word in readers_in(source)}
+        if "markers" in self.sources or MARKER_READERS & readers:
+            yield _TRACKS
+        if self.has_clamp:
+            yield _CLAMP
+        if self.block("align").get("method") in ("turning-points", "common-start", "stated"):
+            yield _CLOCKS
+        yield from (f"a block {key!r}" for key in self.data if self.block(key))
+        yield from (
+            f"a block 'curve.{key}'" for key in self.block("curve") if self.block("curve", key)
+        )
+        yield from (f"the step {tag!r}" for _, tag, _ in self.steps)
+        yield from (
+            _SHAPES for _, tag, _ in self.steps if tag in ("fit-shape", "three-point-shape")
+        )
+        yield from (f"a result {tag!r}" for _, tag, _ in self.results)
 
     def block(self, *path: str) -> Values:
         """Return the block under a path; empty if there is none."""
@@ -102,12 +135,6 @@ class Outline:
             return ()
         return tuple(name.format_map({"channel": None, **step}) for name in STEPS[tag].makes)
 
-    @property
-    def from_speed(self) -> dict[str, str]:
-        """Channels that are made from crosshead speed, and the force that each is made with."""
-        steps = (step for _, tag, step in self.steps if tag == "travel-from-speed")
-        return {str(step.get("channel")): str(step.get("force")) for step in steps}
-
     def is_optional(self, role: str) -> bool:
         """Return whether a test may lack a source."""
         return str(self.block("sources", role).get("optional")).lower() == "true"
@@ -115,17 +142,15 @@ class Outline:
     def clock_of(self, channel: str) -> str | None:
         """Return the role whose clock a channel is on; None for an unknown channel."""
         clocks = {source.name: source.role for source in reversed(self.channels)}
-        if channel not in clocks and channel in self.from_speed:
-            channel = self.from_speed[channel]
-        if channel in clocks:
-            return clocks[channel]
-        return "markers" if channel in self.made else None
+        if channel not in clocks:
+            channel = self.from_speed.get(channel, channel)
+        return clocks.get(channel) or ("markers" if channel in self.made else None)
 
     def unit_of(self, channel: object) -> str | None:
         """Return the SI unit of a channel; None where it is not known."""
-        if channel in self.made:
-            return "m"
-        return next((source.unit for source in self.channels if source.name == channel), None)
+        quantities = {source.name: source.quantity for source in reversed(self.channels)}
+        quantities |= dict.fromkeys(self.made, "travel")
+        return SI_UNITS.get(quantities.get(str(channel)) or "")
 
 
 def readers_in(source: Values) -> list[str]:
@@ -145,8 +170,8 @@ def _channels(role: str, source: Values) -> Iterator[Channel]:
 
 def _channel_keys(role: str, source: Values) -> list[str]:
     """List the keys of a source that are those of a channel."""
-    others = _CAMERA_KEYS if role == "markers" else frozenset[str]()
-    return [key for key in CHANNEL_KEYS if key in source and key not in others]
+    others = _CAMERA_KEYS if role == "markers" else ()
+    return [key for key in _CHANNEL_KEYS if key in source and key not in others]
 
 
 def _tagged(data: Values, key: str, tag: str) -> list[tuple[int, str, Values]]:
@@ -170,34 +195,32 @@ def result_names(tag: str, entry: Values) -> tuple[str, ...]:
     return () if kind is None else tuple(output.name_in(kind, entry) for output in kind.outputs)
 
 
-def cross_faults(data: Values) -> list[Fault]:
+def cross_faults(data: Values) -> Faults:
     """Find what is wrong between the parts of a protocol.
 
     Parameters
     ----------
     data : the protocol as plain values, whether or not its details are valid
 
-    Returns
-    -------
+    Yields
+    ------
     The faults, with their paths in `data`.
     """
     outline = Outline(data)
-    return [
-        *_source_faults(outline),
-        *size_faults(outline.block("specimen")),
-        *plausible_faults(data, ("specimen", "rig", "markers", "results")),
-        *_step_faults(outline),
-        *_align_faults(outline),
-        *_curve_faults(outline),
-        *_result_faults(outline),
-        *_figure_faults(outline),
-        *_display_faults(outline),
-        *_group_faults(outline),
-    ]
+    yield from plausible_faults(data, ("specimen", "rig", "markers", "results"))
+    for check in (
+        *(_source_faults, _step_faults, _align_faults, _curve_faults),
+        *(_result_faults, _figure_faults, _display_faults, _group_faults),
+    ):
+        yield from check(outline)
 
 
-def _lacking(path: KeyPath, block: str, needed_for: str) -> Fault:
-    return Fault(path, f"a block {block!r} for {needed_for}", "none", f"Add the block {block!r}.")
+def _lacking(outline: Outline, path: KeyPath, user: str, *needs: str) -> Faults:
+    """Find what a step, result or figure cannot do without."""
+    for need in needs:
+        if need not in outline.has:
+            remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
+            yield Fault.of("protocol.lacking", path, need=need, user=user, remedy=remedy)
 
 
 def _source_faults(outline: Outline) -> Faults:
@@ -206,196 +229,153 @@ def _source_faults(outline: Outline) -> Faults:
     taken = dict.fromkeys(outline.made, "a step")
     for channel in outline.channels:
         if not (channel.name in outline.from_speed and outline.is_optional(channel.role)):
-            if channel.name in taken:
-                expected = f"a name that {taken[channel.name]} has not taken"
-                yield Fault(channel.path, expected, repr(channel.name), "Rename it.", "key")
-            taken[channel.name] = f"the source {channel.role!r}"
+            name, path = channel.name, channel.path
+            if name in taken:
+                by = taken[name]
+                yield Fault.of("protocol.channel_taken", path, at="key", name=name, by=by)
+            taken[name] = f"the source {channel.role!r}"
         yield from _channel_faults(channel)
-        yield from certificate_faults(channel.values, channel.path)
-    yield from certificate_faults(outline.block("sources", "markers"), ("sources", "markers"))
 
 
 def _content_faults(role: str, source: Values) -> Faults:
     """Find a source that gives neither channels nor marker tracks, or both."""
-    path, readers, short = ("sources", role), readers_in(source), _channel_keys(role, source)
+    path: KeyPath = ("sources", role)
+    readers, short = readers_in(source), _channel_keys(role, source)
     for key in {"dialect", "part"} & {*source} if "load-frame" not in readers else ():
-        expected = "this key for the reader 'load-frame' alone"
-        remedy = "Remove it, or name the reader 'load-frame'."
-        yield Fault((*path, key), expected, f"the key {key!r}", remedy, "key")
+        yield Fault.of("protocol.load_frame_key", (*path, key), at="key", key=key)
     valid = MARKER_READERS if role == "markers" else {*READERS} - MARKER_READERS
     if not {*readers} <= valid:
-        expected = f"a reader of {'marker tracks' if role == 'markers' else 'channels'}"
-        remedy = f"Use one of {one_of('', valid)}."
-        yield Fault((*path, "reader"), expected, ", ".join(map(repr, readers)), remedy)
+        what = "marker tracks" if role == "markers" else "channels"
+        found, words = ", ".join(map(repr, readers)), one_of("", valid)
+        here = (*path, "reader")
+        yield Fault.of("protocol.wrong_reader", here, what=what, found=found, valid=words)
     elif role == "markers":
         for key in [key for key in ("channels", *short) if key in source][:1]:
-            expected = "no channels beside marker tracks"
-            yield Fault((*path, key), expected, f"the key {key!r}", "Remove it.")
-    elif readers:
-        yield from _form_faults(source, path, short)
-
-
-def _form_faults(source: Values, path: KeyPath, short: Sequence[str]) -> Faults:
-    """Find a source that names no channel, or writes channels in two ways."""
-    if "channels" in source and short:
-        found, remedy = f"{short[0]!r} beside it", "Move it into 'channels'."
-        yield Fault((*path, short[0]), "'channels' alone", found, remedy)
-    elif not source.get("channels") and "channel" not in source:
-        remedy = "Add the key 'channel', or 'channels' for several."
-        yield Fault(path, "the name of a channel", "none", remedy)
+            yield Fault.of("protocol.channel_of_markers", (*path, key), key=key)
+    elif "channels" in source and short:
+        yield Fault.of("protocol.channels_twice", (*path, short[0]), key=short[0])
+    elif readers and not source.get("channels") and "channel" not in source:
+        yield Fault.of("protocol.no_channels", path)
 
 
 def _channel_faults(channel: Channel) -> Faults:
-    path, values, quantity, target = channel.path, channel.values, channel.quantity, channel.unit
+    path, values, quantity = channel.path, channel.values, channel.quantity
     if quantity is None:
-        remedy = f"Add 'quantity', one of {one_of(channel.name, SI_UNITS)}."
-        yield Fault(path, "to know what the channel measures", "no 'quantity'", remedy)
-        return
-    if target is None:
+        yield Fault.of("protocol.no_measurand", path, valid=one_of(channel.name, SI_UNITS))
+    elif quantity not in SI_UNITS:
         yield not_among((*path, "quantity"), quantity, SI_UNITS, "one of the quantities")
-        return
-    yield from range_faults(values.get("plausible_peak"), (*path, "plausible_peak"), target)
-    if quantity != "force" and "zero_drift" in values:  # only that of the force is in an interval
-        expected, found = "this key for a force alone", f"the key 'zero_drift' of a {quantity}"
-        yield Fault((*path, "zero_drift"), expected, found, "Remove it.", "key")
-    yield from _unit_faults(path, values, quantity, target)
+    else:
+        peak = (*path, "plausible_peak")
+        yield from _range_faults(values.get("plausible_peak"), peak, SI_UNITS[quantity])
+        if quantity != "force" and "zero_drift" in values:  # only that of a force is in an interval
+            key = (*path, "zero_drift")
+            yield Fault.of("protocol.drift_of_no_force", key, at="key", quantity=quantity)
+        yield from _unit_faults(path, values, quantity)
 
 
-def _unit_faults(path: KeyPath, values: Values, quantity: str, target: str) -> Faults:
+def _unit_faults(path: KeyPath, values: Values, quantity: str) -> Faults:
     """Find a unit or a calibration that does not lead to the unit of the quantity."""
-    calibration, unit = values.get("calibration"), values.get("unit")
-    if unit is None and values.get("wrong_unit_in_file") is not None:
-        remedy = "Add the key 'unit', such as N."
-        yield Fault((*path, "wrong_unit_in_file"), "the right unit beside it", "none", remedy)
-    if unit is None and calibration is not None:
-        remedy = "Add the key 'unit', such as V."
-        yield Fault(path, "the unit that the calibration starts from", "none", remedy)
+    calibration, unit, target = values.get("calibration"), values.get("unit"), SI_UNITS[quantity]
     if unit is None:
+        if values.get("wrong_unit_in_file") is not None:
+            yield Fault.of("protocol.no_right_unit", (*path, "wrong_unit_in_file"))
+        if calibration is not None:
+            yield Fault.of("protocol.no_unit_before", path)
         return
     before = si_unit_like(str(unit)) if calibration is not None else target
     if before is None:
-        yield Fault((*path, "unit"), "a unit such as V", repr(unit), "Write the unit alone.")
+        yield Fault.of("protocol.no_unit", (*path, "unit"), quantity="V", found=repr(unit))
     elif remedy := unit_remedy(str(unit), before):
-        expected = f"a unit of {quantity} such as {before}"
-        remedy = f"{remedy} Correct it, or add a 'calibration'."
-        yield Fault((*path, "unit"), expected, repr(unit), remedy)
+        yield Fault.of(
+            "protocol.wrong_unit",
+            (*path, "unit"),
+            quantity=quantity,
+            unit=before,
+            found=repr(unit),
+            remedy=remedy,
+        )
     else:
-        units = {"gain": f"{target}/({before})", "offset": target}
-        yield from _calibration_faults(block_in(calibration), units, (*path, "calibration"))
-
-
-def _calibration_faults(calibration: Values, units: Mapping[str, str], path: KeyPath) -> Faults:
-    """Find a gain or an offset in the wrong unit, or a gain that loses the signal."""
-    for key, unit in units.items():
-        text = calibration.get(key)
-        value = quantity_in(text, unit, (*path, key), "0.5") if isinstance(text, str) else None
-        if isinstance(value, Fault):
-            yield value
-        elif key == "gain" and value == 0.0:
-            yield Fault((*path, key), "a gain other than zero", repr(text), "Correct it.")
+        block, path = block_in(calibration), (*path, "calibration")
+        yield from _no_quantity(block.get("offset"), target, (*path, "offset"), "0.5")
+        gain, key = block.get("gain"), (*path, "gain")
+        yield from _no_quantity(gain, f"{target}/({before})", key, "0.5")
+        if in_si(gain, f"{target}/({before})") == 0.0:
+            yield Fault.of("protocol.no_gain", key, found=repr(gain))
 
 
 def _step_faults(outline: Outline) -> Faults:
-    names = [channel.name for channel in outline.channels]
-    earlier: list[str] = []
+    names, earlier = list(outline.measured), list[str]()
     for number, tag, step in outline.steps:
         kind, path = STEPS.get(tag), ("steps", number)
         here: KeyPath = (*path, "step")
         if kind is not None and kind.on_markers:
-            yield from _marker_step_faults(outline, tag, earlier, here)
+            yield from _lacking(outline, here, tag, _TRACKS, _MARKERS)
+            if tag in earlier:
+                yield Fault.of("protocol.step_again", here, step=tag)
+            if kind.after and kind.after not in earlier:
+                yield Fault.of("protocol.step_before", here, step=tag, needed=kind.after)
         for key in existing_in(kind, "channel") if kind is not None else ("channel",):
-            yield from _no_channel(step, (*path, key), names, outline.made)
+            yield from _no_channel(step.get(key), (*path, key), names, outline.made)
         if tag == "travel-from-speed":
             yield from _from_speed_faults(outline, step, here)
-        span = step.get("span")
-        if isinstance(span, str) and span.strip().endswith("%") and not outline.block("branches"):
-            expected = "a span of time or samples where there are no branches"
-            remedy = "Add the block 'branches', or give the span in s."
-            yield Fault((*path, "span"), expected, repr(span), remedy)
+        span = str(step.get("span")).strip()
+        if span.endswith("%") and _BRANCHES not in outline.has:
+            yield Fault.of("protocol.span_of_no_branch", (*path, "span"), found=repr(span))
         names += outline.made_by(tag, step)
         earlier.append(tag)
-
-
-def _marker_step_faults(
-    outline: Outline, tag: str, earlier: Sequence[str], here: KeyPath
-) -> Faults:
-    if not outline.has_markers:
-        yield Fault(here, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
-    elif not outline.block("markers"):
-        yield _lacking(here, "markers", repr(tag))
-    if tag in earlier:
-        yield Fault(here, f"{tag!r} once", "a second one", "Remove one of them.")
-    needed = STEPS[tag].after
-    if needed and needed not in earlier:
-        remedy = f"Put the step {needed!r} before it."
-        yield Fault(here, f"{needed!r} before {tag!r}", "no such step before", remedy)
 
 
 def _from_speed_faults(outline: Outline, step: Values, here: KeyPath) -> Faults:
     """Find a travel that nothing can be made of, where no source can take its place."""
     rig = outline.block("rig")
     if rig.get("cycles") not in (None, "1", 1):
-        remedy = "Remove the step, or set 'rig.cycles' to 1."
-        expected = "one cycle for 'travel-from-speed'"
-        yield Fault(("rig", "cycles"), expected, f"{rig.get('cycles')}", remedy)
-    is_measured = any(channel.name == step.get("channel") for channel in outline.channels)
+        yield Fault.of("protocol.many_cycles", ("rig", "cycles"), found=rig["cycles"])
+    is_measured = step.get("channel") in outline.measured
     for key in {"crosshead_speed", "stroke"} - {*rig} if not is_measured else ():
-        remedy = f"Add 'rig.{key}', or a source that measures the displacement."
-        yield Fault(here, f"'rig.{key}' for 'travel-from-speed'", "none", remedy)
+        yield Fault.of("protocol.no_speed", here, key=key)
 
 
 def _no_channel(
-    block: Values, path: KeyPath, names: Sequence[str], later: Iterable[str] = ()
+    name: object, path: KeyPath, names: Sequence[str], later: Collection[str] = ()
 ) -> Faults:
     """Find a channel that does not exist, or not yet."""
-    name = block.get(str(path[-1]))
     if not isinstance(name, str) or name in names:
         return
     if name in later:
-        remedy = "Move it behind the step that makes this channel."
-        yield Fault(path, "a channel that exists at this step", repr(name), remedy)
+        yield Fault.of("protocol.channel_later", path, name=name)
     elif names:
         yield not_among(path, name, names, "one of the channels")
     else:
-        yield Fault(path, "a channel", repr(name), "No source gives a channel.")
+        yield Fault.of("protocol.no_channel_at_all", path, name=name)
 
 
 def _align_faults(outline: Outline) -> Faults:
-    align, here = outline.block("align"), ("align", "method")
-    if outline.joins_clocks:
-        yield from _no_channel(align, ("align", "channel"), [x.name for x in outline.channels])
-    if align.get("method") != "turning-points":
-        return
-    if not outline.has_markers:
-        yield Fault(here, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
-    elif not outline.has_clamp:
-        yield Fault(here, "a clamp whose motion has the turning points", "none", _NAME_CLAMP)
+    align = outline.block("align")
+    if _CLOCKS in outline.has:
+        yield from _no_channel(align.get("channel"), ("align", "channel"), outline.measured)
+    if align.get("method") == "turning-points":
+        yield from _lacking(outline, ("align", "method"), "turning-points", _TRACKS, _CLAMP)
 
 
 def _curve_faults(outline: Outline) -> Faults:
     curve, branches = outline.block("curve"), outline.block("branches")
     for key, unit in (("force", "N"), ("displacement", "m")):
-        yield from _no_channel(curve, ("curve", key), outline.names)
-        other = outline.unit_of(curve.get(key))
+        name, path = curve.get(key), ("curve", key)
+        yield from _no_channel(name, path, outline.names)
+        other = outline.unit_of(name)
         if other not in (None, unit):
-            found = f"{curve[key]!r} in {other}"
-            yield Fault(("curve", key), f"a channel in {unit}", found, "Name another channel.")
-    measured = [channel.name for channel in outline.channels]
+            yield Fault.of("protocol.channel_unit", path, unit=unit, name=name, other=other)
     for quantity in list_in(curve, "reverse"):
         name = curve.get(quantity) if isinstance(quantity, str) else None
-        if name in outline.made and name not in measured:
-            remedy = "Its sign is that of the specimen frame: take it out of 'curve.reverse'."
-            found = f"{name!r}, which a step makes"
-            yield Fault(("curve", "reverse"), "a channel that a source gives", found, remedy)
-    names = (curve.get("force"), curve.get("displacement"))
-    clocks = {outline.clock_of(str(name)) for name in names} - {None}
-    if len(clocks) > 1 and not outline.joins_clocks:
-        path: KeyPath = ("align", "method") if outline.block("align") else ("curve",)
-        expected = "a method that joins the two clocks of the curve"
-        yield Fault(path, expected, "none", _TURNING_POINTS)
-    yield from _no_channel(branches, ("branches", "channel"), outline.names)
-    if branches and not curve:
-        yield _lacking(("branches",), "curve", "'branches'")
+        if name in outline.made and name not in outline.measured:
+            yield Fault.of("protocol.reverse_of_made", ("curve", "reverse"), name=name)
+    clocks = {outline.clock_of(str(curve.get(key))) for key in ("force", "displacement")} - {None}
+    if len(clocks) > 1:
+        place: KeyPath = ("align", "method") if outline.block("align") else ("curve",)
+        yield from _lacking(outline, place, "curve", _CLOCKS)
+    yield from _no_channel(branches.get("channel"), ("branches", "channel"), outline.names)
+    if branches:
+        yield from _lacking(outline, ("branches",), "branches", _CURVE)
 
 
 def _result_faults(outline: Outline) -> Faults:
@@ -404,7 +384,7 @@ def _result_faults(outline: Outline) -> Faults:
     for number, tag, entry in outline.results:
         kind, path = RESULTS.get(tag), ("results", number)
         if tag == "bending-stiffness":
-            yield from length_faults(outline.block("specimen"), entry, path)
+            yield from _length_faults(outline.block("specimen"), entry, path)
         if kind is None:
             continue
         yield from _need_faults(outline, kind, (*path, "result"))
@@ -414,205 +394,171 @@ def _result_faults(outline: Outline) -> Faults:
         names = result_names(tag, entry)
         yield from _repeated_faults(names, tag, seen, (*path, "result"))
         seen |= dict.fromkeys(names, tag)
-        named_outputs = zip(names, kind.outputs, strict=True)
         stiffnesses += [
-            name for name, output in named_outputs if output.unit == "N/m" and output.first is None
+            name
+            for name, output in zip(names, kind.outputs, strict=True)
+            if output.unit == "N/m" and output.first is None
         ]
 
 
 def _no_stiffness(name: object, path: KeyPath, earlier: Sequence[str]) -> Faults:
     """Find a result of a stiffness that is not above it in the list."""
-    remedy = "Add a result 'stiffness' before it."
-    if not isinstance(name, str) or name in earlier:
-        return
-    if earlier:
-        yield not_among(path, name, earlier, "one of the stiffnesses above,", remedy=remedy)
-    else:
-        yield Fault(path, "a stiffness above it in the list", repr(name), remedy)
+    if isinstance(name, str) and earlier and name not in earlier:
+        yield not_among(path, name, earlier, "one of the stiffnesses above,")
+    elif isinstance(name, str) and not earlier:
+        yield Fault.of("protocol.no_stiffness", path, name=name)
 
 
 def _repeated_faults(
     names: Iterable[str], tag: str, seen: Mapping[str, str], path: KeyPath
 ) -> Faults:
     """Find a result whose name in the summary another one has."""
-    repeated = next((name for name in names if name in seen), None)
-    if repeated is None:
+    name = next((name for name in names if name in seen), None)
+    if name is None:
         return
-    remedy, found = "Remove one of them.", repeated
+    remedy = "Remove one of them."
     if "name" in defaults_of(RESULTS[tag]):
         remedy = "Give it another 'name'."
-    elif "name" in defaults_of(RESULTS[seen[repeated]]):
-        remedy = f"Give the {seen[repeated]} of that name another 'name'."
-    elif tag != "normalised-stiffness":
-        found = tag
-    yield Fault(path, "each result once", f"a second {found!r}", remedy)
+    elif "name" in defaults_of(RESULTS[seen[name]]):
+        remedy = f"Give the {seen[name]} of that name another 'name'."
+    yield Fault.of("protocol.result_again", path, name=name, remedy=remedy)
 
 
 def _need_faults(outline: Outline, kind: type[Kind], path: KeyPath) -> Faults:
     needs, tag = kind.needs, kind.result
-    for block in ("curve", "branches") if needs.branches else ():
-        if not outline.block(block):
-            yield _lacking(path, block, repr(tag))
-    needed = needs.correction
-    if needed and outline.block("curve") and not outline.block("curve", needed):
-        out = in_test_sheet(f"results.{tag}", "null")
-        remedy = f"Add the block {needed!r} to 'curve', or take the result out: {out}."
-        yield Fault(path, f"a block 'curve.{needed}' for {tag!r}", "none", remedy)
-    if needs.clocks and not outline.joins_clocks:
-        expected = f"'align.method' to be 'turning-points' for {tag!r}"
-        yield Fault(path, expected, "another", _TURNING_POINTS)
-    if needs.shape:
-        yield from _shape_faults(outline, tag, (needs.shape,), path)
-    if needs.clamp:
-        yield from _clamp_faults(outline, tag, path)
-
-
-def _clamp_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
-    """Find a moment without a clamped end, or with a force on another clock than the shape."""
-    if not outline.has_clamp:
-        yield Fault(path, f"a clamped end for {tag!r}", "none", _NAME_CLAMP)
-    displacement = outline.block("curve").get("displacement")
-    if isinstance(displacement, str) and outline.clock_of(displacement) not in (None, "markers"):
-        expected = f"a curve on the clock of the markers for {tag!r}"
-        remedy = "Set 'curve.displacement' to 'deflection'."
-        yield Fault(path, expected, f"displacement {displacement!r}", remedy)
-
-
-def _shape_faults(outline: Outline, tag: str, steps: tuple[str, ...], path: KeyPath) -> Faults:
-    """Find a result or a figure of a shape that none of some steps makes."""
-    if not {step for _, step, _ in outline.steps} & {*steps}:
-        expected, remedy = f"the step {steps[0]!r} for {tag!r}", f"Add the step {steps[0]!r}."
-        yield Fault(path, expected, "no such step", remedy)
+    words = [*(_CURVE, _BRANCHES) * needs.branches, *[_CLOCKS] * needs.clocks]
+    words += [f"the step {needs.shape!r}"] * bool(needs.shape) + [_CLAMP] * needs.clamp
+    yield from _lacking(outline, path, tag, *words)
+    if needs.correction and outline.block("curve"):
+        for fault in _lacking(outline, path, tag, f"a block 'curve.{needs.correction}'"):
+            out = in_test_sheet(f"results.{tag}", "null")
+            yield replace(fault, remedy=f"{fault.remedy[:-1]}, or take the result out: {out}.")
+    displacement = str(outline.block("curve").get("displacement"))
+    if needs.clamp and outline.clock_of(displacement) not in (None, "markers"):
+        yield Fault.of("protocol.clock_of_force", path, result=tag, found=displacement)
 
 
 def _figure_faults(outline: Outline) -> Faults:
     figures = list_in(outline.data, "report", "figures")
     for number, figure in enumerate(figures):
         path: KeyPath = ("report", "figures", number)
-        needs_curve = figure in ("force-displacement", "stiffness-lines", "timeline")
-        if needs_curve and not outline.block("curve"):
-            yield _lacking(path, "curve", repr(figure))
-        if figure == "wire-shapes":
-            yield from _shape_faults(outline, figure, _SHAPE_STEPS, path)
-        if figure == "moment-curvature" and not any(figure == tag for _, tag, _ in outline.results):
-            expected = f"a result {figure!r} for {figure!r}"
-            yield Fault(path, expected, "none", f"Add a result {figure!r}.")
-        if figure == "marker-quality" and not outline.has_markers:
-            yield Fault(path, f"a source of marker tracks for {figure!r}", "none", _ADD_MARKERS)
+        if isinstance(figure, str) and figure in _OF_FIGURES:
+            yield from _lacking(outline, path, figure, _OF_FIGURES[figure])
         if figure in figures[:number]:
-            yield Fault(path, "each figure once", f"{figure!r} again", "Remove one of them.")
+            yield Fault.of("protocol.figure_again", path, figure=figure)
 
 
 def _display_faults(outline: Outline) -> Faults:
     for quantity, unit in outline.block("report", "display").items():
         path: KeyPath = ("report", "display", quantity)
-        if quantity not in SI_UNITS:
-            yield not_among(path, quantity, SI_UNITS, "one of the quantities", at="key")
-            continue
-        try:
-            si_factor(str(unit), SI_UNITS[quantity])
-        except ValueError:
-            expected = f"a unit of {quantity} such as {SI_UNITS[quantity]}"
-            yield Fault(path, expected, repr(unit), "Write the unit alone, without a number.")
+        si_unit = SI_UNITS.get(quantity)
+        if si_unit is None:
+            fault = not_among(path, quantity, SI_UNITS, "one of the quantities")
+            yield replace(fault, at="key")
+        elif in_si(f"1 {unit}", si_unit) is None:
+            such = f"{quantity} such as {si_unit}"
+            yield Fault.of("protocol.no_unit", path, quantity=such, found=repr(unit))
 
 
 def _group_faults(outline: Outline) -> Faults:
     """Find a number that the report is to show first and that no result gives."""
     names = [name for _, tag, entry in outline.results for name in result_names(tag, entry)]
     cycle = re.compile(r"\.\d+$")
-    of_any_cycle = [cycle.sub(".1", name) for name in names]
+    of_any_cycle = {cycle.sub("", name) for name in names if cycle.search(name)}
     for number, name in enumerate(list_in(outline.data, "groups", "main")):
         path: KeyPath = ("groups", "main", number)
-        if not isinstance(name, str) or cycle.sub(".1", name) in of_any_cycle:
+        stem = cycle.sub("", str(name))
+        if name in names or (stem != name and stem in of_any_cycle):
             continue
         if names:
             yield not_among(path, name, names, "one of the results")
         else:
-            yield Fault(path, "a result", repr(name), "The protocol asks for none.")
+            yield Fault.of("protocol.no_results", path, name=name)
 
 
-def certificate_faults(values: Mapping[str, object], path: KeyPath) -> Iterator[Fault]:
-    """Find an uncertainty of a scale that its certificate contradicts.
-
-    Parameters
-    ----------
-    values : block of a channel or source as written
-    path : way to it
-    """
-    certificate = values.get("certificate")
-    calibration = values.get("calibration")
-    if not isinstance(certificate, Mapping) or certificate.get("uncertainty") is None:
-        return
-    gain = calibration if isinstance(calibration, Mapping) else {}
-    stated = {
-        (*path, "calibration", "gain_uncertainty"): gain.get("gain_uncertainty"),
-        (*path, "scale_uncertainty"): values.get("scale_uncertainty"),
-    }
-    uncertainties = {place: _ratio(text) for place, text in stated.items() if text is not None}
-    expanded, k = _ratio(certificate["uncertainty"]), _ratio(certificate.get("k", 2))
-    if expanded is None or not k or None in uncertainties.values():
-        return  # each is a fault of its own
-    standard = expanded / k
-    together = sum(value**2 for value in uncertainties.values() if value is not None) ** 0.5
-    if not together or abs(together - standard) <= 1e-9 * standard:
-        return
-    place = next(place for place, value in uncertainties.items() if value)
-    expected = f"{100.0 * standard:.4g} %, as 'certificate' has it"
-    actual = f"{100.0 * together:.4g} %"
-    remedy = f"Take {place[-1]!r} out, or 'uncertainty' out of the certificate."
-    yield Fault(place, expected, actual, remedy)
-
-
-def size_faults(specimen: Mapping[str, object]) -> Iterator[Fault]:
-    """Find a size of the specimen that is known no better than it is large.
-
-    Parameters
-    ----------
-    specimen : block as written
-    """
-    uncertainties, section = specimen.get("uncertainty"), specimen.get("section")
-    sizes = {**(section if isinstance(section, Mapping) else {}), **specimen}
-    for key, text in uncertainties.items() if isinstance(uncertainties, Mapping) else ():
-        unit = "m^2" if key == "area" else "m"
-        size, uncertainty = (_quantity(value, unit) for value in (sizes.get(key), text))
-        if size is not None and uncertainty is not None and uncertainty >= size > 0.0:
-            expected = f"less than the {key} itself, {sizes[key]}"
-            yield Fault(
-                ("specimen", "uncertainty", key), expected, shown(text), "Look at its unit."
-            )
-
-
-def length_faults(
-    specimen: Mapping[str, object], entry: Mapping[str, object], path: KeyPath
-) -> Iterator[Fault]:
-    """Find an uncertainty of a length that a result states otherwise than the specimen.
-
-    Parameters
-    ----------
-    specimen : block as written
-    entry : of a bending stiffness
-    path : way to it
-    """
+def _length_faults(specimen: Values, entry: Values, path: KeyPath) -> Faults:
+    """Find an uncertainty of a length that a result states otherwise than the specimen."""
     key = "length" if entry.get("support") == "cantilever" else "span"
-    block = specimen.get("uncertainty")
-    there = block.get(key) if isinstance(block, Mapping) else None
-    here = entry.get("length_uncertainty")
-    values = _quantity(here, "m"), _quantity(there, "m")
-    if None in values or values[0] == values[1]:
+    here, there = entry.get("length_uncertainty"), block_in(specimen, "uncertainty").get(key)
+    values = in_si(here, "m"), in_si(there, "m")
+    if None not in values and values[0] != values[1]:
+        path = (*path, "length_uncertainty")
+        yield Fault.of("protocol.length_twice", path, key=key, here=here, there=there)
+
+
+def _no_quantity(text: object, unit: str, path: KeyPath, number: str) -> Faults:
+    """Find a text that is no quantity of a unit."""
+    if isinstance(text, str) and in_si(text, unit) is None:
+        such = unit.replace("(", "").replace(")", "")
+        remedy = quantity_remedy(text, unit, f"{number} {such}")
+        kind = f"quantity with a unit such as {such}"
+        yield Fault.of("protocol.no_quantity", path, kind=kind, found=repr(text), remedy=remedy)
+
+
+def _range_faults(stated: object, path: KeyPath, unit: str) -> Faults:
+    """Find a plausible range without a unit, or with its ends the wrong way round."""
+    texts = [block_in(stated).get(key) for key in ("from", "to")]
+    for key, text in zip(("from", "to"), texts, strict=True):
+        yield from _no_quantity(text, unit, (*path, key), "20")
+    low, high = (in_si(text, unit) for text in texts)
+    if low is not None and high is not None and not 0.0 <= low < high:
+        yield Fault.of("protocol.range_reversed", path, low=low, high=high, unit=unit)
+
+
+def plausible_faults(
+    data: Values,
+    blocks: Collection[str],
+    *,
+    others: Collection[str] = (),
+    ranges: object = None,
+    in_file: bool = False,
+) -> Faults:
+    """Find wrong ranges in a file, and dimensions in some of its blocks that are outside theirs.
+
+    Parameters
+    ----------
+    data : the file as written; what is no quantity is a fault of its own
+    blocks : keys of the blocks
+    others : keys of further lengths, whose names say no kind
+    ranges : of another file, by kind of dimension; those of the file itself if None
+    in_file : whether a range is widened in the file itself, which no test sheet can override
+    """
+    for kind, ends in block_in(data, "plausible").items():
+        if kind in PLAUSIBLE:
+            yield from _range_faults(ends, ("plausible", kind), PLAUSIBLE[kind][0])
+    valid = filled_ranges(data.get("plausible") or {} if ranges is None else ranges)
+    for block in blocks:
+        for path, text in _sizes(data.get(block), (block,)):
+            key = next(str(part) for part in reversed(path) if isinstance(part, str))
+            kind = KEYS.get(key) or KEYS.get(key.rpartition("_")[2]) or ("other" * (key in others))
+            ends = block_in(valid, kind)
+            yield from _outside(kind, text, path, ends, in_file=in_file) if ends else ()
+
+
+def _sizes(node: object, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+    """List the texts in a block or a list, where a key may be that of a dimension."""
+    if isinstance(node, Mapping):
+        for key in node.keys() - {"uncertainty", "labels", "positions"}:
+            yield from _sizes(node[key], (*path, key))
+    elif isinstance(node, list):
+        for number, item in enumerate(node):
+            yield from _sizes(item, (*path, number))
+    elif isinstance(node, str):
+        yield path, node
+
+
+def _outside(kind: str, text: str, path: KeyPath, ends: Values, *, in_file: bool) -> Faults:
+    size, low, high = (in_si(x, PLAUSIBLE[kind][0]) for x in (text, ends["from"], ends["to"]))
+    if size is None or low is None or high is None or low <= abs(size) <= high or low >= high:
         return
-    expected = f"the uncertainty of the {key} once"
-    actual = f"{here!r} beside {there!r} in 'specimen.uncertainty.{key}'"
-    remedy = f"Write it as 'specimen.uncertainty.{key}' alone."
-    yield Fault((*path, "length_uncertainty"), expected, actual, remedy)
-
-
-def _ratio(text: object) -> float | None:
-    return _quantity(text, "1")
-
-
-def _quantity(text: object, unit: str) -> float | None:
-    """Value in a unit; None for what is none, which is a fault of its own."""
-    try:
-        return parse_quantity(text, unit)
-    except ValueError:
-        return None
+    end = "from" if abs(size) < low else "to"
+    override = in_test_sheet(f"plausible.{kind}.{end}", text)
+    yield Fault.of(
+        "protocol.implausible",
+        path,
+        kind=kind.replace("_", " ") if kind != "other" else "dimension",
+        low=ends["from"],
+        high=ends["to"],
+        found=repr(text),
+        override=f"'plausible: {{{kind}: {{{end}: {text}}}}}'" if in_file else override,
+    )

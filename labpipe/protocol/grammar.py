@@ -44,7 +44,6 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import Values, error_of, faults_of, raised
 from labpipe.protocol.values import (
     QuantityText,
     parse_span,
@@ -52,6 +51,7 @@ from labpipe.protocol.values import (
     parse_word,
     written_span,
 )
+from labpipe.protocol.yaml_text import FaultsError, Values, faults_of, refused
 from labpipe.records.declarations import (
     Key,
     LargerThan,
@@ -83,6 +83,14 @@ class Block(BaseModel):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
+    def read(cls, data: object) -> Self | list[Fault]:
+        """Validate plain values, or find all that is wrong with them."""
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            return faults_of(error, data)
+
+    @classmethod
     def between(cls, data: Values) -> Iterable[Fault]:  # noqa: ARG003 - blocks that check use it
         """Check one part of the block against another, whether or not each part is valid.
 
@@ -108,16 +116,14 @@ class Block(BaseModel):
         try:
             block = handler(data)
         except ValidationError as error:
-            within = faults_of(error, data=data, keys=cls.keys())
+            within = faults_of(error, data, cls.keys())
         else:
             if not cross_faults:
                 return block
         misspelt = {fault.path for fault in cross_faults if fault.at == "key"}
         within = [fault for fault in within if fault.path not in misspelt]
         places = {fault.path for fault in within}
-        raise raised(
-            [*within, *(fault for fault in cross_faults if fault.path not in places)], data
-        )
+        raise FaultsError(*within, *(x for x in cross_faults if x.path not in places))
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -192,8 +198,8 @@ def _larger(than: LargerThan, text: QuantityText, value: float, info: Validation
     """Refuse a value that is not above that of a field before it."""
     least = info.data.get(than.field)
     if least is not None and value <= least:
-        expected = f"more than {than.key!r} ({text.written(least)})"
-        raise error_of(expected=expected, found=text.written(value))
+        least_text, found = text.written(least), text.written(value)
+        raise refused("protocol.not_larger", found=found, key=than.key, least=least_text)
     return value
 
 

@@ -12,19 +12,21 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
-from operator import add, sub
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias
 
+import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
-from labpipe.protocol.faults import Values, block_in, error_of, list_in, same_names
+from labpipe.protocol.cross_checks import plausible_faults
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.plausible import Plausible, plausible_faults
 from labpipe.protocol.schema import Version
+from labpipe.protocol.source import Plausible
 from labpipe.protocol.values import Line as TextLine
-from labpipe.protocol.values import QuantityText, Remark, Text, quantity_remedy, row_of
+from labpipe.protocol.values import QuantityText, Remark, Text, in_si, quantity_remedy, row_of
+from labpipe.protocol.yaml_text import Values, block_in, list_in, refused, same_names
+from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
     Length,
@@ -53,8 +55,7 @@ def _of_unit_length(vector: Vector3) -> Vector3:
     x, y, z = vector
     size = math.hypot(x, y, z)
     if size == 0.0:
-        remedy = "Write x, y and z, such as [1, 0, 0]."
-        raise error_of(expected="a direction", found="one without length", remedy=remedy)
+        raise refused("protocol.no_direction", found=list(vector))
     return x / size, y / size, z / size
 
 
@@ -85,26 +86,16 @@ def _place(value: object) -> float:
     try:
         return _ALONG.parse(value)
     except ValueError as error:
-        expected = "'start', 'end', or a length from the start such as 120 mm"
         remedy = quantity_remedy(value, "m", "120 mm")
-        raise error_of(expected=expected, found=value, remedy=remedy) from error
+        raise refused("protocol.no_place", found=value, remedy=remedy) from error
 
 
-def written_place(place: float) -> str:
-    """Name a place on the line as YAML does.
-
-    Parameters
-    ----------
-    place : m from the start; `START`, or `END`
-    """
+def _written_place(place: float) -> str:
+    """Name a place on the line, m from its start, as YAML does."""
     return {at: word for word, at in _WORDS.items()}.get(place) or _ALONG.written(place)
 
 
-Place: TypeAlias = Annotated[
-    float,
-    PlainValidator(_place),
-    PlainSerializer(written_place),
-]
+Place: TypeAlias = Annotated[float, PlainValidator(_place), PlainSerializer(_written_place)]
 Step: TypeAlias = Annotated[int, WholeNumber(1, MAX_STEPS)]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
 BendingStiffness: TypeAlias = Annotated[float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", above=0.0)]
@@ -175,18 +166,18 @@ class SectionBlock(Block):
         """Ask for one source of the law, all that it needs, and nothing that it does not take."""
         kinds = [name for name in _KINDS if data.get(name) is not None]
         if len(kinds) != 1:
-            actual = " and ".join(map(repr, kinds)) or "none of them"
-            expected = "one of the keys 'wire', 'sliders' and 'bending_stiffness'"
-            yield Fault((), expected, actual, "Say once what the line is made of.")
+            found = " and ".join(map(repr, kinds)) or "none of them"
+            yield Fault.of("protocol.no_one_section", found=found)
             return
-        kind = kinds[0]
+        kind, own = kinds[0], _OWN_KEYS[kinds[0]]
         for key, why in _NEEDED[kind].items():
             if data.get(key) is None:
-                yield Fault((), f"the key {key!r} beside {kind!r}", "no such key", why, missing=key)
-        others = {key for keys in _OWN_KEYS.values() for key in keys} - {*_OWN_KEYS[kind]}
-        for key in sorted(others & {*data}):
-            expected = f"only keys that go with {kind!r}: {', '.join(map(repr, _OWN_KEYS[kind]))}"
-            yield Fault((key,), expected, repr(key), "Take it away.", "key")
+                yield Fault.of("protocol.no_section_key", missing=key, key=key, kind=kind, why=why)
+        for key in sorted({key for keys in _OWN_KEYS.values() for key in keys} & {*data} - {*own}):
+            valid = ", ".join(map(repr, own))
+            yield Fault.of(
+                "protocol.other_section", (key,), at="key", key=key, kind=kind, own=valid
+            )
 
 
 class Spool(Block):
@@ -265,17 +256,14 @@ class Grip(Block):
     def between(cls, data: Values) -> Iterator[Fault]:
         """Ask for waypoints in order, and for none of a direction that is not held."""
         points = [block_in(point) for point in list_in(data, "path")]
-        for number, (one, other) in enumerate(pairwise(points), start=1):
-            steps = [str(part.get("step")) for part in (one, other)]
-            if all(step.isdecimal() for step in steps) and int(steps[1]) <= int(steps[0]):
+        steps = [str(point.get("step")) for point in points]
+        for number, (one, other) in enumerate(pairwise(steps), start=1):
+            if one.isdecimal() and other.isdecimal() and int(other) <= int(one):
                 path = ("path", number, "step")
-                yield Fault(path, f"a step after {steps[0]}", steps[1], "Order them.")
-        if data.get("holds") == "position":
-            turned = [(i, key) for i, point in enumerate(points) for key in _OF_POSES & {*point}]
-            for number, key in sorted(turned):
-                actual, remedy = f"the key {key!r}", "Take it away, or write 'holds: pose'."
-                expected = "positions alone, of a grip that the line may turn in"
-                yield Fault(("path", number, key), expected, actual, remedy, "key")
+                yield Fault.of("protocol.step_not_after", path, before=one, found=other)
+        for number, point in enumerate(points if data.get("holds") == "position" else []):
+            for key in sorted(_OF_POSES & {*point}):
+                yield Fault.of("protocol.turn_of_no_pose", ("path", number, key), at="key", key=key)
 
 
 _OF_POSES = {"direction", "turn"}
@@ -342,8 +330,7 @@ class Sweep(Block):
         """Ask for more than one length."""
         lengths = data.get("length")
         if isinstance(lengths, list) and len(lengths) < 2:
-            remedy = "Add one, or take 'sweep' away."
-            yield Fault(("length",), "two lengths or more", str(len(lengths)), remedy)
+            yield Fault.of("protocol.one_length", ("length",), found=len(lengths))
 
 
 class HarnessFile(Block):
@@ -376,15 +363,14 @@ class HarnessFile(Block):
         yield from _same_places(boundaries)
         kinds = {boundary.get("kind") for boundary in boundaries}
         if isinstance(data.get("boundaries"), list) and not kinds & {*_HOLDING, None}:
-            expected = "a boundary that holds the line: clip, pin, grip or string"
-            yield Fault(("boundaries",), expected, "none", "Add one.")
+            yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
 
 def _late_steps(data: Values, boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find steps after the last one."""
     last = str(data.get("steps", HarnessFile.model_fields["steps"].default))
     steps: dict[KeyPath, object] = {
-        ("show", number): step for number, step in enumerate(list_in(data, "show"))
+        ("show", i): step for i, step in enumerate(list_in(data, "show"))
     }
     for number, boundary in enumerate(boundaries):
         steps |= {("boundaries", number, key): boundary.get(key) for key in ("by", "release")}
@@ -392,44 +378,25 @@ def _late_steps(data: Values, boundaries: Sequence[Values]) -> Iterator[Fault]:
             steps["boundaries", number, "path", i, "step"] = block_in(point).get("step")
     for path, step in steps.items():
         if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last):
-            expected = f"a step from 1 to {last}, the last"
-            yield Fault(path, expected, repr(str(step)), "Or raise 'steps'.")
+            yield Fault.of("protocol.late_step", path, last=last, found=step)
 
 
 def _same_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find two boundaries that hold one place of the line."""
-    first: dict[float, object] = {}
+    first: dict[object, object] = {}
     for number, boundary in enumerate(boundaries):
-        if boundary.get("kind") not in _HELD_KINDS or boundary.get("at") is None:
-            continue
-        try:
-            place = round(_place(boundary["at"]), 12)
-        except ValueError:  # which is a fault of its own
+        at = str(boundary.get("at"))
+        place = at if at in _WORDS else in_si(at, "m")
+        if boundary.get("kind") not in _HELD_KINDS or place is None:
             continue
         if place in first:
             path = ("boundaries", number, "at")
-            found = f"{boundary['at']!r}, which {first[place]!r} holds"
-            expected, remedy = "a place that nothing else holds", "Take one of them away."
-            yield Fault(path, expected, found, remedy)
+            yield Fault.of("protocol.place_taken", path, found=at, other=first[place])
         first.setdefault(place, boundary.get("name"))
 
 
 REACH_FACTOR = 1.0 + 1e-9
 """On the length, so that a line may be straight between two clips."""
-
-
-@dataclass(frozen=True, slots=True)
-class Leg:
-    """The end of a straight stretch of the path of something that holds the line.
-
-    Parameters
-    ----------
-    step : at which it is there
-    position : m
-    """
-
-    step: int
-    position: Vector3
 
 
 def file_beside(name: str, path: Path) -> Path:
@@ -455,8 +422,10 @@ def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
     for key in ("sheet", "calibration", "sliders"):
         name = getattr(harness.line.section, key)
         if name is not None and not file_beside(name, path).is_file():
-            places = f"There is none at {path.parent / name} or {Path(name)}."
-            yield Fault(("line", "section", key), "a file", repr(name), places)
+            here, place = path.parent / name, ("line", "section", key)
+            yield Fault.of(
+                "protocol.no_harness_file", place, name=name, here=here, there=Path(name)
+            )
 
 
 def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
@@ -467,7 +436,7 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     harness : whose line may leave both to the clip at its start
     """
     line = harness.line
-    held = (boundary for _, boundary in _held(harness))
+    held = (boundary for boundary in harness.boundaries if isinstance(boundary, HELD))
     first = next((boundary for boundary in held if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
@@ -477,58 +446,38 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     return position, direction or (1.0, 0.0, 0.0)
 
 
-def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
-    """Path of what holds the line: where it is at the start, and the ends of its straight legs.
+def path_of(boundary: Held | String, start: Sequence[float] | Floats, steps: int) -> Floats:
+    """Find where something that holds the line is in each step, straight from pose to pose.
 
     Parameters
     ----------
-    boundary : clip, pin or grip
+    boundary : clip, pin, grip, or a string, whose anchor goes from as far as the string is long
     start : m, where the line lies at the start
     steps : of the harness
+
+    Returns
+    -------
+    shape (steps + 1, 3), m
     """
-    legs = [Leg(0, start)]
-    if isinstance(boundary, Clip | Pin):
-        return (*legs, Leg(boundary.by or steps, boundary.position))
-    for point in boundary.path:
-        legs.append(Leg(point.step, point.position or legs[-1].position))
-    return tuple(legs)
-
-
-def first_anchor(string: String, place: Vector3) -> Vector3:
-    """Where the anchor of a string is at the start, m: no farther than the string is long.
-
-    Parameters
-    ----------
-    string : of the harness
-    place : m, where the line is tied to it at the start
-    """
-    distance = math.dist(string.anchor, place)
-    return _between(place, string.anchor, min(1.0, string.length / distance if distance else 1.0))
-
-
-def _between(start: Vector3, stop: Vector3, share: float) -> Vector3:
-    """Return the place at a share of the way between two places; the second one itself at 1."""
-    if share == 1.0:
-        return stop
-    x, y, z = (a + share * (b - a) for a, b in zip(start, stop, strict=True))
-    return x, y, z
-
-
-_B = TypeVar("_B")
-
-
-def _numbered(harness: HarnessFile, kind: type[_B]) -> list[tuple[int, _B]]:
-    """List the boundaries of a kind with their numbers."""
-    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, kind)]
-
-
-def _held(harness: HarnessFile) -> list[tuple[int, Held]]:
-    """List the boundaries that hold the line, with their numbers."""
-    return [(number, x) for number, x in enumerate(harness.boundaries) if isinstance(x, HELD)]
+    at, corners = [0], [np.array(start, dtype=float)]
+    if isinstance(boundary, Grip):
+        for point in boundary.path:
+            at.append(point.step)
+            corners.append(corners[-1] if point.position is None else np.array(point.position))
+    else:
+        end = np.array(boundary.anchor if isinstance(boundary, String) else boundary.position)
+        if isinstance(boundary, String):
+            distance = float(np.linalg.norm(end - corners[0]))
+            share = min(1.0, boundary.length / distance) if distance else 1.0
+            corners = [corners[0] + share * (end - corners[0])]
+        at.append(boundary.by or steps)
+        corners.append(end)
+    rows = np.arange(steps + 1)
+    return np.column_stack([np.interp(rows, at, axis) for axis in np.array(corners).T])
 
 
 def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
-    """Find what the line is too short for, and what would hold it in a plane.
+    """Find what the line is too short for, and what else cannot be.
 
     Parameters
     ----------
@@ -540,14 +489,11 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     of a sweep for the shortest line of it that is too short. One for each that holds the line
     nearer to a plane than half the diameter that the file states; that of a wire sheet is not
     known here. One for each turn of half a turn or more in a step, which is one the other way, too,
-    for a curl that elements are too long for, for what lets go before it has come anywhere, and for
-    a line that falls as all have let it go.
+    and for a curl that elements are too long for.
     """
     yield from _in_planes(harness)
-    yield from _released_too_early(harness)
     yield from _turned_too_far(harness)
     yield from _curled_too_far(harness)
-    yield from _falling(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
     lengths += sorted((run, ("sweep", "length", i)) for i, run in enumerate(swept))
@@ -562,53 +508,36 @@ def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterato
     for number, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
         if math.isfinite(place) and place > length * REACH_FACTOR:
-            expected = f"a place on the line, which is {_mm(length)} long"
-            remedy = "Write 'end', or make the line longer."
-            yield Fault(path or ("boundaries", number, "at"), expected, _mm(place), remedy)
+            here = path or ("boundaries", number, "at")
+            yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=1e3 * place)
 
 
 def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
-    tolerance = 1e-9 * harness.line.length
     radius = 0.5 * (harness.line.section.diameter or 0.0)
     first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
-    places = _held_places(harness, harness.line.length)
-    for (_, plane), place in product(_numbered(harness, Plane), places):
-        heights = {
-            leg.step: _height(plane, leg.position)
-            for leg in place.legs[first:]
-            if leg.step <= place.last
-        }
-        step = min(heights, key=lambda step: heights[step], default=0)
-        if heights and heights[step] < radius - tolerance:
-            expected = f"the axis of the line {_mm(radius)} above {plane.name!r}, its radius"
-            remedy = "Hold it higher, or begin higher ('line.start')."
-            found = f"{_mm(heights[step])} at step {step}"
-            yield Fault(("boundaries", place.number), expected, found, remedy)
-
-
-def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
-    """Find what lets go before it is there; a grip may go on without the line."""
-    for number, held in _held(harness):
-        there = getattr(held, "by", None)
-        if isinstance(held, Grip) and held.path:
-            there = held.path[0].step
-        if held.release is not None and there is not None and held.release <= there:
-            expected = f"a step after {there}, at which {held.name!r} is where it brings the line"
-            remedy = "Let it go later, or bring it there earlier."
-            yield Fault(("boundaries", number, "release"), expected, str(held.release), remedy)
+    places = _places(harness, harness.line.length, Clip, Pin, Grip)
+    planes = [boundary for boundary in harness.boundaries if isinstance(boundary, Plane)]
+    for plane, place in product(planes, places):
+        heights = (place.path[first:] - np.array(plane.point)) @ np.array(plane.normal)
+        if heights.size and heights.min() < radius - 1e-9 * harness.line.length:
+            yield Fault.of(
+                "protocol.in_plane",
+                ("boundaries", place.number),
+                radius=1e3 * radius,
+                plane=plane.name,
+                found=1e3 * heights.min(),
+                step=int(heights.argmin()) + first,
+            )
 
 
 def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
-    # deg per step. A path is a row of frames, in which a turn and one 360 deg less are the same.
-    max_turn = 180.0
+    # A path is a row of frames, in which a turn and one 360 deg less are the same.
     for number, boundary in enumerate(harness.boundaries):
         for key, start, end, turn in _turns_of(boundary, harness.steps):
             per_step = math.degrees(abs(turn)) / (end - start)
-            if per_step >= max_turn:
-                expected = f"less than {max_turn:g} deg of turn in a step, which has one meaning"
-                found = f"{per_step:.6g} deg in each from step {start} to {end}"
-                remedy = "Take more steps for it: raise 'steps', and 'by' or 'step'."
-                yield Fault(("boundaries", number, *key), expected, found, remedy)
+            if per_step >= 180.0:
+                path = ("boundaries", number, *key)
+                yield Fault.of("protocol.turn", path, found=per_step, start=start, end=end)
 
 
 def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
@@ -626,111 +555,60 @@ def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, in
 def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
     # deg per element. Elements are straight; one that turns by more than half a turn turns the
     # other way.
-    max_curl = 90.0
+    most = 90.0
     line, swept = harness.line, harness.sweep.length if harness.sweep else ()
     element = max([line.length, *swept]) / line.elements
     curl = 0.0 if line.spool is None else math.degrees(line.spool.curvature * element)
-    if curl > max_curl:
-        expected = f"a curl of at most {max_curl:g} deg over an element of {_mm(element)}"
-        remedy = "Check the unit of the curvature, or take more elements."
-        yield Fault(("line", "spool", "curvature"), expected, f"{curl:.6g} deg", remedy)
-
-
-def _falling(harness: HarnessFile) -> Iterator[Fault]:
-    releases = {number: held.release for number, held in _held(harness)}
-    section = harness.line.section
-    has_weight = section.kind != "bending_stiffness" or section.mass_per_length is not None
-    others = any(not isinstance(boundary, (*HELD, Load)) for boundary in harness.boundaries)
-    if others or not has_weight or not any(harness.gravity) or None in releases.values():
-        return
-    number = max(releases, key=lambda release: releases[release] or 0)
-    expected = f"something that holds the line from step {releases[number]} on"
-    remedy = "Let one of them hold on, add a plane that it falls on, or take gravity away."
-    yield Fault(("boundaries", number, "release"), expected, "nothing: it falls", remedy)
-
-
-def _height(plane: Plane, position: Vector3) -> float:
-    rows = zip(plane.normal, position, plane.point, strict=True)
-    return sum((n * (a - b) for n, a, b in rows), 0.0) / math.hypot(*plane.normal)
-
-
-def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    places = sorted(_held_places(harness, length), key=lambda place: place.along)
-    for one, other in combinations(places, 2):
-        yield from _apart(one, other, other.along - one.along, path)
-    for number, string in _numbered(harness, String):
-        end = _place_of(harness, number, string, length)
-        for place in places:
-            yield from _apart(place, end, abs(end.along - place.along) + string.length, path)
-    for number, ring in _numbered(harness, Ring):
-        yield from _out_of_reach(ring, places, length, path or ("boundaries", number))
+    if curl > most:
+        path = ("line", "spool", "curvature")
+        yield Fault.of("protocol.curl", path, most=most, element=1e3 * element, found=curl)
 
 
 @dataclass(frozen=True, slots=True)
-class _HeldPlace:
-    """A place of the line and where a boundary holds it, or is tied to it, up to a last step."""
+class _Place:
+    """A place of the line and where a boundary holds it.
+
+    Parameters
+    ----------
+    number, name : of the boundary
+    along : m, from the start of the line
+    path : m, where it is in each step up to the last in which it holds
+    thread : m, length of the string that ties the line to it; 0 for what holds it
+    """
 
     number: int
     name: str
     along: float
-    legs: tuple[Leg, ...]
-    last: int
-
-    def position(self, step: int) -> Vector3:
-        """Where it is, m; before the first leg and after the last it stays."""
-        before = [leg for leg in self.legs if leg.step <= step][-1]
-        after = next((leg for leg in self.legs if leg.step > step), before)
-        share = (step - before.step) / max(after.step - before.step, 1)
-        return _between(before.position, after.position, share)
+    path: Floats
+    thread: float
 
 
-def _held_places(harness: HarnessFile, length: float) -> list[_HeldPlace]:
-    return [_place_of(harness, number, x, length) for number, x in _held(harness)]
+def _places(harness: HarnessFile, length: float, *kinds: type[Held | String]) -> list[_Place]:
+    start, direction = map(np.array, start_of(harness))
+    places = []
+    for number, boundary in enumerate(harness.boundaries):
+        if isinstance(boundary, kinds):
+            along = min(boundary.at, length)
+            path = path_of(boundary, start + along * direction, harness.steps)
+            path = path[: getattr(boundary, "release", None) or harness.steps + 1]
+            thread = boundary.length if isinstance(boundary, String) else 0.0
+            places.append(_Place(number, boundary.name, along, path, thread))
+    return sorted(places, key=lambda place: place.along)
 
 
-def _place_of(
-    harness: HarnessFile, number: int, boundary: Held | String, length: float
-) -> _HeldPlace:
-    along, name = min(boundary.at, length), boundary.name
-    start, direction = start_of(harness)
-    x, y, z = (begin + along * component for begin, component in zip(start, direction, strict=True))
-    if isinstance(boundary, String):
-        first, by = Leg(0, first_anchor(boundary, (x, y, z))), boundary.by or harness.steps
-        return _HeldPlace(number, name, along, (first, Leg(by, boundary.anchor)), harness.steps)
-    legs = legs_of(boundary, (x, y, z), harness.steps)
-    last = harness.steps if boundary.release is None else boundary.release - 1
-    return _HeldPlace(number, name, along, legs, last)
-
-
-def _apart(one: _HeldPlace, other: _HeldPlace, reach: float, path: KeyPath) -> Iterator[Fault]:
-    last = min(one.last, other.last)
-    steps = sorted({leg.step for place in (one, other) for leg in place.legs} | {last})
-    for step in (step for step in steps if step <= last):
-        distance = math.dist(one.position(step), other.position(step))
-        if distance > reach * REACH_FACTOR:
-            expected = f"at most the {_mm(reach)} that lie between {one.name!r} and {other.name!r}"
-            found, remedy = f"{_mm(distance)} between them at step {step}", _NEARER
-            yield Fault(path or ("boundaries", other.number), expected, found, remedy)
-            return
-
-
-_NEARER = "Bring them nearer, or make the line longer."
-
-
-def _out_of_reach(
-    ring: Ring, places: Sequence[_HeldPlace], length: float, path: KeyPath
-) -> Iterator[Fault]:
-    """Find a ring that no place of the line comes to, once all that holds the line is there."""
-    alongs = [place.along for place in places]
-    far = [math.dist(ring.position, place.position(place.last)) for place in places]
-    rooms = [(length - alongs[-1], far[-1]), (alongs[0], far[0])] if places else []
-    rooms += zip(map(sub, alongs[1:], alongs), map(add, far, far[1:]), strict=True)
-    if rooms and not any(needed <= reach * REACH_FACTOR for reach, needed in rooms):
-        reach, needed = min(rooms, key=lambda room: room[1] - room[0])
-        expected = f"a ring that the line comes to: {_mm(reach)} of it are there"
-        found = f"a way of {_mm(needed)} by {ring.name!r}"
-        yield Fault(path, expected, found, "Bring it nearer, or make the line longer.")
-
-
-def _mm(length: float) -> str:
-    return f"{1e3 * length:.6g} mm"
+def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+    places = _places(harness, length, Clip, Pin, Grip, String)
+    for one, other in combinations(places, 2):
+        reach = other.along - one.along + one.thread + other.thread
+        rows = min(len(one.path), len(other.path))
+        distances = np.linalg.norm(one.path[:rows] - other.path[:rows], axis=1)
+        if distances.max() > reach * REACH_FACTOR:
+            yield Fault.of(
+                "protocol.too_far",
+                path or ("boundaries", max(one.number, other.number)),
+                reach=1e3 * reach,
+                one=one.name,
+                other=other.name,
+                found=1e3 * distances.max(),
+                step=distances.argmax(),
+            )

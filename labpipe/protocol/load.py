@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import yaml
-from pydantic import ValidationError
 
 from labpipe.errors import Fault, ProtocolError, nearest
-from labpipe.protocol.cross_checks import Outline
-from labpipe.protocol.faults import faults_of, not_among
+from labpipe.protocol.cross_checks import plausible_faults
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.overrides import (
     absent_faults,
@@ -21,16 +20,22 @@ from labpipe.protocol.overrides import (
     with_overrides,
     without_absent,
 )
-from labpipe.protocol.plausible import implausible, ranges_in
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, wires_in_words
 from labpipe.protocol.source import ROLES
-from labpipe.protocol.yaml_text import Document, PlacedFault, parse_yaml, read_text
+from labpipe.protocol.yaml_text import (
+    Document,
+    Values,
+    block_in,
+    error_of_faults,
+    not_among,
+    parse_yaml,
+    read_text,
+)
 
 if TYPE_CHECKING:
-    from labpipe.protocol.campaign_plan import CampaignPlan
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.plans import CalibrationPlan
+    from labpipe.protocol.plans import CalibrationPlan, CampaignPlan
 
 
 _SUFFIXES = (".yaml", ".yml")
@@ -101,15 +106,14 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     if wanted.endswith(_SUFFIXES) or "/" in wanted or "\\" in wanted:
         places = [beside / wanted, Path(wanted)]
         files = [place for place in places if is_there(place)]
-        remedy = f"There is none at {' or '.join(map(str, places))}."
-        return files[0] if files else Fault(("protocol",), "a protocol", repr(wanted), remedy)
+        fault = Fault.of("protocol.no_protocol_at", ("protocol",), name=wanted, places=places)
+        return files[0] if files else fault
     protocol_files = known_protocols(protocols)
     if wanted in protocol_files:
         return protocol_files[wanted]
     if protocol_files:
         return not_among(("protocol",), wanted, protocol_files, "one of the protocols")
-    remedy = "There is no folder 'protocols' here."
-    return Fault(("protocol",), "a protocol", repr(wanted), remedy)
+    return Fault.of("protocol.no_protocols", ("protocol",), name=wanted)
 
 
 def is_there(path: Path) -> bool:
@@ -227,7 +231,7 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    from labpipe.protocol.campaign_plan import CampaignPlan  # tests do without it
+    from labpipe.protocol.plans import CampaignPlan  # tests do without it
 
     return checked(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
@@ -292,25 +296,24 @@ def resolve(
     protocol_file = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
     if isinstance(protocol_file, Fault):
         raise error_of_faults([sheet_document.place(protocol_file)])
-    plain = parse_yaml(read_text(protocol_file), str(protocol_file))
-    merged = parse_yaml(read_text(protocol_file), str(protocol_file))
+    text, name = read_text(protocol_file), str(protocol_file)
+    plain, merged = parse_yaml(text, name), parse_yaml(text, name)
     with_overrides(merged, sheet_document)
     followed = follow_links or are_followed(plain)
-    links = link_faults(sheet, sheet_path.parent, followed=followed)
-    sheet_faults = (
-        *_role_faults(sheet, merged),
-        *links,
-        *_implausible_sizes(sheet, sheet_document, merged),
-    )
+    sheet_faults = [
+        *_role_faults(sheet, merged.block),
+        *link_faults(sheet, sheet_path.parent, followed=followed),
+        *_implausible_sizes(sheet, sheet_document, merged.block),
+    ]
     placed = [*merged.faults, *map(sheet_document.place, sheet_faults)]
-    try:
-        protocol = Protocol.model_validate(merged.data)
-    except ValidationError as error:
-        remark = f"(With what {sheet_path} changes.)" if _is_sound(plain) else ""
-        for fault in faults_of(error, data=merged.data, keys=()):
-            is_of_sheet = merged.spot_at(fault.path)[0].file == str(sheet_path)
-            placed.append(merged.place(fault, "" if is_of_sheet else remark))
-        raise error_of_faults(placed) from None
+    protocol = Protocol.read(merged.data)
+    if isinstance(protocol, list):
+        is_sound = isinstance(Protocol.read(plain.data), Protocol)
+        for fault in protocol:
+            by_sheet = is_sound and merged.spot_at(fault.path)[0].file != str(sheet_path)
+            remark = f"(With what {sheet_path} changes.)" if by_sheet else ""
+            placed.append(merged.place(fault, remark))
+        raise error_of_faults(placed)
     steps = tuple(
         step.numbered(int(merged.spot_at(("steps", number))[0].name))
         for number, step in enumerate(protocol.steps)
@@ -336,21 +339,22 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
     The error, with a line per export; None if all are there.
     """
     folder = sheet_path.parent
-    faults = [
-        Fault(("files", role), "a file", f"none of that name ({name!r})", _nearest_in(folder, name))
+    missing = [
+        (role, name)
         for role, names in sheet.files.items()
         for name in names
         if not is_there(folder / name)
     ]
-    document = parse_yaml(read_text(sheet_path), str(sheet_path)) if faults else None
-    placed = [] if document is None else [document.place(fault) for fault in faults]
-    return error_of_faults(placed, code="missing_export") if placed else None
-
-
-def _nearest_in(folder: Path, name: str) -> str:
-    names = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
-    listed = ", ".join(map(repr, nearest(name, names, limit=3)))
-    return f"Correct the name, or copy the export there; nearest are {listed or 'no files'}."
+    if not missing:
+        return None
+    document = parse_yaml(read_text(sheet_path), str(sheet_path))
+    others = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
+    placed = []
+    for role, name in missing:
+        like = ", ".join(map(repr, nearest(name, others, limit=3))) or "no files"
+        fault = Fault.of("protocol.no_such_export", ("files", role), name=name, like=like)
+        placed.append(document.place(fault))
+    return error_of_faults(placed, code="missing_export")
 
 
 def dump_protocol(protocol: Protocol) -> str:
@@ -381,48 +385,33 @@ def checked(model: type[_B], document: Document) -> _B:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    placed = list(document.faults)
-    try:
-        block = model.model_validate(document.data)
-    except ValidationError as error:
-        faults = faults_of(error, data=document.data, keys=())
-        raise error_of_faults([*placed, *map(document.place, faults)]) from None
-    if placed:
+    block = model.read(document.data)
+    faults = block if isinstance(block, list) else []
+    if placed := [*document.faults, *map(document.place, faults)]:
         raise error_of_faults(placed)
-    return block
+    return cast("_B", block)
 
 
-def error_of_faults(placed: list[PlacedFault], *, code: str = "") -> ProtocolError:
-    """Make one error of all faults of a file, a line each, in the order of the file."""
-    return ProtocolError("\n".join(text for _, _, text in sorted(set(placed))), code=code)
-
-
-def _is_sound(document: Document) -> bool:
-    try:
-        Protocol.model_validate(document.data)
-    except ValidationError:
-        return False
-    return True
-
-
-def _implausible_sizes(sheet: TestSheet, document: Document, merged: Document) -> Iterator[Fault]:
+def _implausible_sizes(sheet: TestSheet, document: Document, protocol: Values) -> Iterator[Fault]:
     """Find sizes of the specimen that are outside the ranges of protocol and overrides."""
-    specimen: Any = document.at(("specimen",))
-    if isinstance(bundle := specimen.get("bundle"), dict):
-        wires = wires_in_words(bundle.get("wires"))
-        specimen = {**specimen, "bundle": {**bundle, "wires": wires}}
-    ranges = ranges_in(merged.data if isinstance(merged.data, Mapping) else {})
-    yield from implausible(specimen, ("specimen",), ranges, others=sheet.specimen.dimensions)
+    specimen = dict(block_in(document.data, "specimen"))
+    if bundle := block_in(specimen, "bundle"):
+        specimen["bundle"] = {**bundle, "wires": wires_in_words(bundle.get("wires"))}
+    return plausible_faults(
+        {"specimen": specimen},
+        ["specimen"],
+        others=sheet.specimen.dimensions,
+        ranges=protocol.get("plausible") or {},
+    )
 
 
-def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
+def _role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:
     """Find roles that only one of test sheet and protocol has."""
-    outline = Outline(protocol.data if isinstance(protocol.data, Mapping) else {})
-    roles = [str(role) for role in outline.sources]
-    optional = {role for role in roles if outline.is_optional(role)}
+    sources = block_in(protocol, "sources")
     for role in sheet.files:
-        if roles and role not in roles:
-            yield not_among(("files", role), role, roles, "a role of the protocol:", at="key")
-    for missing in sorted(set(roles) & set(ROLES) - set(sheet.files) - optional):
-        expected = f"a file in the role {missing!r}"
-        yield Fault(("files",), expected, "none", "Add it to 'files'.")
+        if sources and role not in sources:
+            fault = not_among(("files", role), role, sources, "a role of the protocol:")
+            yield replace(fault, at="key")
+    for missing in sorted(set(sources) & set(ROLES) - set(sheet.files)):
+        if str(block_in(sources, missing).get("optional")).lower() != "true":
+            yield Fault.of("protocol.no_file_of_role", ("files",), role=missing)

@@ -6,21 +6,18 @@ import copy
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from labpipe.errors import At, Fault, KeyPath
+from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.cross_checks import result_names
-from labpipe.protocol.faults import did_you_mean
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
 from labpipe.protocol.sheet_grammar import COPY_IT, TestSheet
-from labpipe.protocol.yaml_text import Document, Spot
+from labpipe.protocol.yaml_text import Document, Spot, block_in, did_you_mean, list_in
 from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import whole_number
 
 SHEET_DIMENSIONS = ("length", "span", "mass_per_length")
 """Keys of the sheet's specimen that override those of the protocol."""
-_NOT_OVERRIDABLE = {"follow_links": "Write it into the protocol, or give --follow-links."}
-"""Keys that a test sheet must not change, and what to do instead."""
 _LISTS = (("steps",), ("results",))
 """Blocks that a protocol may leave out and that are lists."""
 
@@ -38,46 +35,41 @@ def with_overrides(protocol: Document, sheet: Document) -> None:
     sheet : a valid test sheet as written
     """
     removed: dict[KeyPath, object] = {}
-    specimen, overrides = sheet.data.get("specimen") or {}, sheet.data.get("overrides") or {}
-    sizes = _own_sizes(specimen)
-
-    def refuse(key: str, expected: str, found: str, remedy: str, at: At) -> None:
-        path = ("overrides", key, "value")[: 2 if at == "key" else 3]
-        protocol.faults.append(sheet.place(Fault(path, expected, found, remedy, at)))
-
-    for key, path in sizes.items():
-        _set_value(protocol, key, sheet, path, removed)
-    for key, override in overrides.items():
-        if key in sizes:
-            found = f"{override['value']!r} beside {sheet.at(sizes[key])!r} in 'specimen'"
-            refuse(key, f"{key!r} once", found, "Keep the one in 'specimen'.", "value")
-        elif key in _NOT_OVERRIDABLE:
-            remedy = _NOT_OVERRIDABLE[key]
-            refuse(key, "a key that a test may change", repr(key), remedy, "key")
+    specimen, overrides = block_in(sheet.data, "specimen"), block_in(sheet.data, "overrides")
+    own: dict[str, KeyPath] = {
+        f"specimen.{key}": ("specimen", key) for key in SHEET_DIMENSIONS if specimen.get(key)
+    }
+    for key in block_in(specimen, "uncertainty"):
+        own[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
+    changes = {**own}
+    for key in overrides:
+        path: KeyPath = ("overrides", key, "value")
+        if key in own:
+            here, there = sheet.at(path), sheet.at(own[key])
+            twice = Fault.of("protocol.override_twice", path, key=key, here=here, there=there)
+            protocol.faults.append(sheet.place(twice))
+        elif key == FOLLOW:
+            fixed = Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
+            protocol.faults.append(sheet.place(fixed))
         else:
-            _set_value(protocol, key, sheet, ("overrides", key, "value"), removed)
-    align = protocol.data.get("align") if isinstance(protocol.data, Mapping) else None
+            changes[key] = path
+    for key, path in changes.items():
+        if fault := _set_value(protocol, key, sheet, path, removed):
+            protocol.faults.append(sheet.place(fault))
+    align = protocol.block.get("align")
     if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
-        align.setdefault("because", overrides["align"]["because"])
+        align.setdefault("because", sheet.at(("overrides", "align", "because")))
     _remove_items(protocol, removed)
-
-
-def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
-    """Return the keys that a sheet's own specimen replaces, by dotted key of the protocol."""
-    sizes: dict[str, KeyPath] = {
-        f"specimen.{key}": ("specimen", key)
-        for key in SHEET_DIMENSIONS
-        if specimen.get(key) is not None
-    }
-    return sizes | {
-        f"specimen.uncertainty.{key}": ("specimen", "uncertainty", key)
-        for key in specimen.get("uncertainty") or ()
-    }
 
 
 def _remove_items(merged: Document, removed: Mapping[KeyPath, object]) -> None:
     """Remove items from their lists; the spots of the others keep their numbers as written."""
-    shown_first = _shown_first(merged, [item for item in removed.values() if _names(item)])
+    names = {name for item in removed.values() for name in _names(item)}
+    shown_first: list[KeyPath] = [
+        ("groups", "main", number)
+        for number, name in enumerate(list_in(merged.data, "groups", "main"))
+        if str(name).partition(".")[0] in names
+    ]
     for path in sorted({*removed, *shown_first}, key=lambda path: path[-1], reverse=True):
         spot, _ = merged.spot_at(path[:-1])
         del merged.at(path[:-1])[path[-1]]
@@ -85,20 +77,10 @@ def _remove_items(merged: Document, removed: Mapping[KeyPath, object]) -> None:
         spot.inner = dict(enumerate(left))
 
 
-def _shown_first(merged: Document, removed: list[object]) -> Iterator[KeyPath]:
-    """Find the numbers of results that the report shows first, among those of some entries."""
-    names = {name for item in removed for name in _names(item)}
-    groups = merged.data.get("groups") if isinstance(merged.data, Mapping) else None
-    main = groups.get("main") if isinstance(groups, Mapping) else None
-    for number, name in enumerate(main if isinstance(main, list) else []):
-        if str(name).partition(".")[0] in names:
-            yield ("groups", "main", number)
-
-
 def _set_value(
     merged: Document, dotted: str, sheet: Document, source: KeyPath, removed: dict[KeyPath, object]
-) -> None:
-    """Set the value at a dotted key to the value at a path of the sheet.
+) -> Fault | None:
+    """Set the value at a dotted key to the value at a path of the sheet, if there is such a key.
 
     An item of a list that is set to nothing goes into `removed`, as it was.
     """
@@ -107,29 +89,27 @@ def _set_value(
     node, spot = merged.data, merged.spot
     path: KeyPath = ()
     parts = dotted.split(".")
-    for number, part in enumerate(parts, start=1):
-        key = _key_in(node, part)
-        if key is None:
-            merged.faults.append(sheet.place(_unknown_key(node, part, source[:2])))
-            return
-        path = (*path, key)
-        if number == len(parts):
+    for part in parts:
+        found = _key_in(node, part)
+        if found is None:
+            return _unknown_key(node, part, source[:2])
+        key, path = found, (*path, found)
+        if len(path) == len(parts):
             break
         if isinstance(node, dict) and node.get(key) is None:
             if path in _LISTS:
-                expected = f"a key of the protocol, which has no {key!r}"
-                remedy = f"Override {key!r} as a whole."
-                fault = Fault(source[:2], expected, repr(dotted), remedy, "key")
-                merged.faults.append(sheet.place(fault))
-                return
+                return Fault.of(
+                    "protocol.override_of_no_list", source[:2], at="key", key=dotted, block=key
+                )
             node[key] = {}  # a block that the protocol leaves out
             spot.inner[key] = Spot(key_spot.file, key, key_spot.key, value_spot.value)
         node, spot = node[key], spot.inner[key]
-    if isinstance(path[-1], int) and value is None:
-        removed[path] = node[path[-1]]
-    node[path[-1]] = copy.deepcopy(value)
-    name = spot.inner[path[-1]].name if path[-1] in spot.inner else path[-1]
-    spot.inner[path[-1]] = replace(value_spot, name=name, key=key_spot.key)
+    if isinstance(key, int) and value is None:
+        removed[path] = node[key]
+    node[key] = copy.deepcopy(value)
+    written = spot.inner[key].name if key in spot.inner else key
+    spot.inner[key] = replace(value_spot, name=written, key=key_spot.key)
+    return None
 
 
 def _key_in(node: object, part: str) -> str | int | None:
@@ -138,12 +118,12 @@ def _key_in(node: object, part: str) -> str | int | None:
         return part
     if not isinstance(node, list):
         return None
-    if part.isdecimal():
-        number = whole_number(part)
-        return number if number is not None and number < len(node) else None
+    number = whole_number(part)
+    if number is not None:
+        return number if number < len(node) else None
     # The name of a result first, then its kind: one stiffness of several may be `stiffness`.
-    for names_of in (_names, _tags):
-        matches = [i for i, item in enumerate(node) if part in names_of(item)]
+    for words_of in (_names, _tags):
+        matches = [i for i, item in enumerate(node) if part in words_of(item)]
         if len(matches) == 1:
             return matches[0]
     return None
@@ -151,33 +131,28 @@ def _key_in(node: object, part: str) -> str | int | None:
 
 def _tags(item: object) -> list[str]:
     """List the tags of a step or result."""
-    tags = [item.get(tag) for tag in ("step", "result")] if isinstance(item, Mapping) else []
-    return [tag_value for tag_value in tags if isinstance(tag_value, str)]
+    tags = (block_in(item).get(tag) for tag in ("step", "result"))
+    return [tag for tag in tags if isinstance(tag, str)]
 
 
 def _names(item: object) -> list[str]:
     """List the names of the results of an item, without cycle numbers."""
-    if not isinstance(item, Mapping) or not isinstance(item.get("result"), str):
-        return []
-    return [name.partition(".")[0] for name in result_names(item["result"], item)]
+    block = block_in(item)
+    return [name.partition(".")[0] for name in result_names(str(block.get("result")), block)]
 
 
 def _unknown_key(node: object, part: str, path: KeyPath) -> Fault:
     """Make the fault of an unknown dotted key."""
     if not isinstance(node, list):
-        return Fault(path, "a key of the protocol", f"{part!r} below a plain value", at="key")
+        return Fault.of("protocol.below_a_value", path, at="key", key=part)
     valid = [word for item in node for word in dict.fromkeys([*_tags(item), *_names(item)])]
-    expected = f"a number from 0 to {len(node) - 1}, or a name that one item of the list has"
     remedy = "Use its number." if valid.count(part) > 1 else did_you_mean(part, valid)
-    return Fault(path, expected, repr(part), remedy, "key")
+    last = len(node) - 1
+    return Fault.of("protocol.no_item", path, at="key", key=part, last=last, remedy=remedy)
 
 
 FOLLOW: Final = "follow_links"
 """Key of a protocol whose exports may be links into a store elsewhere."""
-_OR_FOLLOW = (
-    f" Or let links be followed: with --follow-links on the command line, or '{FOLLOW}: true' in"
-    " the protocol."
-)
 
 
 def are_followed(protocol: Document) -> bool:
@@ -187,8 +162,7 @@ def are_followed(protocol: Document) -> bool:
     ----------
     protocol : without what a test changes in it: a test folder from elsewhere must not decide this
     """
-    data = protocol.data if isinstance(protocol.data, Mapping) else {}
-    return str(data.get(FOLLOW)).lower() == "true"
+    return str(protocol.block.get(FOLLOW)).lower() == "true"
 
 
 def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[Fault]:
@@ -205,18 +179,15 @@ def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[F
     Faults at the key ``files`` of the test sheet.
     """
     home = folder.resolve()
-    for role, names in sheet.files.items():
-        for name in names:
-            try:
-                is_inside = (folder / name).resolve().is_relative_to(home)
-            except (OSError, RuntimeError):  # Python 3.12 and before call a loop a RuntimeError
-                actual = f"{name!r}, a link that leads back to itself"
-                yield Fault(("files", role), "a file", actual, "Make the link again.")
-                continue
-            if not (is_inside or followed):
-                expected = "a file inside the folder of the test"
-                actual = f"{name!r}, a link out of it"
-                yield Fault(("files", role), expected, actual, f"{COPY_IT}{_OR_FOLLOW}")
+    for role, name in ((role, name) for role, names in sheet.files.items() for name in names):
+        path: KeyPath = ("files", role)
+        try:
+            is_inside = (folder / name).resolve().is_relative_to(home)
+        except (OSError, RuntimeError):  # Python 3.12 and before call a loop a RuntimeError
+            yield Fault.of("protocol.link_to_itself", path, name=name)
+            continue
+        if not (is_inside or followed):
+            yield Fault.of("protocol.link_out", path, name=name, copy=COPY_IT)
 
 
 _MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
@@ -278,25 +249,17 @@ def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault
     -------
     Faults at the key ``files`` of the test sheet.
     """
-    step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    from_speed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
     for role, source in full_protocol.sources.items():
-        if role in protocol.sources:
-            continue
-        for name in sorted(set(source.all_channels) & _needed(protocol) - step_channels):
-            expected = f"a file in the role {role!r}, which gives {name!r}"
-            remedy = "Add it to 'files', or add the step 'travel-from-speed' to the protocol."
-            yield Fault(("files",), expected, "none", remedy)
-        for name in sorted(set(source.all_channels) & step_channels):
-            yield from _speed_faults(protocol, role, name)
-
-
-def _speed_faults(protocol: Protocol, role: str, name: str) -> Iterator[Fault]:
-    """Find a displacement that neither an export nor speed and stroke give."""
-    for key in ("crosshead_speed", "stroke"):
-        if getattr(protocol.rig, key) is None:
-            expected = f"a file in the role {role!r}, or 'rig.{key}' to make {name!r} from"
-            remedy = f"Add the file to 'files', or 'rig.{key}' to the protocol."
-            yield Fault(("files",), expected, "neither", remedy)
+        names = sorted(source.all_channels) if role not in protocol.sources else ()
+        for name in names:
+            if name in _needed(protocol) - from_speed:
+                yield Fault.of("protocol.no_needed_file", ("files",), role=role, channel=name)
+            for key in ("crosshead_speed", "stroke") if name in from_speed else ():
+                if getattr(protocol.rig, key) is None:
+                    yield Fault.of(
+                        "protocol.no_file_or_speed", ("files",), role=role, key=key, channel=name
+                    )
 
 
 def _needed(protocol: Protocol) -> set[str]:

@@ -22,12 +22,12 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from labpipe.messages import rooms_with_templates, templates_of
-from labpipe.protocol.campaign_plan import CampaignPlan
 from labpipe.protocol.grammar import Block, block_of
 from labpipe.protocol.harness_file import HarnessFile
-from labpipe.protocol.plausible import KEYS, PLAUSIBLE
+from labpipe.protocol.plans import CampaignPlan
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.source import KEYS, PLAUSIBLE
 from labpipe.records.declarations import Limits, Needs, existing_in
 from labpipe.records.quality import Severity
 from labpipe.results import KINDS

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, Union
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
 
 from pydantic import (
     BeforeValidator,
     Field,
+    ValidationInfo,
     field_validator,
 )
 
 from labpipe.errors import Fault
 from labpipe.protocol.cross_checks import cross_faults
-from labpipe.protocol.faults import Values, error_of
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.plausible import Plausible, SizeUncertainties
-from labpipe.protocol.source import ChannelSource, Role, Source
+from labpipe.protocol.source import ChannelSource, Plausible, Role, SizeUncertainties, Source
 from labpipe.protocol.values import FileStem, OrShort, Remark, Text
+from labpipe.protocol.yaml_text import FaultsError, Values, refused
 from labpipe.records.declarations import (
     LIMITS,
     Area,
@@ -75,6 +77,19 @@ class SpecimenBlock(Block):
         None, description="Standard uncertainties of these sizes; a test sheet can give its own"
     )
 
+    @field_validator("uncertainty")
+    @classmethod
+    def _is_less_than_the_size(cls, sizes: Any, info: ValidationInfo) -> Any:
+        known = {**vars(info.data.get("section") or Section()), **info.data}
+        faults = [
+            Fault.of("protocol.size_unknown", (key,), key=key)
+            for key, uncertainty in (sizes.stated if sizes else {}).items()
+            if uncertainty >= (known.get(key) or math.inf)
+        ]
+        if faults:
+            raise FaultsError(*faults)
+        return sizes
+
 
 class LoadString(Block):
     """The string between specimen and load cell."""
@@ -100,7 +115,7 @@ def _all_or_names(value: object) -> object:
         return value
     names = value if isinstance(value, list | tuple) else [value]
     if not names or not all(isinstance(name, str) and name for name in names):
-        raise error_of(expected="the word 'all', or a list of marker names", found=value)
+        raise refused("protocol.no_markers", found=value)
     return tuple(names)
 
 
@@ -216,14 +231,10 @@ class Slack(Block):
 
 
 def _words_once(value: object) -> object:
-    quantities = value if isinstance(value, list | tuple) else None
-    if (
-        quantities is None
-        or set(quantities) - {"force", "displacement"}
-        or len(set(quantities)) < len(quantities)
-    ):
-        raise error_of(expected="a list of 'force' and 'displacement', or of neither", found=value)
-    return tuple(quantities)
+    words = value if isinstance(value, list | tuple) else [None]
+    if any(words.count(word) > 1 or word not in ("force", "displacement") for word in words):
+        raise refused("protocol.no_reverse", found=value)
+    return tuple(words)
 
 
 Reverse: TypeAlias = Annotated[
@@ -293,27 +304,14 @@ class Groups(Block):
     )
 
 
-def known_version(value: object) -> int:
-    """Take the version of a file, if this labpipe knows it.
-
-    Parameters
-    ----------
-    value : as written
-
-    Raises
-    ------
-    PydanticCustomError
-        If it is another one.
-    """
+def _known_version(value: object) -> int:
+    """Take the version of a file, if this labpipe knows it."""
     if str(value) != "1":
-        remedy = "A newer labpipe may know this version."
-        raise error_of(
-            expected="version 1, the only one that this labpipe knows", found=value, remedy=remedy
-        )
+        raise refused("protocol.unknown_version", found=value)
     return 1
 
 
-Version: TypeAlias = Annotated[Literal[1], BeforeValidator(known_version)]
+Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_known_version)]
 
 
 class Protocol(Block):
@@ -356,6 +354,6 @@ class Protocol(Block):
         return tuple(step.numbered(number) for number, step in enumerate(steps))
 
     @classmethod
-    def between(cls, data: Values) -> list[Fault]:
+    def between(cls, data: Values) -> Iterator[Fault]:
         """Check one part of the protocol against another."""
         return cross_faults(data)

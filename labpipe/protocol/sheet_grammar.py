@@ -11,28 +11,11 @@ from math import dist, pi, sqrt
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import (
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-)
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
 from labpipe.errors import Fault, UsageError, error_text
-from labpipe.protocol.faults import (
-    Values,
-    block_in,
-    did_you_mean,
-    error_of,
-    faults_of,
-    raised,
-    shown,
-)
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.plausible import SizeUncertainties
-from labpipe.protocol.source import Role
+from labpipe.protocol.source import Role, SizeUncertainties
 from labpipe.protocol.values import (
     Day,
     FileStem,
@@ -41,12 +24,20 @@ from labpipe.protocol.values import (
     Remark,
     Text,
     file_inside,
+    in_si,
     row_of,
+)
+from labpipe.protocol.yaml_text import (
+    FaultsError,
+    Values,
+    block_in,
+    did_you_mean,
+    refused,
+    shown,
 )
 from labpipe.records.declarations import Length, LinearMass, Offset, Snake, WholeNumber
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
-from labpipe.units import parse_quantity
 
 DENSEST_PACKING = pi / sqrt(12)
 """Area fraction of the densest packing of equal circles (Thue 1910)."""
@@ -54,7 +45,6 @@ OVERLAP_TOLERANCE = 0.01
 """Share of the thinner diameter by which wires may overlap, because insulation is soft."""
 Places = tuple[tuple[float, float], ...]
 _WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
-_EXPECTED_WIRES = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
 
 
 class SheetWires(Block):
@@ -77,7 +67,7 @@ def wires_in_words(value: object) -> object:
 
     Raises
     ------
-    PydanticCustomError
+    FaultsError
         If the words are not those of a bundle.
     """
     if not isinstance(value, str):
@@ -86,14 +76,11 @@ def wires_in_words(value: object) -> object:
     for part in re.split(r"(?<!\s)\s+\+\s+", value.strip()):
         match = _WORDS.fullmatch(part)
         if match is None:
-            raise error_of(expected=_EXPECTED_WIRES, found=value)
-        if match[2] in wires:
-            remedy = f"Add the numbers of {match[2]!r}."
-            raise error_of(expected="each type once", found=value, remedy=remedy)
-        parts = {"number": match[1], "diameter": match[3]}
-        wires[match[2]] = {
-            key: value_text for key, value_text in parts.items() if value_text is not None
-        }
+            raise refused("protocol.no_wires", found=value)
+        number, kind, diameter = match.groups()
+        if kind in wires:
+            raise refused("protocol.type_again", found=value, type=kind)
+        wires[kind] = {"number": number} | ({"diameter": diameter} if diameter else {})
     return wires
 
 
@@ -143,16 +130,12 @@ class SheetBundle(Block):
         """Refuse a taping of no tape, a tape that is not wound, a bore of no conduit."""
         tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
         if tape == NONE and taping != NONE:
-            remedy = "Write what tape it is, such as 'tape: PVC', or 'tape: unknown'."
-            yield Fault(("taping",), "'none' where there is no tape", shown(taping), remedy)
+            yield Fault.of("protocol.no_tape", ("taping",), found=shown(taping))
         if tape != NONE and taping == NONE:
-            remedy = "Write how it is wound: 'taping: half-lap' or 'taping: coarse'."
-            yield Fault(("tape",), "'none' where 'taping' is 'none'", shown(tape), remedy)
-        if conduit == NONE and data.get("conduit_bore") is not None:
-            remedy, found = "Write what conduit it is, or leave the bore out.", data["conduit_bore"]
-            yield Fault(
-                ("conduit_bore",), "no bore where there is no conduit", shown(found), remedy
-            )
+            yield Fault.of("protocol.no_taping", ("tape",), found=shown(tape))
+        bore = data.get("conduit_bore")
+        if conduit == NONE and bore is not None:
+            yield Fault.of("protocol.no_conduit", ("conduit_bore",), found=shown(bore))
 
     @field_validator("number", "arrangement", "positions", "conduit_bore")
     @classmethod
@@ -161,7 +144,7 @@ class SheetBundle(Block):
         if wires is None or value is None:
             return value
         if faults := list(check(value, wires)):
-            raise raised(faults, value)
+            raise FaultsError(*faults)
         return value
 
 
@@ -169,67 +152,54 @@ Wires = Mapping[str, SheetWires]
 
 
 def _number_faults(number: int, wires: Wires) -> Iterator[Fault]:
-    total = _number_of(wires)
+    total = len(_each(wires))
     if number != total:
-        numbers = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
-        expected = f"{total}, the number of the wires ({numbers})"
-        yield Fault((), expected, repr(str(number)), "Correct one of the two.")
+        parts = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
+        yield Fault.of("protocol.number_of_wires", total=total, parts=parts, found=number)
 
 
 def _arrangement_faults(arrangement: str, wires: Wires) -> Iterator[Fault]:
     if len(wires) == 1 and arrangement != PACKED:
-        remedy = "Only wires of different types can be spread one way or another: leave it out."
-        yield Fault((), "'packed' for wires of one type", repr(arrangement), remedy)
+        yield Fault.of("protocol.one_type", found=arrangement)
 
 
 def _bore_faults(bore: float, wires: Wires) -> Iterator[Fault]:
-    diameters = _diameters(wires)
+    diameters = [diameter for _, diameter in _each(wires) if diameter is not None]
     densest = 1.0 if len(diameters) == 1 else DENSEST_PACKING
     least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
-    if bore < least:
-        expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
-        remedy = "Check the bore, the diameters and the number of wires."
-        yield Fault((), expected, f"{bore * 1e3:.4g} mm", remedy)
+    if bore < least and len(diameters) == len(_each(wires)):
+        yield Fault.of("protocol.bore_too_small", least=least * 1e3, found=bore * 1e3)
 
 
-def _number_of(wires: Wires) -> int:
-    return sum(of.number for of in wires.values())
-
-
-def _diameters(wires: Wires) -> list[float]:
-    """Diameter of every wire, m; nothing where one is not known."""
-    stated = [(of.number, of.diameter) for of in wires.values()]
-    complete = [(number, diameter) for number, diameter in stated if diameter is not None]
-    diameters = [diameter for number, diameter in complete for _ in range(number)]
-    return diameters if len(complete) == len(stated) else []
+def _each(wires: Wires) -> list[tuple[str, float | None]]:
+    """List type and diameter of every wire."""
+    return [(kind, of.diameter) for kind, of in wires.items() for _ in range(of.number)]
 
 
 def _position_faults(positions: Places, wires: Wires) -> Iterator[Fault]:
     """Find what keeps positions from being those of the wires."""
-    number, diameters = _number_of(wires), _diameters(wires)
-    if len(positions) != number:
-        remedy = "List one [x, y] for every wire, in the order of 'wires'."
-        yield Fault((), f"{number} positions, one per wire", str(len(positions)), remedy)
-    elif not diameters:
-        missing = ", ".join(repr(kind) for kind, of in wires.items() if of.diameter is None)
-        remedy = "Write it like {B1: {number: 10, diameter: 1.1 mm}}."
-        expected = "positions of wires whose diameters are given"
-        yield Fault((), expected, f"none for {missing}", remedy)
+    total = len(_each(wires))
+    unknown = [kind for kind, of in wires.items() if of.diameter is None]
+    if len(positions) != total:
+        yield Fault.of("protocol.number_of_places", total=total, found=len(positions))
+    elif unknown:
+        yield Fault.of("protocol.no_diameter", found=", ".join(map(repr, unknown)))
     else:
-        kinds = [kind for kind, of in wires.items() for _ in range(of.number)]
-        names = [f"wire {i} ({kind})" for i, kind in enumerate(kinds, start=1)]
-        yield from _overlaps(list(zip(names, positions, diameters, strict=True)))
+        yield from _overlaps(positions, wires)
 
 
-def _overlaps(circles: list[tuple[str, tuple[float, float], float]]) -> Iterator[Fault]:
+def _overlaps(positions: Places, wires: Wires) -> Iterator[Fault]:
     """Find wires that lie inside an earlier one; the first such pair of each wire."""
-    for later, (name, place, size) in enumerate(circles):
-        for other_name, other_place, other_size in circles[:later]:
+    circles = [
+        (f"wire {i} ({kind})", size or 0.0, place)
+        for i, ((kind, size), place) in enumerate(zip(_each(wires), positions, strict=True), 1)
+    ]
+    for later, (name, size, place) in enumerate(circles):
+        for other, other_size, other_place in circles[:later]:
             depth = (size + other_size) / 2 - dist(place, other_place)
             if depth > OVERLAP_TOLERANCE * min(size, other_size):
-                found = f"{name} {depth * 1e3:.3g} mm inside {other_name}"
-                remedy = "Check both positions and the diameters."
-                yield Fault((later,), "wires beside each other", found, remedy)
+                path, depth_mm = (later,), depth * 1e3
+                yield Fault.of("protocol.overlap", path, wire=name, depth=depth_mm, other=other)
                 break
 
 
@@ -259,12 +229,10 @@ def bundle_in_words(text: str, *, arrangement: str = PACKED) -> Bundle:
     UsageError
         If the words are not those of a bundle, or have no such arrangement.
     """
-    data = {"wires": text, "arrangement": arrangement}
-    try:
-        return SheetBundle.model_validate(data).record
-    except ValidationError as error:
-        faults = faults_of(error, data=data, keys=())
-        raise UsageError("\n".join(_fault_text(fault, text) for fault in faults)) from None
+    bundle = SheetBundle.read({"wires": text, "arrangement": arrangement})
+    if isinstance(bundle, list):
+        raise UsageError("\n".join(_fault_text(fault, text) for fault in bundle))
+    return bundle.record
 
 
 def _fault_text(fault: Fault, text: str) -> str:
@@ -321,31 +289,23 @@ class SheetSpecimen(Block):
     def between(cls, data: Values) -> Iterator[Fault]:
         """Refuse dimensions that look like a misspelt key, and labels that are called like keys."""
         keys = [*cls.keys(), "span"]
-        for key, value in data.items():
-            if key in keys:
-                continue
-            small = re.sub(r"\W+", "_", key.casefold())
+        for key in [key for key in data if key not in keys]:
+            small, value = re.sub(r"\W+", "_", key.casefold()), data[key]
             remedy = f"Write it as {small!r}." if small != key else did_you_mean(key, keys)
+            is_bare = not isinstance(value, str) or re.fullmatch(_BARE, value) is not None
             if re.fullmatch(_NAME, key) is None or difflib.get_close_matches(key, keys, 1, 0.8):
-                expected = "a known key, or the name of a dimension in small letters"
-                yield Fault((key,), expected, repr(key), remedy, "key")
-            elif not _may_be_length(value):
-                expected = "a dimension, which is a length with its unit such as '2 mm'"
-                remedy = f"Write other words on the specimen as 'labels: {{{key}: {value}}}'."
-                yield Fault((key,), expected, shown(value), remedy, "key")
+                yield Fault.of("protocol.no_dimension", (key,), at="key", key=key, remedy=remedy)
+            elif in_si(value, "m") is None and not is_bare:
+                yield Fault.of(
+                    "protocol.label_as_size",
+                    (key,),
+                    at="key",
+                    key=key,
+                    value=value,
+                    found=shown(value),
+                )
         for key in {*block_in(data, "labels")} & {*keys}:
-            expected = "a label that is not called like a key of 'specimen'"
-            remedy = "Write it one level up, or rename it."
-            yield Fault(("labels", key), expected, repr(key), remedy, "key")
-
-
-def _may_be_length(value: object) -> bool:
-    """Return whether a value is a length, or one without its unit; else it is a label."""
-    try:
-        parse_quantity(value, "m")
-    except ValueError:
-        return not isinstance(value, str) or re.fullmatch(_BARE, value) is not None
-    return True
+            yield Fault.of("protocol.label_as_key", ("labels", key), at="key", key=key)
 
 
 COPY_IT = "Copy the export into the folder of the test and name it from there."
@@ -353,8 +313,7 @@ COPY_IT = "Copy the export into the folder of the test and name it from there."
 
 def _listed(value: object) -> object:
     if value is None:
-        expected = "the name of an export, or a list of the parts of one recording"
-        raise error_of(expected=expected, found=value, remedy="Fill it in.")
+        raise refused("protocol.no_export", found=value)
     return [value] if isinstance(value, str) else value
 
 
@@ -417,11 +376,8 @@ def test_sheet_faults(data: Mapping[str, object]) -> list[Fault]:
     -------
     The faults, with their paths in `data`.
     """
-    try:
-        TestSheet.model_validate(data)
-    except ValidationError as error:
-        return faults_of(error, data=data, keys=())
-    return []
+    sheet = TestSheet.read(data)
+    return sheet if isinstance(sheet, list) else []
 
 
 def write_test_sheet(data: Mapping[str, object]) -> str:

@@ -1,23 +1,28 @@
-"""Sources of a protocol: which exports come, which channels are wanted, in which units."""
+"""Sources of a protocol: exports, channels and their units; sizes, and what is plausible."""
 
 from __future__ import annotations
 
-from math import hypot
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
+from collections.abc import Mapping
+from math import hypot, isclose
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
 from pydantic import (
+    AfterValidator,
+    BeforeValidator,
     Field,
     PlainSerializer,
     PrivateAttr,
     ValidationInfo,
+    WithJsonSchema,
     field_validator,
 )
 
-from labpipe.protocol.faults import error_of
+from labpipe.errors import Fault
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.plausible import PlausibleRange
 from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, si_unit_like
-from labpipe.records.declarations import Quantity, Snake, Uncertainty
+from labpipe.protocol.yaml_text import FaultsError, refused
+from labpipe.records.declarations import Distance, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
 
@@ -31,11 +36,41 @@ MARKER_READERS: Final = frozenset(
 )
 """Those whose exports hold marker tracks rather than channels."""
 
+PLAUSIBLE: Final = MappingProxyType(
+    {
+        "length": ("m", "1 mm", "10 m"),
+        "span": ("m", "1 mm", "10 m"),
+        "diameter": ("m", "0.01 mm", "200 mm"),
+        "wall": ("m", "1 um", "50 mm"),
+        "width": ("m", "0.01 mm", "1 m"),
+        "area": ("m^2", "0.0001 mm^2", "0.1 m^2"),
+        "offset": ("m", "0 mm", "1 m"),
+        "other": ("m", "1 um", "10 m"),
+        "travel": ("m", "1 um", "5 m"),
+        "speed": ("m/s", "0.1 um/s", "1 m/s"),
+        "mass": ("kg", "0 g", "20 kg"),
+        "mass_per_length": ("kg/m", "0.01 g/m", "20 kg/m"),
+    }
+)
+"""SI unit, least and largest plausible value of each kind of dimension."""
+KEYS: Final = MappingProxyType(
+    {
+        **{kind: kind for kind in ("length", "span", "diameter", "wall", "width", "area")},
+        **{kind: kind for kind in ("offset", "speed", "mass_per_length")},
+        "bore": "diameter",
+        "thickness": "wall",
+        "stroke": "travel",
+        "counterweight": "mass",
+    }
+)
+"""Kind of dimension by its key, or by the last word of its key (``outer_diameter``)."""
 
 if TYPE_CHECKING:
     _ReaderName = str
+    _Kind = str
 else:
     _ReaderName = Literal[READERS]
+    _Kind = Literal[tuple(PLAUSIBLE)]
 
 Readers = Annotated[
     tuple[_ReaderName, ...],
@@ -50,6 +85,65 @@ Names = Annotated[
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
 ]
 """One name, or several of which the first that the export has counts."""
+
+
+AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
+
+
+class SizeUncertainties(Block):
+    """Standard uncertainties of the specimen's sizes; what is left out is taken as exact."""
+
+    length: Distance | None = None
+    span: Distance | None = None
+    outer_diameter: Distance | None = None
+    inner_diameter: Distance | None = None
+    wall: Distance | None = None
+    width: Distance | None = None
+    thickness: Distance | None = None
+    area: AreaUncertainty | None = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """Those that are given, by key, m (of the area m^2)."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
+class PlausibleRange(Block):
+    """Least and largest plausible value."""
+
+    start: Text = Field(alias="from", description="Such as 20 N")
+    stop: Text = Field(alias="to", description="Such as 2 kN")
+
+
+def filled_ranges(stated: object) -> Any:
+    """Put the shipped ranges, and ends of ranges, where some are left out."""
+    if not isinstance(stated, Mapping):
+        return stated
+    shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE.items()}
+    ranges = {
+        kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
+        for kind, ends in stated.items()
+    }
+    return shipped | ranges
+
+
+def _schema_of(low: str, high: str) -> dict[str, object]:
+    ends = {"from": {"type": "string", "default": low}, "to": {"type": "string", "default": high}}
+    return {"type": "object", "properties": ends, "additionalProperties": False}
+
+
+Plausible: TypeAlias = Annotated[
+    dict[_Kind, PlausibleRange],
+    BeforeValidator(filled_ranges),
+    Field(validate_default=True),
+    WithJsonSchema(
+        {
+            "type": "object",
+            "properties": {kind: _schema_of(*ends) for kind, (_, *ends) in PLAUSIBLE.items()},
+            "additionalProperties": False,
+        }
+    ),
+]
 
 
 CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=10.0)]
@@ -73,8 +167,7 @@ class Certificate(Block):
     def _is_after_the_date(cls, due: Any, info: ValidationInfo) -> Any:
         calibrated = info.data.get("date")
         if due is not None and calibrated is not None and due <= calibrated:
-            expected = f"a day after 'date', {calibrated}"
-            raise error_of(expected=expected, found=due, remedy="Correct the one that is wrong.")
+            raise refused("protocol.due_too_early", found=due, calibrated=calibrated)
         return due
 
 
@@ -83,6 +176,22 @@ def standard_uncertainty(certificate: Certificate | None) -> float | None:
     if certificate is None or certificate.uncertainty is None:
         return None
     return certificate.uncertainty / certificate.k
+
+
+def _agrees_with_scale(certificate: Certificate | None, info: ValidationInfo) -> Any:
+    """Refuse an uncertainty that is not that of gain and scale, where these are stated, too."""
+    calibration, scale = info.data.get("calibration"), info.data.get("scale_uncertainty") or 0.0
+    together = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
+    certified = standard_uncertainty(certificate)
+    if certified is not None and together and not isclose(together, certified, rel_tol=1e-9):
+        found = Fault.of(
+            "protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together
+        )
+        raise FaultsError(found)
+    return certificate
+
+
+AgreedCertificate = Annotated[Certificate, AfterValidator(_agrees_with_scale)]
 
 
 class Calibration(Block):
@@ -118,7 +227,7 @@ class ChannelSource(Block):
         description="Of a force: standard uncertainty of how far its zero has moved by the end of "
         "the test, as a share of the largest force; read it with the specimen out",
     )
-    certificate: Certificate | None = Field(
+    certificate: AgreedCertificate | None = Field(
         None, description="Of the calibration; its uncertainty is that of gain and scale together"
     )
     _name: str = PrivateAttr("")
@@ -202,7 +311,7 @@ class Source(Block):
         None, description="Of one channel named like the role, or of the cameras"
     )
     zero_drift: Uncertainty | None = None
-    certificate: Certificate | None = Field(
+    certificate: AgreedCertificate | None = Field(
         None, description="Of one channel named like the role, or of the cameras"
     )
     channels: dict[Snake, ChannelSource] | None = None

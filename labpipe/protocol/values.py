@@ -21,7 +21,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from labpipe.protocol.faults import error_of
+from labpipe.protocol.yaml_text import refused
 from labpipe.records.declarations import PatternText, Quantity, Span, WholeNumber
 from labpipe.units import DimensionError, NotFiniteError, parse_quantity, si_factor
 
@@ -51,20 +51,21 @@ SI_UNITS: Final = MappingProxyType(
 )
 """The quantities of protocols and their SI units."""
 
-_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-_DIMENSIONS = MappingProxyType(
-    {si_unit: quantity for quantity, si_unit in SI_UNITS.items()}
-    | {"m": "length", "rad": "an angle or a ratio", "J": "energy or moment"}
-)
+NUMBER: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+"""A number with a decimal point."""
+_DIMENSIONS = {si_unit: quantity for quantity, si_unit in SI_UNITS.items()} | {
+    "m": "length",
+    "rad": "an angle or a ratio",
+    "J": "energy or moment",
+}
 """Names of dimensions by SI unit."""
-_PARTS = re.compile(r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)")
-"""A number, perhaps with thousands separators or a decimal comma, and what follows it."""
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
-_GROUPED = re.compile(
-    r"[-+]?[1-9]\d{0,2}([.,' \u2019\u00a0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)[.,]\d+)?"
+_NUMBER_AND_UNIT = re.compile(
+    r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)"
 )
-_CORRECT = "Correct the number; is its unit right?"
-_PURE = re.compile(rf"\s*{_NUMBER}\s*(1|%|percent|ppm)?\s*")
+"""A number, perhaps with thousands separators or a decimal comma, and what follows it."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,(?!\d{3}$)\d+")
+"""What cannot be thousands."""
+_PURE = re.compile(rf"\s*{NUMBER}\s*(1|%|percent|ppm)?\s*")
 
 
 def number_remedy(number: str, unit: str = "") -> str:
@@ -79,15 +80,11 @@ def number_remedy(number: str, unit: str = "") -> str:
     -------
     What to do; empty for a number that has neither.
     """
-    behind = f" {unit}".rstrip()
-    point = number.replace(",", ".")
-    is_decimal = _DECIMAL_COMMA.fullmatch(number) is not None
-    if re.fullmatch(_NUMBER, number) is None and (grouped := _GROUPED.fullmatch(number)):
-        plain_number = number.replace(grouped[1], "").replace(",", ".")
-        if is_decimal:
-            return f"Write {plain_number}{behind} or {point}{behind}, as meant."
-        return f"Write it without thousands separators: {plain_number}{behind}."
-    return f"Write it with a decimal point: {point}{behind}." if is_decimal else ""
+    if re.fullmatch(NUMBER, number) or not _NUMBER_AND_UNIT.fullmatch(number):
+        return ""
+    if _DECIMAL_COMMA.fullmatch(number):
+        return f"Write it with a decimal point: {number.replace(',', '.')} {unit}".rstrip() + "."
+    return "Write it with a decimal point and without thousands separators."
 
 
 def unit_remedy(unit: str, si_unit: str) -> str:
@@ -123,27 +120,23 @@ def quantity_remedy(text: object, si_unit: str, example: str) -> str:
     si_unit : of the dimension that is wanted
     example : how a person writes one
     """
-    parts = _PARTS.fullmatch(str(text).strip())
+    parts = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
     number, unit = parts.groups() if parts else ("", "")
-    if remedy := number_remedy(number, unit):
-        return remedy
-    return f"{unit_remedy(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
+    such = f"{unit_remedy(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
+    return number_remedy(number, unit) or such
 
 
 def si_unit_like(unit: str) -> str | None:
-    """Find the SI unit of the dimension of a unit; None if no quantity has it.
+    """Find the SI unit of the dimension of a unit, such as ``mV``; None if no quantity has it."""
+    return next((si for si in SI_UNITS.values() if in_si(f"1 {unit}", si) is not None), None)
 
-    Parameters
-    ----------
-    unit : as written, such as ``mV``
-    """
-    for si_unit in SI_UNITS.values():
-        try:
-            si_factor(unit, si_unit)
-        except ValueError:
-            continue
-        return si_unit
-    return None
+
+def in_si(text: object, si_unit: str) -> float | None:
+    """Read a value written with its unit, such as ``53 mm``; None for what is none."""
+    try:
+        return parse_quantity(text, si_unit)
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,44 +151,38 @@ class QuantityText:
     of: Quantity
 
     def parse(self, text: object) -> float:
-        """Read a value written with its unit into SI.
-
-        Parameters
-        ----------
-        text : such as ``53 mm``
+        """Read a value written with its unit, such as ``53 mm``, into SI.
 
         Raises
         ------
-        PydanticCustomError
+        FaultsError
             If the unit is missing or wrong, or the value is out of range.
         """
+        unit, example = self.of.unit, self.of.example
         try:
-            value = parse_quantity(text, self.of.unit)
-        except NotFiniteError as error:
-            raise error_of(
-                expected=f"a {self._meaning} {self._range}", found=text, remedy=_CORRECT
-            ) from error
+            value = parse_quantity(text, unit)
+        except NotFiniteError:
+            value = math.inf
         except ValueError as error:
-            remedy = quantity_remedy(text, self.of.unit, self.of.example)
-            raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy) from error
-        if self.of.unit == "1" and _PURE.fullmatch(str(text)) is None:  # an angle is no ratio
-            remedy = f"Write it such as {self.of.example!r}."
-            raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy)
+            remedy = quantity_remedy(text, unit, example)
+            raise refused(
+                "protocol.no_quantity", found=text, kind=self._meaning, remedy=remedy
+            ) from error
+        if unit == "1" and _PURE.fullmatch(str(text)) is None:  # an angle is no ratio
+            raise refused("protocol.no_ratio", found=text, kind=self._meaning, example=example)
         above = -math.inf if self.of.above is None else self.of.above
-        if not (above < value and self.of.minimum <= value <= self.of.maximum):
-            raise error_of(expected=f"a {self._meaning} {self._range}", found=text, remedy=_CORRECT)
+        in_range = above < value and self.of.minimum <= value <= self.of.maximum
+        if not in_range or math.isinf(value):
+            kind, valid = self._meaning, self._range
+            raise refused("protocol.out_of_range", found=text, kind=kind, range=valid)
         return value
 
     def written(self, value: float) -> str:
-        """Write a value with its unit so that reading it gives the same float.
-
-        Parameters
-        ----------
-        value : in SI
-        """
-        if math.isfinite(number := value / si_factor(self.of.shown, self.of.unit)):
-            return _with_unit(number, self.of.shown)
-        return _with_unit(value, self.of.unit)
+        """Write a value in SI with its unit so that reading it gives the same float."""
+        number, unit = value / si_factor(self.of.shown, self.of.unit), self.of.shown
+        if not math.isfinite(number):
+            number, unit = value, self.of.unit
+        return f"{number:.12g} {unit}".removesuffix(" 1")
 
     @property
     def _meaning(self) -> str:
@@ -205,61 +192,47 @@ class QuantityText:
 
     @property
     def _range(self) -> str:
-        low = "that is finite"
+        low, high = "that is finite", ""
         if self.of.above is not None:
             low = f"above {self.written(self.of.above)}"
         elif math.isfinite(self.of.minimum):
             low = f"from {self.written(self.of.minimum)} up"
-        high = (
-            f", at most {self.written(self.of.maximum)}" if math.isfinite(self.of.maximum) else ""
-        )
+        if math.isfinite(self.of.maximum):
+            high = f", at most {self.written(self.of.maximum)}"
         return f"{low}{high}"
 
     @property
     def schema(self) -> JsonSchemaValue:
         """JSON Schema of the text."""
-        kinds, unit = (
-            ("string", r"\S.*") if self.of.unit != "1" else (["string", "number"], "(%|ppm)?")
-        )
-        description = f"A {self._meaning}, {self._range}"
-        pattern = rf"^\s*{_NUMBER}\s*{unit}\s*$"
-        examples = [self.of.example]
-        return {"type": kinds, "pattern": pattern, "description": description, "examples": examples}
-
-
-def _with_unit(value: float, unit: str) -> str:
-    number = f"{value:.12g}"
-    return number if unit == "1" else f"{number} {unit}"
+        is_pure = self.of.unit == "1"
+        unit = "(%|ppm)?" if is_pure else r"\S.*"
+        return {
+            "type": ["string", "number"] if is_pure else "string",
+            "pattern": rf"^\s*{NUMBER}\s*{unit}\s*$",
+            "description": f"A {self._meaning}, {self._range}",
+            "examples": [self.of.example],
+        }
 
 
 def parse_whole(of: WholeNumber, text: object) -> int:
-    """Read a whole number.
-
-    Parameters
-    ----------
-    of : its range
-    text : such as ``3``
+    """Read a whole number within a range.
 
     Raises
     ------
-    PydanticCustomError
+    FaultsError
         If it is no whole number, or out of range.
     """
     is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
     if not is_whole or not of.minimum <= int(str(text)) <= of.maximum:
-        expected = f"a whole number from {of.minimum} to {of.maximum}"
-        raise error_of(expected=expected, found=text)
+        raise refused("protocol.no_whole", found=text, low=of.minimum, high=of.maximum)
     return int(str(text))
 
 
-_SPANS: Final = MappingProxyType(
-    {
-        "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
-        "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
-        "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
-    }
-)
-_SPAN_WORDS = "a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or '51 samples'"
+_SPANS: Final = {
+    "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
+    "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
+    "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
+}
 
 
 def parse_span(text: object) -> Span:
@@ -271,25 +244,23 @@ def parse_span(text: object) -> Span:
 
     Raises
     ------
-    PydanticCustomError
+    FaultsError
         If it is none of these, or out of range.
     """
     if isinstance(text, Span):
         return text
-    span_text = str(text)
-    if count := re.fullmatch(r"\s*([0-9]{1,9})\s*samples\s*", span_text):
+    words = str(text).strip()
+    if count := re.fullmatch(r"([0-9]{1,9})\s*samples", words):
         if int(count[1]) < 1:
-            raise error_of(expected="a span of at least 1 sample", found=text)
+            raise refused("protocol.no_sample", found=text)
         return Span("samples", float(count[1]))
-    if span_text.strip().endswith("%"):
+    if words.endswith("%"):
         return Span("branch", _SPANS["branch"].parse(text))
-    for kind in ("time", "travel"):
-        try:
-            parse_quantity(span_text, _SPANS[kind].of.unit)
-        except ValueError:
-            continue
-        return Span("time" if kind == "time" else "travel", _SPANS[kind].parse(text))
-    raise error_of(expected=_SPAN_WORDS, found=text, remedy=quantity_remedy(text, "s", "0.1 s"))
+    if in_si(words, "s") is not None:
+        return Span("time", _SPANS["time"].parse(text))
+    if in_si(words, "m") is not None:
+        return Span("travel", _SPANS["travel"].parse(text))
+    raise refused("protocol.no_span", found=text, remedy=quantity_remedy(text, "s", "0.1 s"))
 
 
 def written_span(span: Span) -> str:
@@ -302,7 +273,8 @@ def written_span(span: Span) -> str:
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 """Line ends, and characters that pages, workbooks and drawings cannot hold."""
 _NAME = re.compile(r"\w[\w.+-]*")
-_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+DEVICE: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+"""Names that Windows does not give to files."""
 MAX_NAME_BYTES = 120
 """File systems allow 255, and a suffix follows."""
 
@@ -310,7 +282,7 @@ MAX_NAME_BYTES = 120
 def _text(value: object) -> str:
     """Accept text, and numbers of other YAML readers for unquoted text such as 1."""
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
-        raise error_of(expected="text", found=value)
+        raise refused("protocol.no_text", found=value)
     return str(value)
 
 
@@ -325,9 +297,8 @@ def has_control_characters(text: str) -> bool:
 
 
 def _line(value: object) -> str:
-    text = _text(value)
-    if has_control_characters(text):
-        raise error_of(expected="text on one line, without control characters", found=value)
+    if has_control_characters(text := _text(value)):
+        raise refused("protocol.no_line", found=value)
     return text
 
 
@@ -343,55 +314,36 @@ def is_name_of_a_test(text: str) -> bool:
     False for paths (``../x``), and for names that some file system refuses.
     """
     fits = _NAME.fullmatch(text) is not None and len(text.encode()) <= MAX_NAME_BYTES
-    return fits and _DEVICE.fullmatch(text) is None and not text.endswith(".")
+    return fits and DEVICE.fullmatch(text) is None and not text.endswith(".")
 
 
-def parse_day(value: object) -> date:
-    """Read a day as ISO 8601 writes it.
-
-    Parameters
-    ----------
-    value : such as ``2026-03-04``, or a date that YAML has made of it
-
-    Raises
-    ------
-    PydanticCustomError
-        If it is no day.
-    """
+def _day(value: object) -> date:
+    """Read a day as ISO 8601 writes it, or take a date that YAML has made of it."""
     if type(value) is date:
         return value
     try:
         return date.fromisoformat(str(value))
     except ValueError as error:
-        raise error_of(expected="a date such as 2026-03-04", found=value) from error
+        raise refused("protocol.no_day", found=value) from error
 
 
 def _file_stem(value: object) -> str:
     text = _text(value)
-    if _NAME.fullmatch(text) is None:
-        expected = "a name of letters, digits, '-', '_', '.' and '+'"
-        raise error_of(expected=expected, found=value)
     if not is_name_of_a_test(text):
-        expected = f"a name that every system accepts, of {MAX_NAME_BYTES} letters at most"
-        raise error_of(expected=expected, found=value)
+        raise refused("protocol.no_file_stem", found=value, most=MAX_NAME_BYTES)
     return text
 
 
 def parse_word(of: PatternText, value: object) -> str:
     """Accept a text of a given form.
 
-    Parameters
-    ----------
-    of : the form
-    value : the text
-
     Raises
     ------
-    PydanticCustomError
+    FaultsError
         If it has another form.
     """
     if re.fullmatch(of.pattern, _text(value)) is None:
-        raise error_of(expected=of.meaning, found=value)
+        raise refused("protocol.no_such_word", found=value, meaning=of.meaning)
     return str(value)
 
 
@@ -411,10 +363,10 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
 
     def check(value: object) -> str:
         if not isinstance(value, str) or not value.strip() or has_control_characters(value):
-            raise error_of(expected="the name of a file", found=value)
+            raise refused("protocol.no_file_name", found=value)
         roots = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
         if roots or ".." in PureWindowsPath(value).parts:
-            raise error_of(expected=f"a file inside {folder}", found=value, remedy=remedy)
+            raise refused("protocol.file_elsewhere", found=value, folder=folder, remedy=remedy)
         return value
 
     return BeforeValidator(check)
@@ -459,10 +411,8 @@ def row_of(count: int, example: str) -> BeforeValidator:
     """
 
     def check(value: object) -> object:
-        number = len(value) if isinstance(value, list | tuple) else 0
-        if number != count:
-            found = f"a list of {number}" if number else value
-            raise error_of(expected=f"a list of {count} quantities, such as {example}", found=found)
+        if not isinstance(value, list | tuple) or len(value) != count:
+            raise refused("protocol.no_row", found=value, count=count, example=example)
         return value
 
     return BeforeValidator(check)
@@ -477,5 +427,5 @@ Remark = Annotated[
     WithJsonSchema({"type": ["string", "null"]}),
 ]
 """Text that may be empty or left out."""
-Day = Annotated[date, BeforeValidator(parse_day)]
+Day = Annotated[date, BeforeValidator(_day)]
 FileStem = Annotated[str, BeforeValidator(_file_stem)]

@@ -8,22 +8,20 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal, Self, TypeVar
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BeforeValidator, ValidationError, model_validator
+from pydantic import BeforeValidator, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
-from labpipe.protocol.faults import Values, error_of, faults_of, not_among, raised
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.values import number_remedy
+from labpipe.protocol.values import DEVICE, NUMBER, number_remedy
+from labpipe.protocol.yaml_text import FaultsError, Values, not_among, refused
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]
 Curve = tuple[Numbers, Numbers]
 """Strains and stresses, Pa."""
-_B = TypeVar("_B", bound=Block)
-
 _UNITS = {
     "mm": ("_mm", 1e-3),
     "mm^2": ("_mm2", 1e-6),
@@ -37,10 +35,7 @@ _UNITS = {
     "": ("", 1.0),
 }
 """How the name of a column ends, and the factor to SI, by the unit."""
-_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _NOT_IN_NAMES = re.compile(r'[\\/:*?"<>|\x00-\x1f]|^[. ]|[. ]$')
-_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", flags=re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,22 +78,23 @@ class Column:
 
         Raises
         ------
-        PydanticCustomError
+        FaultsError
             If one of them is no number with a decimal point, or out of range.
         """
         cell = str(text)
         if not cell:
-            raise raised([Fault((), self.allowed, "a blank cell", "Fill it in.")], text)
+            raise FaultsError(Fault.of("protocol.blank_number", allowed=self.allowed))
         parts = [part.strip() for part in cell.split(";")] if self.several else [cell]
         numbers = tuple(self._number(part, cell) for part in parts)
         return numbers if self.several else numbers[0]
 
     def _number(self, part: str, cell: str) -> float:
-        fits = _NUMBER.fullmatch(part) and self.minimum <= float(part) <= self.maximum
+        fits = re.fullmatch(NUMBER, part) and self.minimum <= float(part) <= self.maximum
         if not fits or (self.is_integer and float(part) % 1.0):
-            remedy = _list_remedy(part) if self.several and ";" not in cell else ""
-            remedy = remedy or number_remedy(part) or "Correct the cell; is the unit right?"
-            raise error_of(expected=self.allowed, found=cell, remedy=remedy)
+            remedy = number_remedy(part) or "Correct the cell; is the unit right?"
+            if self.several and "," in part and ";" not in cell:
+                remedy = f"Separate numbers by ';': {part.replace(',', ';')}."
+            raise refused("protocol.no_number", found=cell, allowed=self.allowed, remedy=remedy)
         value = math.fmod(float(part), self.period)
         return int(value) if self.is_integer else value
 
@@ -110,24 +106,14 @@ class Column:
         return core_schema.no_info_plain_validator_function(self.parse)
 
 
-def _list_remedy(part: str) -> str:
-    """Return what to do about commas in a cell that may hold several numbers; empty for none."""
-    listed = ";".join(number.strip() for number in part.split(","))
-    if _DECIMAL_COMMA.fullmatch(part):
-        return f"Separate numbers by ';': write {listed} for two, {part.replace(',', '.')} for one."
-    return f"Separate them by ';': {listed}." if "," in part else ""
-
-
 def _name(value: object) -> str:
     """Take a name that a file can have, too."""
     max_length = 100
     name = str(value)
     if not name:
-        raise raised([Fault((), "a name", "a blank cell", "Name the wire.")], value)
-    if _NOT_IN_NAMES.search(name) or _RESERVED.fullmatch(name) or len(name) > max_length:
-        remedy = f'Leave out \\ / : * ? " < > |, and dots at either end; use {max_length}'
-        remedy += " letters at most."
-        raise error_of(expected="a name that a file can have", found=value, remedy=remedy)
+        raise FaultsError(Fault.of("protocol.blank_name"))
+    if _NOT_IN_NAMES.search(name) or DEVICE.fullmatch(name) or len(name) > max_length:
+        raise refused("protocol.no_wire_name", found=value, most=max_length)
     return name
 
 
@@ -177,9 +163,7 @@ class WireRow(Block):
         for table, numbers in _NUMBERS_OF.items():
             stated = [name for name in numbers if data.get(name)]
             if data.get(table) and stated:
-                expected = "either a stress table, whose first slope is the modulus, or the numbers"
-                found = f"a stress table and {', '.join(stated)}"
-                yield Fault((table,), expected, found, "Empty one or the other.")
+                yield Fault.of("protocol.table_and_numbers", (table,), found=", ".join(stated))
 
     @model_validator(mode="before")
     @classmethod
@@ -190,7 +174,7 @@ class WireRow(Block):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if faults := [*_layer_faults(self)] or [*_room_faults(self)] or [*_mass_faults(self)]:
-            raise raised(faults, self)
+            raise FaultsError(*faults)
         return self
 
     @property
@@ -237,93 +221,72 @@ _NUMBERS_OF = {"stress_table": _OF_THE_CURVE, "insulation_table": _OF_THE_WALL}
 """Columns that each stress table replaces."""
 _DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _ALWAYS_THERE = (*NEEDED, "lay_angles_deg")
+MAX_AREA_DEVIATION = 0.02
+"""Share by which a conductor area may differ from that of the strands' diameters."""
+BORE_ROUNDING = 1e-3
+"""Share of the bore."""
+MAX_MASS_RATIO = 4.0 / 3.0
+"""Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap."""
 
 
 def _layer_faults(row: WireRow) -> Iterator[Fault]:
-    """Find what does not agree among strands, layers, angles, diameters and radii."""
-    counts, angles = row.counts, len(row.lay_angles_deg)
-    sum_text = " + ".join(map(str, counts))
-    if sum(counts) != row.strands:
-        by = "1 lay angle gives" if angles == 1 else f"{angles} lay angles give"
-        by = "the layer counts give" if row.layer_counts else by
-        expected = f"{sum(counts)} strands as {by} ({sum_text})"
-        remedy = "Correct the number of strands or the layers, or fill in layer_counts."
-        yield Fault(("strands",), expected, str(row.strands), remedy)
+    """Find what does not agree among strands, layers and angles."""
+    counts = row.counts
+    total, rings = sum(counts), len(counts) - int(counts[0] == 1)
+    parts = " + ".join(map(str, counts))
+    if total != row.strands:
+        by = "layer counts" if row.layer_counts else "lay angles"
+        yield Fault.of("protocol.strands", ("strands",), row=row, total=total, by=by, parts=parts)
         return
-    rings = len(counts) - int(counts[0] == 1)
-    if angles != rings:
-        expected = f"one lay angle for each ring of {sum_text}, {rings}"
-        remedy = "Give one angle per ring; the core has none."
-        yield Fault(("lay_angles_deg",), expected, str(angles), remedy)
+    if (angles := len(row.lay_angles_deg)) != rings:
+        path = ("lay_angles_deg",)
+        yield Fault.of("protocol.lay_angles", path, parts=parts, rings=rings, found=angles)
     yield from _size_faults(row)
-    yield from _radius_faults(row)
+    radii = row.layer_radii_mm
+    if radii and row.layout != "compressed":
+        yield Fault.of("protocol.radii_of_layout", ("layer_radii_mm",), row=row)
+    elif radii and (len(radii) != len(counts) or any(a >= b for a, b in pairwise(radii))):
+        found = ";".join(f"{radius:g}" for radius in radii)
+        yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=len(counts), found=found)
 
 
 def _size_faults(row: WireRow) -> Iterator[Fault]:
-    # Share by which a conductor area may differ from that of the strands' diameters.
-    max_area_deviation = 0.02
-    one, per_layer, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
-    if one and per_layer:
-        actual = "strand_diameter_mm and strand_diameters_mm"
-        yield Fault(("strand_diameters_mm",), "one of both", actual, "Empty one of the cells.")
-    elif per_layer and len(per_layer) != len(row.counts):
-        expected = f"{len(row.counts)} diameters, one per layer"
-        yield Fault(("strand_diameters_mm",), expected, str(len(per_layer)), "Correct the list.")
-    elif not (one or per_layer or area):
-        expected = "a conductor area or a strand diameter"
-        remedy = "Fill in conductor_area_mm2 or strand_diameter_mm."
-        yield Fault(("strand_diameter_mm",), expected, "blank cells", remedy)
-    elif area and abs(area / row.copper - 1.0) > max_area_deviation:
-        expected = f"the {row.copper:.4g} mm^2 of the strands within {max_area_deviation:.0%}"
-        remedy = "Correct the area or the strand diameter, or empty one of them."
-        yield Fault(("conductor_area_mm2",), expected, f"{area:.4g} mm^2", remedy)
-
-
-def _radius_faults(row: WireRow) -> Iterator[Fault]:
-    radii, layers = row.layer_radii_mm, len(row.counts)
-    if radii and row.layout != "compressed":
-        actual = f"radii, for the layout {row.layout!r} that sets its own"
-        remedy = "Say compressed as the layout, or empty the cell."
-        yield Fault(("layer_radii_mm",), "a blank cell", actual, remedy)
-    elif radii and (len(radii) != layers or any(a >= b for a, b in pairwise(radii))):
-        expected = f"{layers} radii that grow, one per layer"
-        actual = repr(";".join(f"{radius:g}" for radius in radii))
-        yield Fault(("layer_radii_mm",), expected, actual, "Correct the list.")
+    """Find diameters and an area of the strands that do not agree."""
+    one, several, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
+    layers = len(row.counts)
+    if one and several:
+        yield Fault.of("protocol.two_diameters", ("strand_diameters_mm",))
+    elif several and len(several) != layers:
+        path = ("strand_diameters_mm",)
+        yield Fault.of("protocol.diameters", path, layers=layers, found=len(several))
+    elif not (one or several or area):
+        yield Fault.of("protocol.no_size", ("strand_diameter_mm",))
+    elif area and abs(area / row.copper - 1.0) > MAX_AREA_DEVIATION:
+        yield Fault.of("protocol.area", ("conductor_area_mm2",), row=row, most=MAX_AREA_DEVIATION)
 
 
 def _room_faults(row: WireRow) -> Iterator[Fault]:
     """Find strands that cannot be in the bore, and a bend tighter than the wire."""
-    # Share of the bore.
-    rounding = 1e-3
-    outer, wall = row.wire_diameter_mm, row.insulation_thickness_mm
-    bore = outer - 2.0 * wall
+    bore = row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
     if bore <= 0.0:
-        expected = f"a wall less than half of the wire's {outer:.4g} mm"
-        remedy = "Correct the wall or the wire's diameter."
-        yield Fault(("insulation_thickness_mm",), expected, f"{wall:.4g} mm", remedy)
+        yield Fault.of("protocol.no_bore", ("insulation_thickness_mm",), row=row)
         return
-    room = f"{bore:.4g} mm ({outer:.4g} mm less two walls of {wall:.4g} mm)"
-    remedy = "Correct the wire's diameter, its wall or the strands."
     size = next(name for name in SIZES if getattr(row, name))
-    thickest, widest = max(row.diameters), bore * (1.0 + rounding)
-    if thickest > widest:
-        expected = f"strands in a bore of {room}"
-        yield Fault((size,), expected, f"one of {thickest:.4g} mm", remedy)
+    widest, tightest = bore * (1.0 + BORE_ROUNDING), 2e3 / row.wire_diameter_mm
+    if max(row.diameters) > widest:
+        thickest = max(row.diameters)
+        yield Fault.of("protocol.thick_strand", (size,), row=row, bore=bore, found=thickest)
     elif row.copper > math.pi / 4.0 * widest**2:
-        expected = f"copper in a bore of {room}, {math.pi / 4.0 * bore**2:.4g} mm^2"
-        yield Fault((size,), expected, f"{row.copper:.4g} mm^2", remedy)
-    largest, tightest = row.largest_curvature_per_m, 2e3 / outer
+        space = math.pi / 4.0 * bore**2
+        yield Fault.of("protocol.much_copper", (size,), row=row, bore=bore, space=space)
+    largest = row.largest_curvature_per_m
     if largest is not None and largest >= tightest:
-        expected = f"a curvature below {tightest:.4g} 1/m, where the bending radius is the wire's"
-        yield Fault(
-            ("largest_curvature_per_m",), expected, f"{largest:.4g} 1/m", "Give a smaller one."
-        )
+        path = ("largest_curvature_per_m",)
+        yield Fault.of("protocol.tight_bend", path, tightest=tightest, found=largest)
 
 
 def _mass_faults(row: WireRow) -> Iterator[Fault]:
     """Find a mass that cannot be that of the strands and the wall."""
-    # Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap.
-    max_mass_ratio = 4.0 / 3.0
     stated = row.mass_per_length_g_per_m
     if stated is None:
         return
@@ -333,15 +296,11 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     outer, bore = row.wire_diameter_mm, row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
     conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
     insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
-    expected_mass = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if 1.0 / max_mass_ratio <= stated / expected_mass <= max_mass_ratio:
-        return
-    expected = (
-        f"within a third of the {expected_mass:.4g} g/m of the section (strands of {conductor:.4g} "
-    )
-    expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"
-    remedy = "Correct the mass, the sizes or the densities; the unit is g/m, which is kg/km."
-    yield Fault(("mass_per_length_g_per_m",), expected, f"{stated:.4g} g/m", remedy)
+    mass = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
+    if not 1.0 / MAX_MASS_RATIO <= stated / mass <= MAX_MASS_RATIO:
+        path = ("mass_per_length_g_per_m",)
+        densities = {"conductor": conductor, "insulation": insulation}
+        yield Fault.of("protocol.mass", path, row=row, mass=mass, densities=densities)
 
 
 def _density(stated: float | None, field: str) -> float:
@@ -418,20 +377,6 @@ def default_words(name: str) -> str:
     return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
 
-def parse_row(row_type: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
-    """Read the texts of a row by column, or find all that is wrong with them.
-
-    Parameters
-    ----------
-    kind : `WireRow`, or `labpipe.protocol.wire_rows.StressPoint`
-    texts : by column; a blank cell is an empty text
-    """
-    try:
-        return row_type.model_validate(texts)
-    except ValidationError as error:
-        return faults_of(error, data=texts, keys=row_type.keys())
-
-
 def column_name(heading: str) -> str:
     """Return the column name of a heading: in small letters, blanks as underscores."""
     return re.sub(r"[\s-]+", "_", heading.casefold())
@@ -453,23 +398,17 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     for number, name in enumerate(names):
         if name not in WireRow.model_fields:
             meant = next((x for x in COLUMNS if _is_in_another_unit(name, x)), "")
-            unit = COLUMNS[meant].unit if meant else ""
-            remedy = f"Give it in {unit} as {meant!r}." if unit else ""
-            like = difflib.get_close_matches(name, WireRow.model_fields, n=1)
-            intended |= {meant, *like}
-            other = "Correct its name, or remove the column."
-            columns = list(WireRow.model_fields)
-            fault = not_among((), headings[number], columns, "one of the columns", remedy=other)
-            yield number, replace(fault, remedy=remedy or fault.remedy)
+            intended |= {meant, *difflib.get_close_matches(name, WireRow.model_fields, n=1)}
+            fault = not_among((), headings[number], WireRow.model_fields, "one of the columns")
+            remedy = f"Give it in {COLUMNS[meant].unit} as {meant!r}." if meant else fault.remedy
+            yield number, replace(fault, remedy=remedy)
         elif name in names[:number]:
-            remedy = "Remove or rename one of them."
-            yield number, Fault((), "each column once", f"{name!r} again", remedy)
+            yield number, Fault.of("protocol.column_again", column=name)
     for name in _ALWAYS_THERE:
         if name not in intended:
-            yield 0, Fault((), f"a column {name!r}", "none", "Add it.")
+            yield 0, Fault.of("protocol.no_column", column=name)
     if not intended & set(SIZES):
-        expected = f"a column {SIZES[2]!r}, {SIZES[0]!r} or {SIZES[1]!r}"
-        yield 0, Fault((), expected, "none of them", "Add one.")
+        yield 0, Fault.of("protocol.no_column", column="' or '".join(SIZES))
 
 
 def _is_in_another_unit(name: str, column: str) -> bool:
@@ -512,33 +451,30 @@ def curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault]
             return number, wrong
         first_slope = first_slope or (here[1] - last[1]) / (here[0] - last[0])
         last = here
-    if not first_slope:
-        return 0, Fault((), "a point beyond zero", "none", "Fill in the table.")
     low, high = FIRST_SLOPES[column]
+    if not first_slope:
+        return 0, Fault.of("protocol.no_curve")
     if low <= first_slope * 1e6 <= high:
         return None
-    expected = f"a first slope of {low / 1e9:g} to {high / 1e9:g} GPa"
-    remedy = "Give the strain as a plain number, not in per cent, and the stress in MPa."
     first = next(number for number, point in enumerate(points) if point.strain)
-    return first, Fault((), expected, f"{first_slope / 1e3:.4g} GPa", remedy)
+    return first, Fault.of(
+        "protocol.first_slope", low=low / 1e9, high=high / 1e9, found=first_slope / 1e3
+    )
 
 
 def _step_fault(
     last: tuple[float, float], here: tuple[float, float], first_slope: float
 ) -> Fault | None:
     """What is wrong with a point behind another one, both of strain and stress in MPa."""
-    # Share of the first slope.
-    rounding = 1e-6
-    remedy = "Put the rows in order and correct them."
+    rounding = 1e-6  # of the first slope
     step, rise = here[0] - last[0], here[1] - last[1]
     if step <= 0.0:
-        return Fault((), f"a strain above {last[0]:g}", f"{here[0]:g}", remedy)
+        return Fault.of("protocol.strain_falls", last=last[0], found=here[0])
     if rise < 0.0 or not (rise or first_slope):
-        expected = f"a stress of {last[1]:g} MPa or more, and more than zero"
-        return Fault((), expected, f"{here[1]:g} MPa", remedy)
+        return Fault.of("protocol.stress_falls", last=last[1], found=here[1])
     if first_slope and rise / step > first_slope * (1.0 + rounding):
-        expected = f"a slope up to the first, {first_slope / 1e3:.4g} GPa"
-        return Fault((), expected, f"{rise / step / 1e3:.4g} GPa", remedy)
+        found = rise / step / 1e3
+        return Fault.of("protocol.curve_stiffens", first=first_slope / 1e3, found=found)
     return None
 
 

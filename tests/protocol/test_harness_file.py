@@ -119,16 +119,3 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
     assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
     with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm between them at step 30"):
         load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))
-
-
-def test_a_line_that_all_let_go_falls(tmp_path: Path) -> None:
-    """One without weight, with a table, or with one that holds on, does not."""
-    loose = BETWEEN_CLIPS.replace("direction: [0, 1, 0]}", "direction: [0, 1, 0], release: 9}")
-    assert load(tmp_path, loose)
-    loose = loose.replace("250 mm, 0 mm]}", "250 mm, 0 mm], release: 20}")
-    assert load(tmp_path, loose), "it has no weight"
-    heavy = loose.replace("    diameter", "    mass_per_length: 7 g/m\n    diameter")
-    with pytest.raises(ProtocolError, match="holds the line from step 20 on, found nothing: it f"):
-        load(tmp_path, heavy)
-    assert load(tmp_path, heavy + "  - {kind: plane, name: p, point: [0 mm, 0 mm, -9 mm]}\n")
-    assert load(tmp_path, heavy + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")

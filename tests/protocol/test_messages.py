@@ -109,7 +109,9 @@ def refused(written: str, read: Callable[..., object], *given: Any) -> str:
     with pytest.raises((ProtocolError, ValidationError)) as error:
         read(*given)
     if isinstance(error.value, ValidationError):
-        lines = [error["msg"].strip() for error in error.value.errors()]
+        lines = [
+            error["msg"].removeprefix("Value error, ").strip() for error in error.value.errors()
+        ]
     else:
         lines = str(error.value).splitlines()
     return "\n    ".join([repr(written)[1:-1], *(line.replace(os.sep, "/") for line in lines)])

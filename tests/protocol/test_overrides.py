@@ -19,8 +19,8 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.overrides import absent_faults, without_absent
-from labpipe.protocol.plausible import PLAUSIBLE
 from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
+from labpipe.protocol.source import PLAUSIBLE
 from labpipe.results.stiffness import ComplianceResult, LineStiffness
 from tests.protocol.conftest import SHEET, Tell
 

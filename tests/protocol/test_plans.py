@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.protocol.campaign_plan import ByFolder, ByName, CampaignPlan
 from labpipe.protocol.load import load_calibration_plan, load_campaign_plan
+from labpipe.protocol.plans import ByFolder, ByName, CampaignPlan
 
 BY_NAME = """\
 version: 1

@@ -19,7 +19,6 @@ from labpipe.protocol.wire_rows import (
     curve_of,
     field_of,
     heading_faults,
-    parse_row,
     wire_spec,
 )
 from labpipe.records.wire import LAYOUTS, WireSpec
@@ -39,7 +38,7 @@ A2 = {
 
 
 def row(**cells: str) -> WireRow:
-    found = parse_row(WireRow, A2 | cells)
+    found = WireRow.read(A2 | cells)
     assert isinstance(found, WireRow)
     return found
 
@@ -145,11 +144,11 @@ def test_wires_that_are_refused(approved: Approve) -> None:
     faults = [fault for heading in HEADINGS for fault in heading_faults(heading)]
     for column, texts in CELLS.items():
         for text in texts:
-            parsed = parse_row(WireRow, A2 | {column: text})
+            parsed = WireRow.read(A2 | {column: text})
             assert isinstance(parsed, list)
             faults += [(0, fault) for fault in parsed]
     light = {"mass_per_length_g_per_m": "6.8", "conductor_density_kg_per_m3": "2700"}
-    parsed = parse_row(WireRow, A2 | light)
+    parsed = WireRow.read(A2 | light)
     assert isinstance(parsed, list)
     faults += [(0, fault) for fault in parsed]
     faults += [curve_fault(points(pairs), table) or (0, NONE) for table, pairs in CURVES]

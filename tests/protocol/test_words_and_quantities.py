@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from labpipe.protocol.campaign_plan import parse_name_pattern
 from labpipe.protocol.grammar import validated
+from labpipe.protocol.plans import parse_name_pattern
 from labpipe.protocol.values import (
     FileStem,
     QuantityText,

@@ -40,8 +40,7 @@ from labpipe.protocol.harness_file import (
     String,
     Vector3,
     Waypoint,
-    first_anchor,
-    legs_of,
+    path_of,
     start_of,
 )
 from labpipe.records.arrays import Floats
@@ -171,8 +170,8 @@ def _boundaries(
                 yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
                 node = nodes[boundary.name]
-                first = first_anchor(boundary, _as_tuple(line.positions[node]))
-                path = _straight_path(np.array(first), boundary.anchor, boundary.by or steps, steps)
+                first = path_of(boundary, line.positions[node], steps)[0]
+                path = _straight_path(first, boundary.anchor, boundary.by or steps, steps)
                 yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
                 force = _ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
@@ -221,10 +220,7 @@ def _ramp(by: int, steps: int) -> Floats:
 
 
 def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
-    legs = legs_of(boundary, line.positions[node].tolist(), steps)
-    leg_steps, rows = [leg.step for leg in legs], np.arange(steps + 1)
-    corners = np.array([leg.position for leg in legs])
-    position = np.column_stack([np.interp(rows, leg_steps, axis) for axis in corners.T])
+    position = path_of(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
         frame = _frames(boundary, line.frame_at(node), steps)

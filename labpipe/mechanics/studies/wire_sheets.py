@@ -30,7 +30,6 @@ from labpipe.protocol.wire_rows import (
     curve_fault,
     curve_of,
     heading_faults,
-    parse_row,
     wire_spec,
 )
 from labpipe.readers.workbooks import (
@@ -265,7 +264,7 @@ def _blocks(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path
     faults: list[PlacedFault] = []
     for row in rows:
         cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
-        block = parse_row(block_type, texts(cells))
+        block = block_type.read(texts(cells))
         if isinstance(block, list):
             faults += place_faults(block, cells)
         else:
@@ -467,7 +466,7 @@ def _read_spec(
 ) -> WireSpec | None:
     """Read one wire; return None for one with faults, which are added to the messages."""
     before = len(messages)
-    read = parse_row(WireRow, texts(row))
+    read = WireRow.read(texts(row))
     messages += fault_messages(path, place_faults(read, row)) if isinstance(read, list) else []
     for column in FIRST_SLOPES:
         table = row.get(column)
