@@ -9,12 +9,11 @@ from math import floor, log10
 import numpy as np
 
 from labpipe.protocol.schema import Protocol, SpecimenBlock
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, block_means
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Output
 from labpipe.records.group import Sample, SampleCurve
 from labpipe.records.result import Specimen, TestResult
-from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import Drawable
 
 

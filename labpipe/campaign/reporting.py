@@ -172,7 +172,8 @@ def report_tests(
     """
     files = find_results(targets)
     shared = shared_folder(files)
-    campaign = make_campaign(files, options.title or shared.resolve().name, say, options)
+    read = _read_tests(files, say)
+    campaign = _campaign_of(read, files, options.title or shared.resolve().name, options)
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
@@ -183,7 +184,7 @@ def report_tests(
             )
             for sample in (paged if options.has_test_pages else ())
         }
-        extras = Extras(options.letterhead, options.formats, pages)
+        extras = Extras(options.letterhead, options.formats, pages, "journal" in read.styles)
         written = write_report(campaign, stage, extras)
         recipe = options.text(folder)
         (stage / RECIPE_FILE).write_text(recipe, encoding="utf-8", newline="\n")
@@ -215,8 +216,13 @@ def make_campaign(
         If no file can be read, all were rejected, decisions cannot be read, two tests have the same
         name, no test sheet has a requested field, or the wire sheet has faults.
     """
+    return _campaign_of(_read_tests(files, say), files, title, options)
+
+
+def _campaign_of(
+    read: _ReadTests, files: Sequence[Path], title: str, options: ReportOptions
+) -> Campaign:
     wires = None if options.wires is None else read_wire_sheet(options.wires)
-    read = _read_tests(files, say)
     check_fields(options.by, read.samples, "--by")
     check_fields(list(filter(None, [options.alone])), read.samples, "--compare")
     groups, by = _groups(read, options.by), options.by or (TYPE,)
@@ -252,6 +258,7 @@ class _ReadTests:
     rejected: dict[str, str] = field(default_factory=dict)
     rejected_samples: list[Sample] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
+    styles: set[str] = field(default_factory=set)
 
 
 def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests:
@@ -280,6 +287,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
             read.rejected[str(file)] = sample.decided
             read.rejected_samples.append(sample)
             continue
+        read.styles.add(protocol.report.style)
         read.wishes[result.protocol] = protocol.groups
         read.kinds[result.protocol] = number_kinds(protocol)
         read.settings[str(file)] = settings_of(protocol)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -75,6 +76,12 @@ def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> 
     ValueError
         If the conditions leave nothing to fit.
     """
+    return CurveBasis(length, _unit_basis(terms, clamped, free_tip))
+
+
+@cache
+def _unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
+    """Return the powers of each unknown of `curve_basis`, which do not depend on the length."""
     power = np.arange(2 if clamped else 0, terms)
     if len(power) < 1 + free_tip:
         message = f"terms={terms}: expected at least {(2 if clamped else 0) + 1 + free_tip}"
@@ -84,7 +91,7 @@ def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> 
         bend = (power * (power - 1.0))[:, None]
         select = select @ np.linalg.qr(bend, mode="complete")[0][:, 1:]
     _, triangle = np.linalg.qr(powers(np.linspace(0, 1, 10 * terms), terms) @ select)
-    return CurveBasis(length, np.asarray(select @ np.linalg.inv(triangle), dtype=np.float64))
+    return np.asarray(select @ np.linalg.inv(triangle), dtype=np.float64)
 
 
 def coupled_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
@@ -13,13 +13,10 @@ from labpipe.markers.marker_names import Chain, Naming, is_unlabelled
 from labpipe.markers.tracklets import Links, Tracklets, in_sight
 from labpipe.records.arrays import Flags, Floats, stretches_of
 from labpipe.records.curve import PointFlag
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 
 _MAX_NOTES = 10
 """Most stretches of one marker with a note each; more get a common note."""
-_FROZEN = ("pose_frozen", Severity.WARNING, "stale pose removed")
-_FILLED = ("gap_filled", Severity.INFO, "gap filled between its ends, relative to the clamp")
-_LEFT = ("gap_left", Severity.WARNING, "no position, gap too long or open to fill")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,21 +61,15 @@ def describe(
     markers = [take.names[label] for label in naming.markers]
     return (
         *_missing_notes(take, naming, measured),
-        *_stretch_notes(take, stale, list(take.names), _FROZEN),
+        *_stretch_notes(take, stale, list(take.names), _frozen),
         *_relabel_notes(take, naming, measured),
         *_elimination_notes(take, naming),
         *_jump_notes(take, links, naming),
-        *_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, _FILLED),
-        *_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, _LEFT),
+        *_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, _filled),
+        *_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, _left),
         *_ambiguity_notes(take, links, naming),
         *_dropped_notes(take, naming, measured),
     )
-
-
-def _warning(
-    code: str, name: str, span: str, message: str, *when: tuple[float, float]
-) -> QualityNote:
-    return QualityNote(code, Severity.WARNING, f"{name}, {span}", message, when)
 
 
 def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
@@ -97,21 +88,31 @@ def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
 
 
 def _stretch_notes(
-    take: Take, mask: Flags, names: list[str], note_kind: tuple[str, Severity, str]
+    take: Take, mask: Flags, names: list[str], note: Callable[..., QualityNote]
 ) -> Iterator[QualityNote]:
-    code, severity, text = note_kind
     for name, flags in zip(names, mask.T, strict=True):
         stretches = stretches_of(flags)
         if len(stretches) > _MAX_NOTES:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-            message = f"{name}: {text}, {len(stretches)} times, {int(flags.sum())} frames, longest"
+            count = f"{len(stretches)} times, {int(flags.sum())} frames"
             where = f"{name}, {take.span(stretches[0][0], stretches[-1][1])}"
-            yield QualityNote(code, severity, where, f"{message} {take.span(*longest)}")
+            yield note(where, name=name, span=f"{count}, longest {take.span(*longest)}")
             continue
         for start, stop in stretches:
             span = take.span(start, stop)
-            message = f"{name}: {text}, {stop - start} frames, {span}"
-            yield QualityNote(code, severity, f"{name}, {span}", message)
+            yield note(f"{name}, {span}", name=name, span=f"{stop - start} frames, {span}")
+
+
+def _frozen(where: str, *, name: str, span: str) -> QualityNote:
+    return QualityNote.of("markers.pose_frozen", where, name=name, span=span)
+
+
+def _filled(where: str, *, name: str, span: str) -> QualityNote:
+    return QualityNote.of("markers.gap_filled", where, name=name, span=span)
+
+
+def _left(where: str, *, name: str, span: str) -> QualityNote:
+    return QualityNote.of("markers.gap_left", where, name=name, span=span)
 
 
 def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
@@ -125,13 +126,16 @@ def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
                 apart = _distance_text(
                     measured[:, label], measured[start:stop, column], start, stop
                 )
-                yield _warning("unlabelled_merged", name, span, f"{text}, {span}; merged{apart}")
+                where = f"{name}, {span}"
+                yield QualityNote.of(
+                    "markers.unlabelled_merged", where, text=text, span=span, apart=apart
+                )
             else:
                 exchanges.setdefault((start, stop), []).append((name, text))
     for (start, stop), markers in sorted(exchanges.items()):
         names, texts = (", ".join(parts) for parts in zip(*markers, strict=True))
         span = take.span(start, stop)
-        yield _warning("label_switch", names, span, f"{texts}, {span}; label switch corrected")
+        yield QualityNote.of("markers.label_switch", f"{names}, {span}", texts=texts, span=span)
 
 
 def _distance_text(own: Floats, other: Floats, start: int, stop: int) -> str:
@@ -159,8 +163,8 @@ def _stretches_under_other_labels(
 def _elimination_notes(take: Take, naming: Naming) -> Iterator[QualityNote]:
     for label, chain in naming.eliminated:
         name, span = take.names[label], take.span(chain.start, chain.stop)
-        message = f"{name}: assigned a track with another label, {span}, as the only marker missing"
-        yield _warning("label_by_elimination", name, span, message)
+        where = f"{name}, {span}"
+        yield QualityNote.of("markers.label_by_elimination", where, name=name, span=span)
 
 
 def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
@@ -169,8 +173,8 @@ def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNot
         for before, after in pairwise(chains):
             if after.start == before.stop and links.successor[before.tracklets[-1]] < 0:
                 name, span = take.names[label], take.span(after.start, after.start + 1)
-                message = f"{name}: jumps at {span}; its label was kept"
-                yield _warning("marker_jump", name, span, message)
+                where = f"{name}, {span}"
+                yield QualityNote.of("markers.marker_jump", where, name=name, span=span)
 
 
 def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
@@ -179,14 +183,13 @@ def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[Quali
         last = int(pieces.stop[one]) - 1
         span = take.span(last, int(pieces.start[two]) + 1)
         names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
-        message = f"{names}: may have exchanged labels, {span}; too close, left as labelled"
-        after = float(take.time[last]), float(take.time[-1])  # the two may be exchanged there
-        yield _warning("label_ambiguous", names, span, message, after)
+        where, after = f"{names}, {span}", (float(take.time[last]), float(take.time[-1]))
+        yield QualityNote.of("markers.label_ambiguous", where, after, names=names, span=span)
     for chain in naming.doubtful:
         name, span = take.names[chain.label], take.span(chain.start, chain.stop)
-        message = f"{name}: a second track under this label, {span}, could not be given to a marker"
         when = float(take.time[chain.start]), float(take.time[chain.stop - 1])
-        yield _warning("label_ambiguous", name, span, message, when)
+        where = f"{name}, {span}"
+        yield QualityNote.of("markers.second_track", where, when, name=name, span=span)
 
 
 def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
@@ -195,13 +198,13 @@ def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
         columns = take.pieces.column[list(chain.tracklets)]
         names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
         span, extent = take.span(chain.start, chain.stop), _extent(take.pieces, chain, measured)
-        message = f"{names}: track of no marker dropped, {span}, within {extent * 1e3:.1f} mm"
-        yield _warning("track_dropped", names, span, message)
+        where, size = f"{names}, {span}", 1e3 * extent
+        yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
     rest = chains[_MAX_NOTES:]
     if rest:
         frames = sum(chain.frames for chain in rest)
-        message = f"{len(rest)} more tracks of no marker dropped, {frames} samples in all"
-        yield QualityNote("track_dropped", Severity.WARNING, "markers", message)
+        count = len(rest)
+        yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 
 def _extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:

@@ -13,7 +13,7 @@ from labpipe.markers.track_repair import RepairedTracks
 from labpipe.markers.tracklets import in_sight
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.curve import PointFlag
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 
 SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
 """Possible directions (y, z) from the axis to the markers, by the side they face."""
@@ -138,12 +138,10 @@ def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Itera
     built = missing.any(axis=1) & ~missing.all(axis=1)
     if built.any():
         absent = [members[i] for i in np.flatnonzero(missing[built].any(axis=0)).tolist()]
-        message = f"{ring}: centre built without {', '.join(absent)} in {int(built.sum())} frames"
-        yield QualityNote("ring_incomplete", Severity.WARNING, ring, message)
-    if not missing.any(axis=1).all():
-        return
-    message = f"{ring}: never seen complete; its centre is the mean of the markers in sight"
-    yield QualityNote("ring_never_whole", Severity.WARNING, ring, message)
+        names, frames = ", ".join(absent), int(built.sum())
+        yield QualityNote.of("markers.ring_incomplete", ring, ring=ring, names=names, frames=frames)
+    if missing.any(axis=1).all():
+        yield QualityNote.of("markers.ring_never_whole", ring, ring=ring)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

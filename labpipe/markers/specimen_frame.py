@@ -8,7 +8,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 
 Selection: TypeAlias = slice | Flags
 """Some frames: a slice, or a mask of shape (frames,)."""
@@ -191,7 +191,5 @@ def _mean(points: Floats, name: str) -> Floats:
 def _notes(out_of_plane: float, limit: float) -> tuple[QualityNote, ...]:
     if out_of_plane <= limit:
         return ()
-    message = (
-        f"markers leave their plane by {out_of_plane * 1e3:.3f} mm (rms), limit {limit * 1e3:g} mm"
-    )
-    return (QualityNote("out_of_plane", Severity.WARNING, "markers", message),)
+    off, most = 1e3 * out_of_plane, 1e3 * limit
+    return (QualityNote.of("markers.out_of_plane", "markers", off=off, limit=most),)

@@ -25,7 +25,7 @@ from labpipe.markers.tracklets import in_sight
 from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.causes import CENTRE, GRIP, PULL
 from labpipe.records.curve import PointFlag, Shape
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 
 CLAMPED_END = "clamped end"
 PULL_POINT = "pull point"
@@ -304,21 +304,21 @@ def _notes(
     names: Sequence[str], settled: Flags, fit: FrameFits, time: Floats
 ) -> tuple[QualityNote, ...]:
     notes = [
-        QualityNote(
-            "marker_not_at_rest",
-            Severity.WARNING,
-            name,
-            f"{name} is not seen before the first loading and was left out of the shape",
-        )
+        QualityNote.of("markers.marker_not_at_rest", name, name=name)
         for name in _kept(names, ~settled)
     ]
     gone = ~in_sight(fit.last_point)
     lost = np.flatnonzero(gone)
     if len(lost):
-        message = (
-            f"no shape in {len(lost)} of {len(time)} frames, from {time[lost[0]]:.3f} s to "
-            f"{time[lost[-1]]:.3f} s: fewer than {fit.needed} markers in sight"
+        share = f"{len(lost)} of {len(time)} frames"
+        span = f"{time[lost[0]]:.3f} s to {time[lost[-1]]:.3f} s"
+        note = QualityNote.of(
+            "markers.shape_missing",
+            "markers",
+            *times_of(gone, time),
+            share=share,
+            span=span,
+            needed=fit.needed,
         )
-        when = times_of(gone, time)
-        notes.append(QualityNote("shape_missing", Severity.WARNING, "markers", message, when))
+        notes.append(note)
     return tuple(notes)

@@ -250,6 +250,8 @@ def _distances(
 
 def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
     """Return the indices of the pairs of the cheapest assignment."""
+    if all(len(np.unique(side)) == len(side) for side in (pairs.end, pairs.start)):
+        return list(np.argsort(pairs.end).tolist())  # no pair competes with another
     from scipy.optimize import linear_sum_assignment  # slow import, not needed by tensile tests
 
     chosen: list[int] = []

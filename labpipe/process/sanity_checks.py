@@ -28,7 +28,7 @@ from labpipe.records.quality import (
 )
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.bent_frames import held_at_rest
+from labpipe.results.beam import held_at_rest
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
 from labpipe.signal.turning_points import noise_level

@@ -270,6 +270,9 @@ class Report(Block):
 
     display: dict[str, Text] = Field({}, description="Unit of each quantity, such as force: mN")
     figures: tuple[FigureName, ...] = ()
+    style: Literal["page", "journal"] = Field(
+        "page", description="Look of figures: as the page, or with serif letters for a journal"
+    )
 
 
 class Groups(Block):

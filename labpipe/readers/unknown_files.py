@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
+from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -12,31 +14,9 @@ from labpipe.readers.text_cells import is_sample, split_line
 from labpipe.readers.workbooks import is_locked
 
 _EXPORT_KNOWN = "Export the recording in one of these formats."
-_UNPACK = "Unpack it, and name the export in it."
 _WRITE_CARD = (
     "If a testing machine's program wrote it, a card of a dozen lines makes labpipe read it: see"
     " docs/how-to/new-dialect.md."
-)
-_SAVE_AS_CSV = "Save it as csv with names and units."
-_BY_FIRST_BYTES = (
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file that is no ControlDesk export", _EXPORT_KNOWN),
-    (b"PK\x03\x04", "a workbook without a table of time and force or travel", _WRITE_CARD),
-    (b"\xd0\xcf\x11\xe0", "an old workbook (xls) without a table of time and force", _WRITE_CARD),
-    (b"MDF     ", "an MDF file of a version other than 4", _EXPORT_KNOWN),
-    (b"TDSm", "a TDMS file (LabVIEW)", _SAVE_AS_CSV),
-    (b"LabVIEW Measurement", "an LVM file (LabVIEW)", _WRITE_CARD),
-    (b"NO_OF_FRAMES", "a TSV file of Qualisys (motion capture)", _EXPORT_KNOWN),
-    (b"PathFileType", "a TRC file (motion capture)", _EXPORT_KNOWN),
-    (b"\x1f\x8b", "a packed file (gzip)", _UNPACK),
-    (b"7z\xbc\xaf\x27\x1c", "a packed file (7z)", _UNPACK),
-    (b"Rar!", "a packed file (rar)", _UNPACK),
-    (b"%PDF", "a PDF document", _EXPORT_KNOWN),
-    (b"\x89PNG", "a picture", _EXPORT_KNOWN),
-    (b"\xff\xd8\xff", "a picture", _EXPORT_KNOWN),
-    (b"\x93NUMPY", "an array of numpy", _SAVE_AS_CSV),
-    (b"PAR1", "a Parquet file", _SAVE_AS_CSV),
-    (b"<?xml", "XML", _EXPORT_KNOWN),
-    (b"{", "JSON", _EXPORT_KNOWN),
 )
 
 
@@ -67,9 +47,11 @@ def describe_unknown(path: Path) -> UnknownFile:
         )
     if is_locked(path):
         return UnknownFile("a workbook with a password", "Save a copy of it without a password.")
-    for first, what, remedy in _BY_FIRST_BYTES:
-        if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(first):
-            return UnknownFile(what, remedy)
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode("latin-1")
+    text = (files("labpipe.readers") / "unknown_files.toml").read_text(encoding="utf-8")
+    for known in tomllib.loads(text)["file"]:
+        if start.startswith(known["starts"]):
+            return UnknownFile(known["what"], known["remedy"])
     content = as_content(head)
     if is_binary(content):
         return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)

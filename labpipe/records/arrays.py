@@ -175,6 +175,23 @@ def means_from(values: Floats, starts: Ints) -> Floats:
     return means
 
 
+def block_means(values: Floats, points: int) -> Floats:
+    """Average blocks of consecutive samples.
+
+    Parameters
+    ----------
+    values : shape (n,); a NaN makes its mean NaN
+    points : smallest number of means, if there are as many samples
+
+    Returns
+    -------
+    Between `points` and twice as many; the last block includes the remainder.
+    """
+    size = max(1, len(values) // points)
+    starts = np.arange(0, max(len(values) - size + 1, 1), size)
+    return means_from(values, starts) if len(values) else values
+
+
 def part_of(samples: Samples, stretch: slice) -> Samples:
     """Select a stretch of the samples."""
     if isinstance(samples, slice):

@@ -20,7 +20,6 @@ from labpipe.report.figure_page import (
     label_log_axis,
     new_page,
     split_pages,
-    style_colours,
     titled,
 )
 from labpipe.report.issues import sentences
@@ -231,8 +230,7 @@ def _plot_section(model: BundleModel, axes: Axes) -> None:
     margin_factor = 1.12
     from matplotlib.patches import Circle
 
-    colours = style_colours()
-    colours = colours[-1:] + colours[-2:-1] + colours[2:4]  # light first: lines are over them
+    colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light: lines are over them
     layout, wires = model.layout, model.bundle.wires
     places = LENGTH.factor * np.column_stack([layout.x, layout.y])
     for place, diameter, kind in zip(places, layout.diameter, layout.kind, strict=True):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, block_means
 from labpipe.records.group import Band
 from labpipe.records.wire_calibration import (
     CalibratedParameter,
@@ -56,7 +56,6 @@ from labpipe.report.issues import sentences as reason_sentences
 from labpipe.report.plot_thinning import extremes, split_doubtful
 from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import count_of
-from labpipe.statistics.mean_curves import block_means
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

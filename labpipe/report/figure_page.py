@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
+_STYLE, _JOURNAL = (Path(__file__).with_name(f"{name}.mplstyle") for name in ("labpipe", "journal"))
 DOUBLE_COLUMN = 180.0
 WIDTH = 120.0
 """mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
@@ -49,12 +49,13 @@ class Look(NamedTuple):
 
 
 @contextmanager
-def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
+def style(changes: Mapping[str, Any] | None = None, *, is_journal: bool = False) -> Iterator[None]:
     """Draw and save in labpipe's style inside this block, without global changes.
 
     Parameters
     ----------
     changes : settings of matplotlib on top of the style
+    is_journal : serif letters and colours of journals, instead of the look of the page
 
     Notes
     -----
@@ -64,7 +65,10 @@ def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
     import matplotlib as mpl
 
     settings: Any = dict(changes or {})
-    with mpl.rc_context(settings, fname=str(STYLE_FILE)), warnings.catch_warnings():
+    with mpl.rc_context(fname=str(_STYLE)), warnings.catch_warnings():
+        if is_journal:
+            mpl.rcParams.update(mpl.rc_params_from_file(_JOURNAL, use_default_template=False))
+        mpl.rcParams.update(settings)
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         yield
 
@@ -101,7 +105,7 @@ def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Fig
     The same page.
     """
     line_mm, key_line_mm = 4.2, 4.6
-    characters_per_mm = 0.8  # of the width of the page, in a footnote
+    characters_per_mm = 0.72  # of the width of the page, in a footnote
     width, height = (size * _MM_PER_INCH for size in page.get_size_inches().tolist())
     _letter_panels(page.axes)
     keys = _labelled_artists(page.axes)
@@ -204,7 +208,10 @@ def with_own_fonts(page: Figure) -> Figure:
     from matplotlib.text import Text
 
     installed = {font.name for font in fontManager.ttflist}
-    fonts = [font for font in mpl.rcParams["font.sans-serif"] if font in installed]
+    settings: Any = mpl.rcParams
+    families = settings["font.family"]
+    named = [font for family in families for font in settings[f"font.{family}"]]
+    fonts = [font for font in named if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)
     page.set_dpi(120)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import Enum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.errors import ProtocolError
+from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import (
     Bending,
@@ -61,72 +62,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the API imports it from here
 
 
-class Treatment(Enum):
-    """Treatment of the samples in the curve; the value is its name in a figure."""
-
-    NONE = "not filtered"
-    CORRECTED = "corrected, not filtered"
-    FILTERED = "filtered"
-
-
-def treatment_of_force(result: TestResult) -> Treatment:
-    """Return the treatment of the force of a test.
-
-    Parameters
-    ----------
-    result : its curve is compared with its aligned series ``force``
-
-    Returns
-    -------
-    `FILTERED` also if there is no aligned series to compare with.
-
-    Notes
-    -----
-    A correction (a repaired slip, a bridged outlier) shifts intervals or a few samples: the median
-    change of the correction from sample to sample is zero. A filter changes every sample by a
-    different amount.
-    """
-    return _series_treatment(
-        result, "force", result.curve.force if result.curve is not None else None
-    )
-
-
-def treatment(result: TestResult) -> Treatment:
-    """Return the treatment of force and displacement of a test.
+def is_as_recorded(result: TestResult, *names: str) -> bool:
+    """Return whether the curve of a test has the samples that were recorded.
 
     Parameters
     ----------
     result : its curve is compared with its aligned series
-
-    Returns
-    -------
-    The stronger of both. Compliance of frame and grips is subtracted from the displacement sample
-    by sample; with that (note ``compliance_removed``) the displacement counts as corrected.
+    names : ``force``, ``displacement``; without aligned series to compare with, they are not
     """
-    force = treatment_of_force(result)
-    curve = result.curve
-    travel = _series_treatment(
-        result, "displacement", curve.displacement if curve is not None else None
-    )
-    if any(note.code == "compliance_removed" for note in result.quality):
-        travel = Treatment.CORRECTED
-    return max(force, travel, key=list(Treatment).index)
-
-
-def _series_treatment(result: TestResult, name: str, after: Floats | None) -> Treatment:
     rounding_share = 1e-9  # of the range of the signal
     series = result.aligned.series if result.aligned is not None else {}
-    if after is None or name not in series or len(series[name].values) != len(after):
-        return Treatment.FILTERED
-    change = after - series[name].values
-    change = change[~np.isnan(change)]
-    if not len(change):
-        return Treatment.FILTERED
-    least = rounding_share * float(np.nanmax(after) - np.nanmin(after))
-    if np.abs(change).max() <= least:
-        return Treatment.NONE
-    steps = np.abs(np.diff(change))
-    return Treatment.CORRECTED if np.median(steps) <= least else Treatment.FILTERED
+    for name in names:
+        after = None if result.curve is None else getattr(result.curve, name)
+        if after is None or name not in series or len(series[name].values) != len(after):
+            return False
+        if np.isnan(after).all():
+            return False
+        change = np.nanmax(np.abs(after - series[name].values))
+        if change > rounding_share * float(np.nanmax(after) - np.nanmin(after)):
+            return False
+    return True
 
 
 _MAX_CYCLE_COLOURS = 6
@@ -136,17 +91,16 @@ _STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: (0
 
 def draw_force_displacement(result: TestResult) -> Figure:
     """Draw (a) the calibrated samples as recorded and (b) the curve, in one panel if equal."""
-    done = treatment(result)
-    if done is Treatment.NONE:
+    if is_as_recorded(result, "force", "displacement"):
         page = new_page(height_mm=82)
         panels = [page.subplots()]
-        panels[0].set_title(f"As recorded, {done.value}", loc="left")
+        panels[0].set_title("As recorded", loc="left")
     else:
         page = new_page(height_mm=82, width_mm=DOUBLE_COLUMN)
         panels = list(page.subplots(1, 2, sharex=True, sharey=True))
         plot_raw(result, panels[0])
         panels[0].set_title("As recorded", loc="left")
-        panels[1].set_title(done.value.capitalize(), loc="left")
+        panels[1].set_title("As processed", loc="left")
     plot_filtered(result, panels[-1])
     if len(panels) > 1:
         panels[-1].set_ylabel("")
@@ -492,14 +446,13 @@ def _plot_force(result: TestResult, axes: Axes) -> None:
     """Draw the force against time: as recorded in grey, and the curve over it if it differs."""
     up = scale(result, "force", "N")
     aligned, curve = result.aligned, result.curve
-    done = treatment_of_force(result)
-    is_untouched = curve is not None and done is Treatment.NONE
+    is_untouched = is_as_recorded(result, "force")
     if aligned is not None and "force" in aligned.series and not is_untouched:
         force = up.factor * aligned.series["force"].values
         look: dict[str, Any] = {"color": "#9a9a9a", "linewidth": 0.6, "label": "force as recorded"}
         _plot_over_time(result, axes, aligned.time, force, **look)
     if curve is not None:
-        label = "force as recorded" if is_untouched else f"force {done.value}"
+        label = "force as recorded" if is_untouched else "force as processed"
         look = {"color": "C0", "linewidth": 0.8, "label": label}
         _plot_over_time(result, axes, curve.time, up.factor * curve.force, **look)
     if not axes.lines:
@@ -614,7 +567,17 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
         message = f"figures: expected names of {list(FIGURES)}, found {unknown}"
         raise ValueError(message)
     pages = [FigureToSave(name, partial(FIGURES[name], result)) for name in result.figures]
-    return save_pages(pages, folder, run=result.run, png=png)
+    return save_pages(pages, folder, run=result.run, png=png, is_journal=is_for_journal(result))
+
+
+def is_for_journal(result: TestResult) -> bool:
+    """Return whether the protocol of a test asks for figures in the style of a journal."""
+    if "style: journal" not in result.protocol_yaml:  # parsing takes longer than a line is drawn
+        return False
+    try:
+        return parse_protocol(result.protocol_yaml, result.test).report.style == "journal"
+    except ProtocolError:  # of an earlier grammar
+        return False
 
 
 def draw_figure(result: TestResult, name: str) -> Figure:
@@ -629,7 +592,7 @@ def draw_figure(result: TestResult, name: str) -> Figure:
     -------
     The figure, laid out in labpipe's style, which it keeps wherever it is drawn.
     """
-    with style():
+    with style(is_journal=is_for_journal(result)):
         page = FIGURES[name](result)
         finish_layout(page)
         return with_own_fonts(page)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import nan
 from typing import NamedTuple
 
@@ -24,7 +25,6 @@ from labpipe.report.wording import (
     display_of,
     group_scale,
     is_first_cycle,
-    mean_with_interval,
     shown_in,
     unit_words,
 )
@@ -33,8 +33,8 @@ _BAND_POINTS = 28
 """Points with which a band or a mean is drawn."""
 COLOURS = 8
 """Colours of the page for spools and groups; they repeat after this number."""
-MAX_SLIP_PANELS, MAX_DOT_NUMBERS, MAX_DOT_ROWS = 8, 6, 24
-"""Panels of slips and of numbers; samples with a row each, else those of a spool share a row."""
+MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
+"""Panels of numbers; samples with a row each, else those of a spool share a row."""
 
 
 class _Points(NamedTuple):
@@ -55,7 +55,7 @@ _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _GroupView:
     """A group with the data of its plots.
 
@@ -70,12 +70,12 @@ class _GroupView:
     stem: str = ""
     tests: PageTests | None = None
 
-    @property
+    @cached_property
     def across(self) -> Scale:
         """Display unit of displacement."""
         return group_scale(self.group, "displacement")
 
-    @property
+    @cached_property
     def up(self) -> Scale:
         """Display unit of force."""
         return group_scale(self.group, "force")
@@ -96,13 +96,23 @@ class _GroupView:
             return _IN_FILES
         return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
+    @cached_property
+    def colours(self) -> dict[str, str]:
+        """Classes of the colours of samples: of their spools, or their own for one spool."""
+        samples = self.group.samples
+        spools = {sample.specimen.spool: None for sample in samples}
+        names = [sample.specimen.spool for sample in samples]
+        if len(spools) == 1 and len(samples) <= _MAX_DETAILED_SAMPLES:
+            names = list(map(key_of, samples))
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+        return {
+            key_of(sample): f"c{numbers[name] % COLOURS}"
+            for sample, name in zip(samples, names, strict=True)
+        }
+
     def colour(self, sample: Sample) -> str:
-        """Return the class of a sample's colour: of its spool, or its own for one spool."""
-        spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
-        number = spools.index(sample.specimen.spool)
-        if len(spools) == 1 and len(self.group.samples) <= _MAX_DETAILED_SAMPLES:
-            number = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
-        return f"c{number % COLOURS}"
+        """Return the class of a sample's colour."""
+        return self.colours[key_of(sample)]
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
@@ -132,26 +142,19 @@ def file_panels(group: Group) -> dict[str, list[Plot]]:
 
     Returns
     -------
-    Curves, normalised curves, shapes, measured laws, slips, fitted lines and numbers, as far as
-    the group has data for them.
+    Curves, normalised curves, shapes, measured laws and numbers, as far as the group has data for
+    them.
     """
     view = _GroupView(group)
-    only = {"window", "segment", "slip", "measured"}  # in figures of their own
-    curves = _curve_plot(view)
-    if curves is not None:
-        lines = [line for line in curves.lines if line.look.partition(" ")[0] not in only]
-        keys = [key for key in curves.keys if key.look not in only]
-        curves = replace(curves, lines=lines, keys=keys)
-    single = {
-        "curves": curves,
-        "scaled": _scaled_plot(view),
-        "shapes": _shape_plot(view),
-        "moment": _moment_plot(view),
-        "lines": _fit_plot(view),
+    figures: dict[str, list[Plot | None]] = {
+        "curves": [_curve_plot(view)],
+        "scaled": [_scaled_plot(view)],
+        "shapes": [_shape_plot(view)],
+        "moment": [_moment_plot(view)],
+        "numbers": [*_number_plots(group)],
     }
-    several = {"slips": list(_slip_plots(view)), "numbers": list(_number_plots(group))}
-    figures = {name: [plot] for name, plot in single.items() if plot is not None}
-    return figures | {name: plots for name, plots in several.items() if plots}
+    drawn = {name: [plot for plot in plots if plot is not None] for name, plots in figures.items()}
+    return {name: plots for name, plots in drawn.items() if plots}
 
 
 def first_loading(sample: Sample) -> SampleCurve | None:
@@ -206,7 +209,7 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
     return Axis(name, unit, factor * (low - margin), factor * (high + margin))
 
 
-def _sample_lines(view: _GroupView, sample: Sample, *, has_others: bool = True) -> Iterator[Line]:
+def _sample_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
     """Yield first loading, other branches, and the measured force if slips were repaired."""
     test, colour = view.number(sample), view.colour(sample)
     first = first_loading(sample)
@@ -215,7 +218,7 @@ def _sample_lines(view: _GroupView, sample: Sample, *, has_others: bool = True) 
         for curve in (*sample.loading, *sample.unloading)
         if curve is not first and len(curve.displacement)
     ]
-    for other in others if has_others else ():
+    for other in others:
         points = max(view.points.others // len(others), 8)
         yield _line(view, f"unloading {colour}", test, (other, other.force), points=points)
     if first is None:
@@ -251,17 +254,12 @@ def _window_lines(view: _GroupView) -> Iterator[Line]:
             look = "segment" if line.result.startswith("segment") else "window"
             parts.setdefault(look, []).append(line)
         for look, lines in parts.items():
-            yield _fitted_line(view, look, lines, view.number(sample))
-
-
-def _fitted_line(
-    view: _GroupView, look: str, lines: Sequence[FittedLine], test: int | None = None
-) -> Line:
-    start, stop, slope, level = np.array(
-        [(line.start, line.stop, line.slope, line.level) for line in lines]
-    ).T
-    x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
-    return Line(look, x * view.across.factor, y * view.up.factor, test)
+            start, stop, slope, level = np.array(
+                [(line.start, line.stop, line.slope, line.level) for line in lines]
+            ).T
+            x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
+            factors = view.across.factor, view.up.factor
+            yield Line(look, x * factors[0], y * factors[1], view.number(sample))
 
 
 def _event_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
@@ -472,67 +470,6 @@ def _scaled_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
     line = _line(view, f"curve {view.colour(sample)}", view.number(sample),
                  (first, first.force), points=points)  # fmt: skip
     yield replace(line, y=line.y / (peak * view.up.factor))
-
-
-def _fit_plot(view: _GroupView) -> Plot | None:
-    """Return the plot of the fitted lines on grey curves, with the mean slopes in the key."""
-    reach = 1.5  # of the end of the last window
-    by_result: dict[str, list[FittedLine]] = {}
-    for sample in view.group.samples:
-        for line in sample.lines:
-            by_result.setdefault(line.result, []).append(line)
-    if not by_result:
-        return None
-    fits, keys = [], []
-    for at, (name, lines) in enumerate(by_result.items(), start=1):
-        look = "segment" if name.startswith("segment") else f"window c{at % COLOURS}"
-        fits.append(_fitted_line(view, look, lines))
-        keys.append(Key(look, _slope_label(view.group, name)))
-    end = reach * max(float(np.nanmax(line.x)) for line in fits)
-    curves = []
-    for sample in view.group.samples:
-        if (first := first_loading(sample)) is not None:
-            shown = np.where(first.displacement * view.across.factor <= end, first.force, np.nan)
-            curves.append(_line(view, "rejected", None, (first, shown), points=view.points.first))
-    every = [*curves, *fits]
-    x = axis_over("Displacement", view.across.unit, [line.x[np.isfinite(line.y)] for line in every])
-    y = axis_over("Force", view.up.unit, [line.y for line in every])
-    title = f"Fitted lines on the first loadings of {view.group.name}."
-    caption = "Straight lines over their windows; the slopes are those of the table of means."
-    return Plot("lines", view.stem, title, caption, x, y, every, keys)
-
-
-def _slope_label(group: Group, name: str) -> str:
-    """Write the name of a line and its mean slope with the interval."""
-    number = next((number for number in group.numbers if number.name == name), None)
-    if number is None or number.mean is None:
-        return as_label(name)
-    unit = shown_in(name, number.unit, display_of(group))
-    mean = number.mean.chosen
-    over = "samples" if number.mean.is_pooled else "spool means"
-    of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
-    slope = f"{mean_with_interval(mean, unit.factor)} {unit_words(unit.unit)}"
-    return f"{as_label(name)}: {slope}{of}"
-
-
-def _slip_plots(view: _GroupView) -> Iterator[Plot]:
-    """Yield a plot of each sample that slipped: measured and processed force, and its slips."""
-    samples = [
-        sample
-        for sample in view.group.samples
-        if sample.slips and first_loading(sample) is not None
-    ]
-    rest = ", ".join(sample.test for sample in samples[MAX_SLIP_PANELS:])
-    for sample in samples[:MAX_SLIP_PANELS]:
-        lines = [*_sample_lines(view, sample, has_others=False), *_event_lines(view, sample)]
-        x = axis_over("Displacement", view.across.unit, [line.x for line in lines])
-        y = axis_over("Force", view.up.unit, [line.y for line in lines])
-        looks = {line.look: line.look.partition(" ")[0] for line in lines}
-        labels = {"curve": "as processed", **_KEY_LABELS}
-        keys = [Key(look, labels[kind]) for look, kind in looks.items()]
-        title = f"Slips on the first loadings of {view.group.name}."
-        caption = f"Not drawn, but in the list of slips: {rest}." if rest else ""
-        yield Plot("slips", view.stem, title, caption, x, y, lines, keys, (262, 165), sample.test)
 
 
 def _number_plots(group: Group) -> Iterator[Plot]:

@@ -228,10 +228,6 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
 
 _HEADINGS = {Kind.UNREADABLE: "Not read", Kind.UNLIKE: "Other processing", Kind.SLIP: "Slips"}
 """Headings that differ from the name of the kind."""
-_ALL_VALUES_EFFECT = 5.0
-"""Effect, in half intervals, of a cause that affects all values of a number."""
-_NO_INTERVAL_EFFECT = 10.0
-"""Effect, in half intervals, of a cause that leaves one value, without an interval."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from labpipe.errors import UsageError, error_text
+from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
@@ -102,7 +102,6 @@ class Letterhead:
 
 PLAIN = Letterhead()
 _MAX_LOGO_BYTES = 200_000
-_SIGNATURES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 
 
 def read_logo(path: Path) -> str:
@@ -121,27 +120,23 @@ def read_logo(path: Path) -> str:
     UsageError
         If it cannot be read, has another format, is damaged or too large for a mailed page.
     """
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
-    content, kind, fault = b"", "", "a file of another format"
+    size = path.stat().st_size if path.is_file() else None
+    fault = "no file" if size is None else f"{size} bytes"
     try:
-        if not path.is_file() or path.stat().st_size > _MAX_LOGO_BYTES:
-            fault = f"{path.stat().st_size} bytes" if path.is_file() else "no file"
-        else:
+        if size is not None and size <= _MAX_LOGO_BYTES:
             content = path.read_bytes()
-            kind = next(
-                (kind for sign, kind in _SIGNATURES.items() if content.startswith(sign)), ""
-            )
-        if kind:
-            Image.open(BytesIO(content)).load()
-            fault = ""
+            picture = Image.open(BytesIO(content), formats=("PNG", "JPEG"))
+            picture.load()
+            kind = str(picture.format).lower()
+            return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+    except UnidentifiedImageError:
+        fault = "a file of another format"
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         fault = f"a file that cannot be read ({error})"
-    if fault:
-        expected = f"a picture, PNG or JPEG, of at most {_MAX_LOGO_BYTES // 1000} kB"
-        remedy = "Save the logo as PNG, about 600 points wide, or omit --logo."
-        raise UsageError(error_text(path, "", expected=expected, found=fault, remedy=remedy))
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+    kilobytes = _MAX_LOGO_BYTES // 1000
+    raise UsageError.about("report.logo", path, "", kilobytes=kilobytes, fault=fault)
 
 
 def render_page(
@@ -663,11 +658,13 @@ class Extras:
     letterhead : of the page
     formats : of the figures as files: ``svg``, ``png``, ``pdf``; none for no files
     test_pages : by address below the report, the page of each test
+    is_journal : draw the figures in the style of a journal
     """
 
     letterhead: Letterhead = PLAIN
     formats: tuple[str, ...] = ()
     test_pages: Mapping[str, str] = field(default_factory=dict)
+    is_journal: bool = False
 
 
 NOTHING_MORE = Extras()
@@ -701,14 +698,13 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(printable(text), encoding="utf-8")
         save_workbook(campaign, tables)
-        figures = _save_figures(campaign, folder / FIGURES_FOLDER, extras.formats)
+        figures = _save_figures(campaign, folder / FIGURES_FOLDER, extras)
     return [folder / PAGE_FILE, tables, *(folder / name for name in extras.test_pages), *figures]
 
 
-def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> list[Path]:
+def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path]:
     """Draw the figures of each group and those that compare groups, for papers and slides."""
-    report_dpi = 200
-    if not formats:
+    if not extras.formats:
         return []
     names = stems(group.name for group in campaign.groups)
     wanted = [
@@ -721,7 +717,8 @@ def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> l
     return save_pages(
         wanted,
         folder,
-        png="png" in formats,
-        pdf="pdf" in formats,
-        dpi=report_dpi,
+        png="png" in extras.formats,
+        pdf="pdf" in extras.formats,
+        dpi=200,
+        is_journal=extras.is_journal,
     )

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
-from labpipe.records.group import (
-    Campaign,
-    Difference,
-    Group,
-    GroupNumber,
-    MeanInterval,
-    Sample,
-)
+from labpipe.records.group import Campaign, Difference, Group, GroupNumber, MeanInterval, Sample
 from labpipe.records.quality import worded
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import sort_causes
@@ -42,8 +35,8 @@ from labpipe.report.wording import (
     count_of,
     display_of,
     group_scale,
-    is_first_cycle,
     is_main,
+    key_numbers,
     shown_in,
     unit_words,
 )
@@ -51,10 +44,8 @@ from labpipe.report.workbook_file import (
     About,
     Chart,
     Line,
-    NumberCell,
     Record,
     Sheet,
-    Value,
     array_records,
     ends_record,
     number_cell,
@@ -82,7 +73,6 @@ _ABOUT = (
     " without a family differs in several fields.",
     "Outliers are marked in 'needs a look' and included in all means. Means include numbers with"
     " the status 'doubtful', but not 'failed'.",
-    "Print: rows of means, without the rows of single tests of 'budgets'; of curves the charts.",
 )
 
 
@@ -110,11 +100,9 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
 def _facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators and instruments."""
-    samples = samples_of(campaign)
-    tests = count_of(len(samples), "test")
-    rejected = len(campaign.rejected)
-    rejected_text = f", {count_of(rejected, 'test')} rejected" if rejected else ""
-    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{rejected_text}."
+    samples, rejected = samples_of(campaign), len(campaign.rejected)
+    text = f"{count_of(len(samples), 'test')} in {count_of(len(campaign.groups), 'group')}"
+    yield f"{text}, {count_of(rejected, 'test')} rejected." if rejected else f"{text}."
     if samples:
         yield f"Tested {days_words(samples)}; {operators_words(samples)}."
     for instrument_line in instrument_lines(samples):
@@ -127,18 +115,28 @@ def _facts(campaign: Campaign) -> Iterator[str]:
 def _sheets(campaign: Campaign) -> Iterator[Sheet]:
     if pairs := single_field_pairs(campaign):
         yield sheet_of(
-            "answers", map(_answer, pairs), frozen=1, printed="why",
+            "answers", map(_answer, pairs), frozen=1,
             question="What is the verdict of each comparison: different, equivalent, or cannot"
             " tell?",
         )  # fmt: skip
-    yield _key_numbers_sheet(campaign)
+    by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
     yield sheet_of(
-        "means", _means(campaign), frozen=2, printed="n samples",
+        "key numbers", map(_key_record, by_protocol), frozen=1,
+        question="What are the key numbers of each group, with their 95 % intervals?",
+    )  # fmt: skip
+    yield sheet_of(
+        "means", _means(campaign), frozen=2,
         question="What is the mean of each number, of all samples and of each spool?",
     )  # fmt: skip
     yield _tests_sheet(campaign)
+    results = (
+        {"group": group.name, "test": sample.test, **_result(sample, result)}
+        for group in campaign.groups
+        for sample in group.samples
+        for result in sample.results
+    )
     yield sheet_of(
-        "results", _results(campaign), frozen=2, printed="status",
+        "results", results, frozen=2,
         question="How uncertain is each number of each test, how was it obtained, why is it"
         " doubtful?",
     )  # fmt: skip
@@ -152,8 +150,7 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
         for difference in (*single_field, *multi_field_differences(campaign))
     ]
     yield sheet_of(
-        "comparisons", differences, frozen=2, printed="question",
-        printed_rows=len(single_field) or None,
+        "comparisons", differences, frozen=2,
         question="How do pairs of groups differ in each number? Pairs that differ in one field come"
         " first.",
     )  # fmt: skip
@@ -166,12 +163,12 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
             question="Where does the bending stiffness of each bundle lie between slipping and"
             " sticking?",
         )  # fmt: skip
-    ranked = list(_issues(enumerate(find_causes(campaign), start=1)))
-    notes = _issues((None, note) for note in find_notes(campaign))
+    ranked = [*enumerate(find_causes(campaign), start=1)]
+    issues = [row for rank, cause in ranked for row in _issues(rank, cause)]
+    notes = [row for note in find_notes(campaign) for row in _issues(None, note)]
     yield sheet_of(
-        "needs a look", [*ranked, *notes], frozen=1, printed="largest effect of the cause",
+        "needs a look", [*issues, *notes], frozen=1,
         wrapped=("test", "what", "reason", "largest effect of the cause"),
-        printed_rows=len(ranked) or None,
         question="Which results need a check? Largest effect on a number first; notes have no"
         " rank.",
     )  # fmt: skip
@@ -183,96 +180,45 @@ def _answer(pair: Pair) -> Record:
     before, after = difference.fields[pair.field]
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
     record = _difference(difference, display_of(pair.first))
-    shared = ("unit", "irrelevant below", "level (%)", "first", "second")
     return {
         "comparison": f"{field_words(pair.field)}: {after} against {before}",
         "of": context_words((pair.first, pair.second), pair.field),
-        **{head: record[head] for head in ("number", "verdict")},
+        "number": record["number"],
+        "verdict": record["verdict"],
         "difference (%)": record["share (%)"],
-        **{head: record[head] for head in ("corrected lower (%)", "corrected upper (%)")},
+        "corrected lower (%)": record["corrected lower (%)"],
+        "corrected upper (%)": record["corrected upper (%)"],
         "difference": record["second minus first"],
         "n": counts[1],
         "n against": counts[0],
         "why": difference.why,
-        **{head: record[head] for head in shared},
+        **{head: record[head] for head in ("unit", "irrelevant below", "level (%)")},
+        "first": difference.first,
+        "second": difference.second,
         "caveats": "; ".join(difference.caveats),
     }
 
 
-def _key_numbers_sheet(campaign: Campaign) -> Sheet:
-    """Return the sheet of key numbers, a row per group, sorted by protocol, with charts.
-
-    The last columns hold the lengths of the error bars of the charts.
-    """
-    rows: list[Record] = []
-    bars: list[Record] = []
-    charted: dict[str, str] = {}
-    for group in sorted(campaign.groups, key=lambda group: group.protocol):
-        row: Record = {
-            "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
-        }  # fmt: skip
-        bar: Record = {}
-        for number in _key_numbers(group):
-            name, unit, ends = _key_cells(group, number)
-            charted[column_head(name, unit)] = name
-            parts = (("", "mean"), (", lower", "lower"), (", upper", "upper"))
-            row |= {column_head(name, unit, part): ends[key] for part, key in parts}
-            for part, low, high in ((", down", "lower", "mean"), (", up", "mean", "upper")):
-                bar[column_head(name, unit, part)] = _length(ends[low], ends[high])
-        rows.append(row)
-        bars.append(bar)
-    heads = [*unite_heads(rows), *unite_heads(bars)]
-    records = [row | bar for row, bar in zip(rows, bars, strict=True)]
-    charts = [_key_chart(name, head, heads, rows) for head, name in charted.items()]
-    return sheet_of(
-        "key numbers", records, heads=heads, frozen=1, printed=unite_heads(rows)[-1],
-        charts=[chart for chart in charts if chart is not None],
-        question="What are the key numbers of each group, with their 95 % intervals?",
-    )  # fmt: skip
-
-
-def _key_numbers(group: Group) -> list[GroupNumber]:
-    """Return the first numbers of the specimen and of its first cycle."""
-    return [
-        number
-        for number in group.numbers
-        if not number.is_set_by_rig and is_first_cycle(number.name)
-    ][:3]
-
-
-def _key_cells(group: Group, number: GroupNumber) -> tuple[str, str, Record]:
-    """Return name, unit, and the cells of the mean and the ends of its interval."""
-    scale = shown_in(number.name, number.unit, display_of(group))
-    chosen = None if number.mean is None else number.mean.chosen
-    mean, interval = (None, None) if chosen is None else (chosen.mean, chosen.interval)
-    cells = ends_record(mean, interval, scale.factor, name="mean")
-    return as_label(number.name), unit_words(scale.unit), cells
-
-
-def _length(low: Value, high: Value) -> Value:
-    if not isinstance(low, NumberCell) or not isinstance(high, NumberCell):
-        return None
-    return NumberCell(high.value - low.value, high.form)
+def _key_record(group: Group) -> Record:
+    """Return the first numbers of the specimen and of its first cycle, a row per group."""
+    row: Record = {
+        "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
+    }  # fmt: skip
+    for number in key_numbers(group)[:3]:
+        scale = shown_in(number.name, number.unit, display_of(group))
+        ends = ends_record(None, None, name="mean")
+        if number.mean is not None:
+            mean = number.mean.chosen
+            ends = ends_record(mean.mean, mean.interval, scale.factor, name="mean")
+        name, unit = as_label(number.name), unit_words(scale.unit)
+        parts = (("", "mean"), (", lower", "lower"), (", upper", "upper"))
+        row |= {column_head(name, unit, part): ends[key] for part, key in parts}
+    return row
 
 
 def column_head(name: str, unit: str, part: str = "") -> str:
     """Write the head of a column: name, part and unit."""
     return f"{name}{part} ({unit})" if unit else f"{name}{part}"
-
-
-def _key_chart(name: str, head: str, heads: Sequence[str], rows: Sequence[Record]) -> Chart | None:
-    """Return the bar chart of a number; None for a single group or negative means."""
-    means = {
-        at: cell.value
-        for at, row in enumerate(rows)
-        if isinstance(cell := row.get(head), NumberCell)
-    }
-    if len(means) < 2 or min(means.values()) < 0.0:
-        return None
-    unit = head.removeprefix(name)
-    down, up = (heads.index(f"{name}{part}{unit}") for part in (", down", ", up"))
-    line = Line(name, (min(means), max(means)), 0, heads.index(head), down, up)
-    return Chart(f"{name}, mean and 95 % interval", "", head, [line], "bars")
 
 
 def _means(campaign: Campaign) -> Iterator[Record]:
@@ -307,11 +253,8 @@ def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, o
         "group": group.name, "number": as_label(number.name), "over": over,
         "unit": unit_words(scale.unit),
     }  # fmt: skip
-    middle: tuple[str, ...] = (
-        "mean over", "n samples", "within spools", "between spools", "spools equal, p", "decision"
-    )  # fmt: skip
-    last: Record = {"reason": "", "result": number.name}
     if mean is None:
+        last: Record = {"reason": "", "result": number.name}
         return row | ends_record(None, None, name="mean") | last
     return {
         **row,
@@ -319,10 +262,16 @@ def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, o
         "standard deviation": number_cell(mean.deviation, mean.interval, scale.factor),
         "n": mean.n,
         "scale": "log" if mean.is_log else "linear",
-        **dict.fromkeys(middle),
+        **dict.fromkeys(_OF_ALL_SAMPLES),
         "reason": str(mean.reason or ""),
         "result": number.name,
     }
+
+
+_OF_ALL_SAMPLES: tuple[str, ...] = (
+    "mean over", "n samples", "within spools", "between spools", "spools equal, p", "decision"
+)  # fmt: skip
+"""Columns that the means of single spools leave empty."""
 
 
 def _tests_sheet(campaign: Campaign) -> Sheet:
@@ -333,8 +282,7 @@ def _tests_sheet(campaign: Campaign) -> Sheet:
     records = [_test(group, sample) for group, sample in every]
     heads = [*(head for head in unite_heads(records) if head not in last), *last]
     question = "What was measured in each test? One row per test, one column per number."
-    printed = heads[-3] if records else ""
-    return sheet_of("tests", records, heads=heads, frozen=1, question=question, printed=printed)
+    return sheet_of("tests", records, heads=heads, frozen=1, question=question)
 
 
 def _test(group: str, sample: Sample) -> Record:
@@ -366,14 +314,6 @@ def _test(group: str, sample: Sample) -> Record:
     }
 
 
-def _results(campaign: Campaign) -> Iterator[Record]:
-    """Yield every result of every test with its interval, status, reason and method."""
-    for group in campaign.groups:
-        for sample in group.samples:
-            for result in sample.results:
-                yield {"group": group.name, "test": sample.test, **_result(sample, result)}
-
-
 def _result(sample: Sample, result: Result) -> Record:
     scale = shown_in(result.name, result.unit, sample.display)
     return {
@@ -388,6 +328,12 @@ def _result(sample: Sample, result: Result) -> Record:
     }
 
 
+_BAND_COLUMNS = {
+    "mean": "mean", "lower": "lower", "upper": "upper",
+    "lower, whole curve": "lower_all", "upper, whole curve": "upper_all",
+}  # fmt: skip
+
+
 def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     """Return the sheet of the mean curves of all groups, in common units, with their charts."""
     first = next((group for group in campaign.groups if group.samples), None)
@@ -395,11 +341,7 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     if first is not None:
         across, up = group_scale(first, "displacement"), group_scale(first, "force")
     up = Scale(1.0, "") if is_scaled else up
-    parts = {
-        "mean": "mean", "lower": "lower", "upper": "upper",
-        "lower, whole curve": "lower_all", "upper, whole curve": "upper_all",
-    }  # fmt: skip
-    force_fields = {column_head(part, up.unit): name for part, name in parts.items()}
+    heads = [column_head(part, up.unit) for part in _BAND_COLUMNS]
     rows: list[Record] = []
     lines: dict[str, list[Line]] = {}
     for group in campaign.groups:
@@ -407,7 +349,8 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
         if band is None:
             continue
         columns = {across.label("displacement"): across.factor * band.displacement}
-        columns |= {head: up.factor * getattr(band, name) for head, name in force_fields.items()}
+        forces = (up.factor * getattr(band, name) for name in _BAND_COLUMNS.values())
+        columns |= dict(zip(heads, forces, strict=True))
         own = array_records({"group": group.name}, columns)
         own = [row | {"n": band.n, "mean over": band.members} for row in own]
         if own:
@@ -415,17 +358,17 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
             lines.setdefault(group.protocol, []).append(line)
         first_row: Record = own[0] if own else {"group": group.name}
         rows += [first_row | {"reason": str(band.reason or "")}, *own[1:]]
-    title = "Mean force over peak force" if is_scaled else "Mean force"
-    label = "Force / peak force" if is_scaled else up.label("Force")
+    title, what = ("Mean force over peak force", "force over its peak")
+    label = "Force / peak force"
+    if not is_scaled:
+        title, what, label = "Mean force", "force", up.label("Force")
     charts = [
         Chart(f"{title} on first loading ({protocol})", across.label("Displacement"), label, own)
         for protocol, own in lines.items()
     ]
-    what = "force over its peak" if is_scaled else "force"
-    heads = [across.label("displacement"), *force_fields, "n", "mean over", "reason"]
+    every = ["group", across.label("displacement"), *heads, "n", "mean over", "reason"]
     return sheet_of(
-        "scaled curves" if is_scaled else "curves", rows, heads=["group", *heads], frozen=1,
-        charts=charts,
+        "scaled curves" if is_scaled else "curves", rows, heads=every, frozen=1, charts=charts,
         question=f"What is the mean {what} of each group against displacement, on first loading?",
     )  # fmt: skip
 
@@ -443,14 +386,14 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
         "unit": unit_words(scale.unit),
         **ends_record(shift.mean, shift.interval, scale.factor, name="second minus first"),
         "share (%)": percent_cell(difference.share),
-        "corrected lower (%)": None if of_share is None else percent_cell(of_share.lower),
-        "corrected upper (%)": None if of_share is None else percent_cell(of_share.upper),
+        "corrected lower (%)": percent_cell(of_share, "lower"),
+        "corrected upper (%)": percent_cell(of_share, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
         "question": difference.question,
         "differ in": fields_in_words(difference),
-        "level (%)": None if ends is None else percent_cell(ends.level),
+        "level (%)": percent_cell(ends, "level"),
         "irrelevant below": number_cell(difference.margin, None, scale.factor),
         "different, p": number_cell(difference.p, None),
         "equivalent, p": number_cell(difference.p_equivalent, None),
@@ -463,49 +406,31 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
 
 
 def _budgets_sheet(campaign: Campaign) -> Sheet:
-    """Return the sheet of budgets: shares of the causes for means, then for tests."""
-    means = [row for group in campaign.groups for row in _budgets_of_means(group)]
-    tests = [row for group in campaign.groups for row in _budgets_of_tests(group)]
-    of_means = {cause for _, shares in means for cause in shares}
-    others = {cause for _, shares in tests for cause in shares} - of_means
-    causes = [*sort_causes(of_means), *sort_causes(others)]
+    """Return the sheet of budgets: shares of the causes for means, and medians over tests."""
+    rows = [row for group in campaign.groups for row in _budgets(group)]
+    causes = sort_causes(cause for _, shares in rows for cause in shares)
     heads = {cause: f"{cause}{'*' * IS_COMMON.get(cause, False)} (%)" for cause in causes}
     records = [
         head | {heads[cause]: percent_cell(shares.get(cause)) for cause in causes}
-        for head, shares in (*means, *tests)
+        for head, shares in rows
     ]
     question = (
         "Which causes contribute to each 95 % interval? Shares of the variance, for means of the"
         " squared half width; * marks causes common to all tests of a rig, which more"
         " samples do not reduce."
     )
-    printed = heads[causes[len(of_means) - 1]] if means else ""
-    rows = len(means) or None
-    return sheet_of(
-        "budgets", records, frozen=2, question=question, printed=printed, printed_rows=rows
-    )
+    return sheet_of("budgets", records, frozen=2, question=question)
 
 
-def _budgets_of_means(group: Group) -> Iterator[tuple[Record, dict[str, float]]]:
+def _budgets(group: Group) -> Iterator[tuple[Record, Mapping[str, float]]]:
+    """Yield the shares for the mean of each number, and their medians over the tests."""
     for number in group.numbers:
         budget = group_budget(number)
         if budget.of_tests and budget.of_mean and number.mean is not None:
             interval = number.mean.chosen.interval
-            head = _budget_head(group, number, "mean of the group", interval)
-            yield head, dict(budget.of_mean)
-
-
-def _budgets_of_tests(group: Group) -> Iterator[tuple[Record, dict[str, float]]]:
-    """Yield the median shares of the tests of a group, then the shares of each test."""
-    for number in group.numbers:
-        shares = group_budget(number).of_tests
-        if shares:
-            yield _budget_head(group, number, "median of the tests", None), dict(shares)
-        for test, result in number.values.items():
-            if result.largest_share is not None:
-                rows = zip(result.budget, result.shares, strict=True)
-                test_shares = {row.cause: share for row, share in rows}
-                yield _budget_head(group, number, test, result.interval), test_shares
+            yield _budget_head(group, number, "mean of the group", interval), budget.of_mean
+        if budget.of_tests:
+            yield _budget_head(group, number, "median of the tests", None), budget.of_tests
 
 
 def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval | None) -> Record:
@@ -539,24 +464,24 @@ def _places(campaign: Campaign) -> Iterator[Record]:
             **ends_record(place.value, place.interval, scale.factor, name="bending stiffness"),
             **{head: number_cell(value, None, scale.factor) for head, value in bounds.items()},
             "share (%)": percent_cell(place.share),
-            "share lower (%)": None if ends is None else percent_cell(ends.lower),
-            "share upper (%)": None if ends is None else percent_cell(ends.upper),
+            "share lower (%)": percent_cell(ends, "lower"),
+            "share upper (%)": percent_cell(ends, "upper"),
             "reason": worded(place.reasons),
         }
 
 
-def _issues(causes: Iterable[tuple[int | None, Cause]]) -> Iterator[Record]:
-    """Yield the issues of each cause with its rank."""
-    for rank, cause in causes:
-        effect = "" if cause.effect is None else cause.effect.text
-        for concern in cause.issues:
-            yield {
-                "rank": rank,
-                "kind": str(concern.kind),
-                "group": concern.group,
-                "test": concern.test or ", ".join(concern.tests),
-                "what": concern.what,
-                "reason": concern.reason,
-                "largest effect of the cause": effect,
-                "code": concern.code,
-            }
+def _issues(rank: int | None, cause: Cause) -> Sequence[Record]:
+    effect = "" if cause.effect is None else cause.effect.text
+    return [
+        {
+            "rank": rank,
+            "kind": str(issue.kind),
+            "group": issue.group,
+            "test": issue.test or ", ".join(issue.tests),
+            "what": issue.what,
+            "reason": issue.reason,
+            "largest effect of the cause": effect,
+            "code": issue.code,
+        }
+        for issue in cause.issues
+    ]

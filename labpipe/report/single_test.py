@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
-from io import BytesIO
-from typing import TYPE_CHECKING, Any
 
 from labpipe.records.quality import Severity
 from labpipe.records.result import Instrument, Result, Status, TestResult
-from labpipe.report.figure_page import finish_layout, style
-from labpipe.report.figures import FIGURES
+from labpipe.report.figure_page import style
+from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.issues import sentence, sentences
 from labpipe.report.lab_report import css_string, fill_template, style_hash, style_of
 from labpipe.report.page_tables import DASH, Cell, Table
-from labpipe.report.saving import Inline, inline_svg
+from labpipe.report.saving import as_address
 from labpipe.report.wording import heading, replace_names, shown_in, unit_words, with_interval
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_TEMPLATE = "single_test.html"
 
 
 def render_test(result: TestResult, *, report: str = "") -> str:
@@ -35,40 +27,26 @@ def render_test(result: TestResult, *, report: str = "") -> str:
     -------
     An HTML document that needs no other file, no network and no script.
     """
-    from markupsafe import Markup
-
     inputs = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
-    drawn = [_inline_figure(result, name) for name in result.figures if name in FIGURES]
-    classes = {name: look for figure in drawn for name, look in figure.classes.items()}
+    names = [name for name in result.figures if name in FIGURES]
+    with style(is_journal=is_for_journal(result)):
+        figures = [
+            (as_address(FIGURES[name](result)), f"{name} of {result.test}") for name in names
+        ]
     footer = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
-    rules = "\n".join(f".{name} {{{look}}}" for name, look in classes.items())
-    looks = style_of(css_string(footer), rules)
+    looks = style_of(css_string(footer), "")
     return fill_template(
-        _TEMPLATE,
+        "single_test.html",
         result=result,
         report=report,
         style=looks,
         style_hash=style_hash(looks),
         facts=_facts(result),
         numbers=_numbers(result),
-        figures=[Markup(figure.element) for figure in drawn],  # matplotlib escapes its texts
+        figures=figures,
         notes=_notes(result),
         exports=Table("Exports", ("Role", "File", "SHA-256"), inputs),
     )
-
-
-def _inline_figure(result: TestResult, name: str) -> Inline:
-    """Return a figure as an element of the page, with texts as text."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    with style({"svg.fonttype": "none"}):
-        page: Figure = FIGURES[name](result)
-        finish_layout(page)
-        file = BytesIO()
-        canvas: Any = FigureCanvasSVG(page)
-        canvas.print_svg(file, metadata={"Date": None})
-    prefix = f"f{zlib.crc32(name.encode()):x}"
-    return inline_svg(file.getvalue(), prefix=prefix, title=f"{name} of {result.test}")
 
 
 def _facts(result: TestResult) -> list[tuple[str, str]]:

@@ -17,7 +17,7 @@ from labpipe.results import KINDS
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
-    from labpipe.records.group import Group
+    from labpipe.records.group import Group, GroupNumber
 
 
 class Scale(NamedTuple):
@@ -224,6 +224,12 @@ def is_main(name: str) -> bool:
 def is_first_cycle(name: str) -> bool:
     """Return whether a number is of the whole specimen or of its first cycle."""
     return name.partition(".")[2] in {"", "1"}
+
+
+def key_numbers(group: Group) -> list[GroupNumber]:
+    """List the numbers of the specimen and of its first cycle that the rig does not set."""
+    numbers = group.numbers
+    return [one for one in numbers if is_first_cycle(one.name) and not one.is_set_by_rig]
 
 
 def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:

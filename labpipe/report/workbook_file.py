@@ -5,12 +5,11 @@ from __future__ import annotations
 import io
 import math
 import re
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
@@ -33,22 +32,19 @@ _DASHES = ("solid", "dash", "square_dot", "dash_dot")
 
 
 class Line(NamedTuple):
-    """A line of a chart, or its bars.
+    """A line of a chart.
 
     Parameters
     ----------
     name : in the legend
     rows : first and last, from 0 below the heading
-    across, up : numbers of the columns; for bars `across` has the names
-    minus, plus : columns of the lengths of error bars; 0 for none
+    across, up : numbers of the columns
     """
 
     name: str
     rows: tuple[int, int]
     across: int
     up: int
-    minus: int = 0
-    plus: int = 0
 
 
 class Chart(NamedTuple):
@@ -59,7 +55,6 @@ class Chart(NamedTuple):
     title : above it; may be empty
     across, up : labels of the axes, with units
     lines : the first 12 are drawn
-    kind : lines over numbers, or bars of positive numbers over names
     is_log : both axes are logarithmic
     """
 
@@ -67,7 +62,6 @@ class Chart(NamedTuple):
     across: str
     up: str
     lines: Sequence[Line]
-    kind: Literal["lines", "bars"] = "lines"
     is_log: bool = False
 
 
@@ -82,10 +76,8 @@ class Sheet(NamedTuple):
     frozen : columns at the left that stay in view, like the headings
     links : text of the first column -> target, such as ``'laws'!A12``
     question : that the sheet answers
-    charts : below the table; beside a long one, and printed instead of it
+    charts : below the table; to the right of a long one
     wrapped : headings of columns with wrapped text
-    printed : heading of the last printed column; all if empty
-    printed_rows : printed rows of the table, from the top; all if None
     """
 
     name: str
@@ -96,18 +88,6 @@ class Sheet(NamedTuple):
     question: str = ""
     charts: Sequence[Chart] = ()
     wrapped: Sequence[str] = ()
-    printed: str = ""
-    printed_rows: int | None = None
-
-    @property
-    def is_long(self) -> bool:
-        """Return whether charts are beside the table and printed instead of it."""
-        return len(self.rows) > 80
-
-    @property
-    def printed_columns(self) -> int:
-        """Return the number of printed columns."""
-        return list(self.heads).index(self.printed) + 1 if self.printed else len(self.heads)
 
 
 def unite_heads(records: Iterable[Record]) -> list[str]:
@@ -129,8 +109,6 @@ def sheet_of(
     """
     rows = list(records)
     heads = heads or unite_heads(rows) or ["no rows"]
-    if not rows:
-        layout["printed"] = ""
     return Sheet(name, heads, [[row.get(head) for head in heads] for row in rows], **layout)
 
 
@@ -188,7 +166,7 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path) -> None:
     book.read_me(about, sheets)
     for number, sheet in enumerate(sheets):
         book.add(sheet, is_first=not number)
-    book.close()
+    book.book.close()
     with writing(path, "a workbook"):
         path.write_bytes(memory.getvalue())
 
@@ -204,13 +182,7 @@ class _WorkbookWriter:
         self.forms: dict[str, Any] = {}
         footer = shortened(printable(about.footer or about.title), 90)
         self.footer = f"&L&8{footer.replace('&', '&&')}&C&8&A&R&8page &P of &N"
-
-    @cached_property
-    def head(self) -> Any:
-        """Format of a heading."""
-        return self.book.add_format(
-            {"bold": True, "text_wrap": True, "valign": "top", "bottom": 1, "align": "left"}
-        )
+        self.head = self.form(bold=True, text_wrap=True, bottom=1, align="left")
 
     def form(self, number: str = "", **look: Any) -> Any:
         """Return the format of a cell, created once."""
@@ -235,11 +207,9 @@ class _WorkbookWriter:
         for column, word in enumerate(("Sheet", "Question")):
             _write_text(page, start, column, word, self.head)
         for row, sheet in enumerate(sheets, start=start + 1):
-            page.set_row(row, _LINE_HEIGHT * math.ceil(len(sheet.question) / 90))
             page.write_url(row, 0, f"internal:'{sheet.name}'!A1", string=sheet.name)
             _write_text(page, row, 1, sheet.question, wrapped)
         self._set_up_print(page)
-        page.fit_to_pages(1, 0)
 
     def add(self, sheet: Sheet, *, is_first: bool) -> None:
         """Write one sheet: table, charts, print layout."""
@@ -249,43 +219,14 @@ class _WorkbookWriter:
         widths = _column_widths(sheet)
         for i, width in enumerate(widths):
             page.set_column(i, i, width)
-        forms = [column_place(column) for column in zip(*sheet.rows, strict=True)]
-        wrapped = [head in sheet.wrapped for head in sheet.heads]
-        for number, row in enumerate(sheet.rows, start=1):
-            for i, value in enumerate(row):
-                self._write(page, (number, i), value, forms[i], is_wrapped=wrapped[i])
-            lines = _row_lines(row, wrapped)
-            if lines > 1:
-                page.set_row(number, lines * _LINE_HEIGHT)
-        for number, row in enumerate(sheet.rows if sheet.links else (), start=1):
-            if (place := sheet.links.get(str(row[0]))) is not None:
-                page.write_url(number, 0, f"internal:{place}", string=printable(str(row[0])))
-        self._make_table(page, sheet)
-        page.set_row(0, _LINE_HEIGHT * _head_lines(sheet.heads, widths), self.head)
+        self._write_table(page, sheet)
         page.freeze_panes(1, sheet.frozen)
-        size = _chart_size(sheet, widths)
-        self._draw(page, sheet, size)
         self._set_up_print(page)
-        _set_print_area(page, sheet, widths, size)
+        page.repeat_rows(0)
+        if sheet.charts:
+            self._draw(page, sheet)
 
-    def _write(
-        self, page: Any, place: tuple[int, int], value: Value, form: int | None, *, is_wrapped: bool
-    ) -> None:
-        if value is None or value == "":
-            return
-        if isinstance(value, str):
-            look: dict[str, Any] = {"quote_prefix": True} if value[:1] in _RISKY else {}
-            look |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
-            _write_text(page, *place, value, self.form(**look))
-            return
-        number = value.value if isinstance(value, NumberCell) else value
-        if math.isfinite(number):
-            number_format = (
-                value.form if isinstance(value, NumberCell) else format_in_column(value, form)
-            )
-            page.write_number(*place, number, self.form(number_format))
-
-    def _make_table(self, page: Any, sheet: Sheet) -> None:
+    def _write_table(self, page: Any, sheet: Sheet) -> None:
         heads = unique_heads(sheet.heads)
         if not sheet.rows:
             for i, head in enumerate(heads):
@@ -294,15 +235,45 @@ class _WorkbookWriter:
         columns = [{"header": head, "header_format": self.head} for head in heads]
         look = {"columns": columns, "style": "Table Style Light 1"}
         page.add_table(0, 0, len(sheet.rows), len(heads) - 1, look)
+        places = [column_place(column) for column in zip(*sheet.rows, strict=True)]
+        wrapped = [head in sheet.wrapped for head in sheet.heads]
+        for number, row in enumerate(sheet.rows, start=1):
+            for i, value in enumerate(row):
+                if isinstance(value, str):
+                    self._write_word(page, (number, i), value, is_wrapped=wrapped[i])
+                elif value is not None:
+                    self._write_number(page, (number, i), value, places[i])
+            if (place := sheet.links.get(str(row[0]))) is not None:
+                page.write_url(number, 0, f"internal:{place}", string=printable(str(row[0])))
 
-    def _draw(self, page: Any, sheet: Sheet, size: tuple[int, int]) -> None:
-        top, left = (1, len(sheet.heads) + 1) if sheet.is_long else (len(sheet.rows) + 2, 0)
-        width, height = size
+    def _write_number(
+        self, page: Any, at: tuple[int, int], value: float | NumberCell, place: int | None
+    ) -> None:
+        number = value.value if isinstance(value, NumberCell) else value
+        if math.isfinite(number):
+            page.write_number(*at, number, self.form(in_column(value, place).form))
+
+    def _write_word(
+        self, page: Any, place: tuple[int, int], word: str, *, is_wrapped: bool
+    ) -> None:
+        if not word:
+            return
+        look: dict[str, Any] = {"quote_prefix": True} if word[0] in _RISKY else {}
+        look |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
+        _write_text(page, *place, word, self.form(**look))
+
+    def _draw(self, page: Any, sheet: Sheet) -> None:
+        """Draw the charts, two abreast; below a long table nobody would find them."""
+        long_table, width, height, gap = 80, 704, 436, 16  # rows; pixels
+        top, left = len(sheet.rows) + 2, 0
+        if len(sheet.rows) > long_table:
+            top, left = 1, len(sheet.heads) + 1
+            page.print_area(0, 0, len(sheet.rows), len(sheet.heads) - 1)
         for number, chart in enumerate(sheet.charts):
-            down, across = divmod(number, _CHARTS_ABREAST)
-            offset = {"x_offset": across * width, "y_offset": down * height, "object_position": 3}
+            down, across = divmod(number, 2)
             drawn = _chart(self.book, sheet.name, chart)
-            drawn.set_size({"width": width - _GAP, "height": height - _GAP})
+            drawn.set_size({"width": width - gap, "height": height - gap})
+            offset = {"x_offset": across * width, "y_offset": down * height, "object_position": 3}
             page.insert_chart(top, left, drawn, offset)
 
     def _set_up_print(self, page: Any) -> None:
@@ -310,46 +281,7 @@ class _WorkbookWriter:
         page.set_paper(9)  # A4
         page.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
         page.set_footer(self.footer)
-
-    def close(self) -> None:
-        """Close the file."""
-        self.book.close()
-
-
-_CHARTS_ABREAST, _GAP = 2, 16
-_CELL_WIDTH, _CELL_HEIGHT, _CHARACTER = 64, 20, 7
-"""Pixels, of cells of default size and of a character."""
-
-
-def _chart_size(sheet: Sheet, widths: Sequence[int]) -> tuple[int, int]:
-    """Return width and height of a chart with its gap; two below a table have its width."""
-    chart_width, min_chart_width, height_ratio = 704, 400, 0.62
-    width = chart_width
-    if not sheet.is_long:
-        room = _CHARACTER * sum(widths[: sheet.printed_columns]) // _CHARTS_ABREAST
-        width = min(max(room, min_chart_width), chart_width)
-    return width, int(height_ratio * width)
-
-
-def _set_print_area(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[int, int]) -> None:
-    """Set the print area, with headings on every page, fitted to the width of the page."""
-    page_width = 250  # characters on a landscape page, at the smallest readable size
-    width, height = size
-    deep = math.ceil(math.ceil(len(sheet.charts) / _CHARTS_ABREAST) * height / _CELL_HEIGHT)
-    if sheet.charts and sheet.is_long:
-        first_column = len(sheet.heads) + 1
-        wide = min(len(sheet.charts), _CHARTS_ABREAST) * width // _CELL_WIDTH
-        page.print_area(1, first_column, deep, first_column + wide)
         page.fit_to_pages(1, 0)
-        return
-    rows = len(sheet.rows) if sheet.printed_rows is None else sheet.printed_rows
-    bottom = rows + 2 + deep if sheet.charts else max(rows, 1)
-    page.repeat_rows(0)
-    page.print_area(0, 0, bottom, sheet.printed_columns - 1)
-    across = max(math.ceil(sum(widths[: sheet.printed_columns]) / page_width), 1)
-    if across > 1 and sheet.frozen:
-        page.repeat_columns(0, sheet.frozen - 1)
-    page.fit_to_pages(across, 1 if sheet.charts else 0)
 
 
 def unique_heads(heads: Sequence[str]) -> list[str]:
@@ -373,25 +305,8 @@ def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
 
 @lru_cache(maxsize=256)  # names repeat in many rows
 def _cell_text(text: str) -> str:
-    return truncate_text(printable(text), 32_767)
-
-
-def _row_lines(row: Sequence[Value], wrapped: Sequence[bool]) -> int:
-    """Count the lines of the longest wrapped text of a row."""
-    lengths = [
-        len(value)
-        for value, is_wrapped in zip(row, wrapped, strict=True)
-        if is_wrapped and isinstance(value, str)
-    ]
-    return math.ceil(max(lengths, default=0) / (0.95 * _WRAPPED_WIDTH))
-
-
-def _head_lines(heads: Sequence[str], widths: Sequence[int]) -> int:
-    """Count the lines of the longest wrapped heading."""
-    pairs = zip(heads, widths, strict=True)
-    return max(
-        (len(textwrap.wrap(head, width - _FILTER_WIDTH)) for head, width in pairs), default=1
-    )
+    max_units = 32_767  # of UTF-16, as Excel counts
+    return printable(text).encode("utf-16-le")[: 2 * max_units].decode("utf-16-le", "ignore")
 
 
 def _column_widths(sheet: Sheet) -> list[int]:
@@ -406,61 +321,33 @@ def _column_widths(sheet: Sheet) -> list[int]:
 
 
 def _chart(book: Any, name: str, chart: Chart) -> Any:
-    is_bars = chart.kind == "bars"
-    drawn = book.add_chart(
-        {"type": "bar"} if is_bars else {"type": "scatter", "subtype": "straight"}
-    )
+    drawn = book.add_chart({"type": "scatter", "subtype": "straight"})
     for number, line in enumerate(chart.lines[:12]):
-        drawn.add_series(_series(name, line, number, is_bars=is_bars))
-    font = {"name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}}
-    grid = {"major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}}}
-    log = {"log_base": 10, "crossing": "min"} if chart.is_log else {}
-    values = {**font, **grid, **log, "num_format": "General"}
-    if is_bars:  # names go up, the first on top; numbers go to the right
-        drawn.set_x_axis({"name": _escape_formula(chart.up), "min": 0, **values})
-        drawn.set_y_axis({"reverse": True, "crossing": "max", "interval_unit": 1, **font})
-    else:
-        drawn.set_x_axis({"name": _escape_formula(chart.across), **values})
-        drawn.set_y_axis({"name": _escape_formula(chart.up), **values})
+        first, last = (row + 1 for row in line.rows)
+        colour = COLOURS[number % len(COLOURS)]
+        dash = _DASHES[number // len(COLOURS) % len(_DASHES)]
+        drawn.add_series({
+            "name": _escape_formula(line.name),
+            "categories": [name, first, line.across, last, line.across],
+            "values": [name, first, line.up, last, line.up],
+            "line": {"color": colour, "width": 1.5, "dash_type": dash},
+        })  # fmt: skip
+    look: dict[str, Any] = {
+        "name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}, "num_format": "General",
+        "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
+    }  # fmt: skip
+    look |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
+    drawn.set_x_axis({"name": _escape_formula(chart.across), **look})
+    drawn.set_y_axis({"name": _escape_formula(chart.up), **look})
     title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
     drawn.set_title(title if chart.title else {"none": True})
-    drawn.set_legend({"none": True} if is_bars else {"position": "right", "font": {"size": 9}})
+    drawn.set_legend({"position": "right", "font": {"size": 9}})
     return drawn
 
 
 def _escape_formula(text: str) -> str:
     """Escape a text of a chart that would begin like a formula."""
     return re.sub("^=", "\u200a=", printable(text))
-
-
-def _cells(sheet: str, first: int, last: int, column: int) -> str:
-    from xlsxwriter.utility import xl_range_abs
-
-    return f"='{sheet}'!{xl_range_abs(first, column, last, column)}"
-
-
-def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, Any]:
-    first, last = (row + 1 for row in line.rows)
-    colour = COLOURS[number % len(COLOURS)]
-    dash = _DASHES[number // len(COLOURS) % len(_DASHES)]
-    series: dict[str, Any] = {
-        "name": _escape_formula(line.name),
-        "categories": [sheet, first, line.across, last, line.across],
-        "values": [sheet, first, line.up, last, line.up],
-    }
-    if is_bars:
-        series |= {"fill": {"color": colour}, "gap": 60}
-    else:
-        series |= {"line": {"color": colour, "width": 1.5, "dash_type": dash}}
-    if line.plus:
-        ends = {"minus_values": line.minus, "plus_values": line.plus}
-        bars = {"type": "custom", **{k: _cells(sheet, first, last, i) for k, i in ends.items()}}
-        series["y_error_bars"] = {**bars, "line": {"color": "#333333", "width": 1.0}}
-    return series
-
-
-_MIN_DIGITS = 3
-"""Digits of a small number that would have fewer in its column."""
 
 
 class NumberCell(NamedTuple):
@@ -497,9 +384,8 @@ def number_cell(
     """
     if value is None or not math.isfinite(value):
         return None
-    return NumberCell(
-        factor * value, number_format(factor * value, place_of(value, interval, factor))
-    )
+    place = place_of(value, interval, factor)
+    return NumberCell(factor * value, number_format(factor * value, place))
 
 
 def ends_record(
@@ -526,9 +412,16 @@ def ends_record(
     return cells
 
 
-def percent_cell(share: float | None) -> NumberCell | None:
-    """Return the cell of a share in per cent, such as 38.2% for 0.382."""
-    return None if share is None or not math.isfinite(share) else NumberCell(share, "0.0%")
+def percent_cell(share: float | Interval | None, part: str = "") -> NumberCell | None:
+    """Return the cell of a share in per cent, such as 38.2% for 0.382.
+
+    Parameters
+    ----------
+    share : or an interval of one
+    part : of the interval, such as ``lower``
+    """
+    value = getattr(share, part) if isinstance(share, Interval) else share
+    return None if value is None or not math.isfinite(value) else NumberCell(value, "0.0%")
 
 
 def number_format(value: float, place: int) -> str:
@@ -560,11 +453,6 @@ def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
-def truncate_text(text: str, max_length: int) -> str:
-    """Truncate a text to a number of UTF-16 units, as Excel counts."""
-    return text.encode("utf-16-le")[: 2 * max_length].decode("utf-16-le", "ignore")
-
-
 def column_place(column: Sequence[Value]) -> int | None:
     """Return the place of the last digit of the plain numbers of a column; None for integers."""
     column_digits = 5  # digits of the largest number of a column
@@ -574,16 +462,19 @@ def column_place(column: Sequence[Value]) -> int | None:
     return place_of(max(plain), None, digits=column_digits)
 
 
-def format_in_column(value: float, place: int | None) -> str:
-    """Return the format of a plain number: that of its column, or its own if it is too small."""
+def in_column(value: float | NumberCell, place: int | None) -> NumberCell:
+    """Give a plain number the format of its column, or its own if it is too small for it.
+
+    Parameters
+    ----------
+    value : a cell with a format keeps it
+    place : of the last digit of the column (`column_place`)
+    """
+    min_digits = 3  # of a small number that would have fewer in its column
+    if isinstance(value, NumberCell):
+        return value
     if isinstance(value, int) or place is None:
-        return "0"
-    is_small = 0.0 < abs(value) < _smallest_plain(place)
-    last_place = place_of(value, None, digits=_MIN_DIGITS) if is_small else place
-    return number_format(value, last_place)
-
-
-@cache
-def _smallest_plain(place: int) -> float:
-    """Return the smallest number with enough digits down to a power of ten."""
-    return float(10.0 ** (place + _MIN_DIGITS - 1))
+        return NumberCell(value, "0")
+    is_small = 0.0 < abs(value) < 10.0 ** (place + min_digits - 1)
+    last_place = place_of(value, None, digits=min_digits) if is_small else place
+    return NumberCell(value, number_format(value, last_place))

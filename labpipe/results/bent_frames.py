@@ -306,23 +306,6 @@ def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floa
     return np.stack([bend @ x, bend @ y, slope @ x, slope @ y])
 
 
-def held_at_rest(self_weight: float, length: float) -> float:
-    """Return the force that supports the tip of a level specimen at rest, N: 3 w L / 8.
-
-    Parameters
-    ----------
-    self_weight : N/m
-    length : m
-
-    Notes
-    -----
-    For a small sag and a linear law; the laws of stranded wires change it by at most 0.03 % (A2 at
-    85 mm, B1 at 100 mm, A3 at 120 mm). A freely hanging specimen has the same tip deflection as
-    under this force alone.
-    """
-    return 0.375 * self_weight * length
-
-
 def weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Floats:
     """Return the moment of the specimen beyond stations, per weight per length, m^2.
 

@@ -218,19 +218,27 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """Sample a signal at the times of the curve, a faster one by means around them."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.sampled(signal, time)
-    is_finite = ~np.isnan(signal.values)
-    step = float(np.median(np.diff(signal.time)))
-    ends = np.append(signal.time[0] - 0.5 * step, signal.time + 0.5 * step)
-    half = 0.5 * float(np.median(np.diff(time)))
+    step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
+    # Ends of the means less half a step: each sample is the mean of a step around it.
+    ends = np.array([time - half, time + half])
+    ends = test.clocks.from_curve(ends, signal.clock) - 0.5 * step
+    is_inside = (ends >= signal.time[0] - step).all(axis=0) & (ends < signal.time[-1]).all(axis=0)
+    inside = ends[:, is_inside]
+    samples = np.searchsorted(signal.time, inside, side="right")  # that contain the ends
+    before = np.where(samples > 0, signal.time[samples - 1], signal.time[0] - step)
+    shares = (inside - before) / (signal.time[samples] - before)
 
     def around(values: Floats) -> Floats:
-        total = replace(signal, time=ends, values=np.append(0.0, np.cumsum(values)))
-        low, high = (test.clocks.sampled(total, time + side * half) for side in (-1.0, 1.0))
-        return high - low
+        whole = np.add.reduceat(values, samples.T.ravel())[::2] if samples.size else inside[0]
+        low, high = shares * values[samples]
+        sums: Floats = np.where(samples[1] > samples[0], whole, 0.0) + high - low
+        return sums
 
-    counts = around(is_finite.astype(np.float64))
-    mean = np.full(len(time), np.nan)
-    np.divide(around(np.where(is_finite, signal.values, 0.0)), counts, out=mean, where=counts > 0.5)
+    is_blank, counts = np.isnan(signal.values), samples[1] - samples[0] + shares[1] - shares[0]
+    if is_blank.any():
+        counts = around((~is_blank).astype(np.float64))
+    sums, mean = around(np.where(is_blank, 0.0, signal.values)), np.full(len(time), np.nan)
+    mean[is_inside] = np.where(counts > 0.5, sums / np.where(counts > 0.5, counts, 1.0), np.nan)
     return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
 
 

@@ -22,14 +22,14 @@ import numpy as np
 
 from labpipe.errors import in_test_sheet
 from labpipe.messages import sentence
-from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.arrays import Flags, Floats, Ints, block_means
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
-from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, curves_at, held_at_rest
+from labpipe.results.beam import held_at_rest
+from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, curves_at
 from labpipe.results.measured_law import measure_bending
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY
 
 MIN_SLACK_TRAVEL = 0.2e-3

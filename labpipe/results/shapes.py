@@ -19,7 +19,6 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.results.cycles import rectangle
 from labpipe.results.kinds import Computed, Errors, Kind, force_scale
 from labpipe.results.least_squares import require_samples
-from labpipe.results.measured_law import law_points
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
@@ -142,6 +141,8 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
         raise UnavailableError.of("results.curvature_not_reached", largest=largest, needed=entry.at)
     if entry.at <= law.floor:
         raise UnavailableError.of("results.below_noise", floor=law.floor, needed=entry.at)
+    from labpipe.results.measured_law import law_points  # only these tests load it
+
     points = law_points(
         law.knots, law.compliance, law.compliance_covariance, np.array([entry.at]), scale_error=0.0
     )

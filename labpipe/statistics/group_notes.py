@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from labpipe.records.group import GroupNumber, Sample
-from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Status
 
-_MIXES = "a mean over them mixes what this changes with scatter"
 _IN_COMPOSITION = ("wire", "number")
 """Fields that are part of a composition."""
 PROTOCOLS_DIFFER = "protocols_differ"
@@ -35,11 +35,6 @@ def sample_keys(samples: Sequence[Sample]) -> list[str]:
     ]
 
 
-def group_note(code: str, message: str, severity: Severity = Severity.INFO) -> QualityNote:
-    """Return a note on a group as a whole."""
-    return QualityNote(code, severity, "group", message)
-
-
 def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     """Return notes on missing, single, repeated and differing samples.
 
@@ -48,19 +43,18 @@ def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     samples : of one group
     """
     if not samples:
-        return [group_note("empty_group", "there is no sample in this group", Severity.WARNING)]
+        return [QualityNote.of("statistics.empty_group", "group")]
     notes = []
     if len(samples) == 1:
-        message = f"one sample ({samples[0].test}): no interval and no band"
-        notes.append(group_note("one_sample", message, Severity.WARNING))
+        notes.append(QualityNote.of("statistics.one_sample", "group", test=samples[0].test))
     times = Counter((sample.specimen.spool, sample.specimen.sample) for sample in samples)
-    for (spool, sample), count in times.items():
-        if count > 1:
-            message = (
-                f"sample {sample} of spool {spool} was tested {count} times; "
-                f"the means count it as {count} samples"
-            )
-            notes.append(group_note("sample_repeated", message, Severity.WARNING))
+    notes += [
+        QualityNote.of(
+            "statistics.sample_repeated", "group", sample=sample, spool=spool, count=count
+        )
+        for (spool, sample), count in times.items()
+        if count > 1
+    ]
     return [*notes, *_dimension_notes(samples), *_field_notes(samples)]
 
 
@@ -71,34 +65,26 @@ def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
         sizes = [sample.specimen.dimensions.get(name, float("nan")) for sample in samples]
         low, high = float(np.nanmin(sizes)), float(np.nanmax(sizes))
         if high - low > 0.01 * abs(high):
-            message = (
-                f"the samples differ in {name}: {1e3 * low:.4g} mm to {1e3 * high:.4g} mm; {_MIXES}"
+            span = f"{1e3 * low:.4g} mm to {1e3 * high:.4g} mm"
+            notes.append(
+                QualityNote.of("statistics.dimensions_differ", "group", name=name, span=span)
             )
-            notes.append(group_note("dimensions_differ", message, Severity.WARNING))
     return notes
 
 
 def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     """Warn of differing bundles of a group; note differing labels."""
-    of_bundles = [sample.specimen.bundle for sample in samples]
-    made_of = dict.fromkeys(
-        name for of_bundle in of_bundles if of_bundle for name in of_bundle.fields
-    )
-    names = [name for name in made_of if name not in _IN_COMPOSITION]
+    bundles = [sample.specimen.bundle for sample in samples if sample.specimen.bundle]
+    made_of = dict.fromkeys(name for bundle in bundles for name in bundle.fields)
     labels = dict.fromkeys(name for sample in samples for name in sample.specimen.labels)
-    messages = [_unlike(samples, name) for name in names if name not in labels]
-    notes = [
-        group_note("bundles_differ", f"{note}; {_MIXES}", Severity.WARNING)
-        for note in messages
-        if note
-    ]
     return [
-        *notes,
-        *(
-            group_note("labels_differ", message)
-            for name in labels
-            if (message := _unlike(samples, name))
-        ),
+        QualityNote.of(
+            "statistics.labels_differ" if name in labels else "statistics.bundles_differ",
+            "group",
+            values=values,
+        )
+        for name in made_of | labels
+        if (name in labels or name not in _IN_COMPOSITION) and (values := _unlike(samples, name))
     ]
 
 
@@ -107,9 +93,7 @@ def _unlike(samples: Sequence[Sample], name: str) -> str:
     tests_by_value: dict[str, list[str]] = {}
     for key, sample in zip(sample_keys(samples), samples, strict=True):
         tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
-    return (
-        f"the samples differ in {name}: {parted(tests_by_value)}" if len(tests_by_value) > 1 else ""
-    )
+    return f"{name}: {parted(tests_by_value)}" if len(tests_by_value) > 1 else ""
 
 
 def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
@@ -120,20 +104,10 @@ def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[Quali
     without : grouping fields that the sheets of this group do not state
     renamed : names of spools of several types
     """
-    notes = [
-        group_note(
-            "field_not_said",
-            f"the test sheets of these samples do not say {name}",
-            Severity.WARNING,
-        )
-        for name in without
-    ]
+    notes = [QualityNote.of("statistics.field_not_said", "group", name=name) for name in without]
     if renamed:
-        message = (
-            f"several types have a spool of the name {', '.join(renamed)}: "
-            "spools belong to a type, so they count as several spools"
-        )
-        notes.append(group_note("spools_renamed", message))
+        names = ", ".join(renamed)
+        notes.append(QualityNote.of("statistics.spools_renamed", "group", names=names))
     return notes
 
 
@@ -144,24 +118,16 @@ def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
     ----------
     numbers : of one group
     """
-    doubtful = [
-        f"{number.name} ({', '.join(doubted)})"
-        for number in numbers
-        if (doubted := _doubted(number))
-    ]
     notes = []
-    if doubtful:
-        message = f"doubtful values are in the means of: {'; '.join(doubtful)}"
-        notes.append(group_note("doubtful_in_mean", message, Severity.WARNING))
-    few = [number.name for number in numbers if _too_few(number)]
-    if few:
-        message = f"too few samples for a test of outliers: {'; '.join(few)}"
-        notes.append(group_note("outliers_not_tested", message))
+    doubted = {
+        number.name: [key for key, of in number.values.items() if of.status is Status.DOUBTFUL]
+        for number in numbers
+    }
+    if names := "; ".join(f"{name} ({', '.join(keys)})" for name, keys in doubted.items() if keys):
+        notes.append(QualityNote.of("statistics.doubtful_in_mean", "group", names=names))
+    if names := "; ".join(number.name for number in numbers if _too_few(number)):
+        notes.append(QualityNote.of("statistics.outliers_not_tested", "group", names=names))
     return notes
-
-
-def _doubted(number: GroupNumber) -> list[str]:
-    return [key for key, value in number.values.items() if value.status is Status.DOUBTFUL]
 
 
 def too_few_for_outliers(spools: Sequence[str]) -> str:
@@ -249,7 +215,7 @@ def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
     for name, ways in mixed(samples).items():
         usual = max(ways, key=lambda way: len(ways[way]))
         others = {
-            key: Reason("made_otherwise", f"made by {way or 'no stated method'}; the mean: {usual}")
+            key: Reason.of("statistics.made_otherwise", way=way or "no stated method", usual=usual)
             for way, keys in ways.items()
             if way != usual
             for key in keys
@@ -272,25 +238,18 @@ def method_notes(
     -------
     One note ``protocols_differ`` per number, at the name of the result, and one for slips.
     """
-    notes = [
-        QualityNote(
-            PROTOCOLS_DIFFER,
-            Severity.WARNING,
-            name,
-            f"not in the mean, as it was made otherwise: {', '.join(tests)}"
-            f" ({next(iter(tests.values())).message})",
-            tests=tuple(tests),
-        )
-        for name, tests in made_otherwise.items()
-    ]
+    notes = []
+    for name, left_out in made_otherwise.items():
+        keys, why = ", ".join(left_out), next(iter(left_out.values())).message
+        note = QualityNote.of("statistics.protocols_differ", name, keys=keys, why=why)
+        notes.append(replace(note, tests=tuple(left_out)))
     decisions: dict[str, list[str]] = {}
     for sample in samples:
         for decision in dict.fromkeys(slip.decision for slip in sample.slips):
             decisions.setdefault(decision, []).append(sample.test)
     if len(decisions) > 1:
-        message = f"the mean mixes curves whose slips were treated otherwise: {parted(decisions)}"
-        tests = tests_with_fewer_facts(decisions)
-        notes.append(QualityNote(PROTOCOLS_DIFFER, Severity.WARNING, "slips", message, tests=tests))
+        note = QualityNote.of("statistics.slips_differ", "slips", decisions=parted(decisions))
+        notes.append(replace(note, tests=tests_with_fewer_facts(decisions)))
     return notes
 
 

@@ -148,14 +148,13 @@ def group_number(
 
 def _why_not(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
     if result is None:
-        return (Reason("no_result", f"the test has no {name}"),)
+        return (Reason.of("statistics.no_result", name=name),)
     if result.value is None:
         return result.reasons
     if not np.isfinite(result.value):
-        return (Reason("not_finite", f"the value is {result.value}"),)
+        return (Reason.of("statistics.not_finite", value=result.value),)
     if result.unit != unit:
-        message = f"in {result.unit}, where the first sample is in {unit}"
-        return (Reason("other_unit", message),)
+        return (Reason.of("statistics.other_unit", unit=result.unit, usual=unit),)
     return ()
 
 

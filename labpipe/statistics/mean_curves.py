@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, special
 
-from labpipe.records.arrays import Floats, means_from
+from labpipe.records.arrays import Floats, block_means
 from labpipe.records.group import Band, NestedMean, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.statistics.group_notes import group_note, sample_keys
+from labpipe.statistics.group_notes import sample_keys
 from labpipe.statistics.means import DEFAULT_LIMITS, LEVEL, PoolingLimits, nested_mean, t_quantile
 
 _CURVE_POINTS = 500
@@ -60,8 +60,8 @@ def loading_band(
     spools = [sample.specimen.spool for _, sample in drawn]
     decision = _curve_decision(shared, spools, limits)
     if len(set(spools)) > 1:
-        by = "Mean curve, by the mean force of each sample over the common range."
-        notes.append(group_note("curve_pooling", f"{by} {decision.decision}"))
+        why = decision.decision
+        notes.append(QualityNote.of("statistics.curve_pooling", "group", decision=why))
     if decision.is_pooled:
         return without_band(mean_band(shared)), notes
     band = mean_band(_spool_curves(shared, spools), members="spool means")
@@ -88,23 +88,15 @@ def without_band(band: Band) -> Band:
         return band
     nothing = np.full(len(band.displacement), np.nan)
     lower, upper = nothing.copy(), nothing.copy()
-    code, why = "two_curves", f"two {band.members} are too few for any band; the samples are shown"
+    reason = Reason.of("statistics.too_few_curves", members=band.members)
     if band.n > 2:
         marks = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
         lower[marks], upper[marks] = band.lower[marks], band.upper[marks]
-        code = "few_curves"
-        why = (
-            f"{band.n} {band.members} are too few for a band, which needs {min_band_curves}; the "
-            "mean has its interval at three displacements"
+        reason = Reason.of(
+            "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
         )
-    return replace(
-        band,
-        lower=lower,
-        upper=upper,
-        lower_all=nothing,
-        upper_all=nothing,
-        reason=Reason(code, why),
-    )
+    band = replace(band, lower=lower, upper=upper, lower_all=nothing, upper_all=nothing)
+    return replace(band, reason=reason)
 
 
 def _curve_decision(
@@ -139,17 +131,17 @@ def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band,
     usable = {key: peak for key, peak in peaks.items() if peak > 0}
     band, notes = loading_band(samples, limits, divisors=usable)
     without = [key for key in peaks if key not in usable]
-    messages = [
-        group_note(f"{note.code}_scaled", f"Force / peak force: {note.message}")
+    scaled_notes = [
+        QualityNote(
+            f"{note.code}_scaled", Severity.INFO, "group", f"Force / peak force: {note.message}"
+        )
         for note in notes
         if note.code != "no_curve"
     ]
     if without:
-        message = (
-            f"not in the mean of force / peak force, without a peak force: {', '.join(without)}"
-        )
-        messages.append(group_note("no_peak_force", message, Severity.WARNING))
-    return band, messages
+        keys = ", ".join(without)
+        scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", keys=keys))
+    return band, scaled_notes
 
 
 def _peak(sample: Sample) -> float:
@@ -168,12 +160,10 @@ def _curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[Qualit
     ]
     notes = []
     if without:
-        message = f"not in the mean curve, without a loading branch: {', '.join(without)}"
-        notes.append(group_note("no_curve", message, Severity.WARNING))
-    gaps = _gaps(shared.displacement)
-    if gaps:
-        message = f"the mean curve leaves out where a sample has a gap: {', '.join(gaps)}"
-        notes.append(group_note("gap_in_curves", message, Severity.WARNING))
+        keys = ", ".join(without)
+        notes.append(QualityNote.of("statistics.no_curve", "group", keys=keys))
+    if gaps := ", ".join(_gaps(shared.displacement)):
+        notes.append(QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps))
     return notes
 
 
@@ -224,14 +214,14 @@ def common_curves(
     """
     nothing = np.zeros(0), np.zeros((len(curves), 0))
     if not curves:
-        return CommonCurves(*nothing, Reason("empty_group", "there is no curve to average"))
+        return CommonCurves(*nothing, Reason.of("statistics.no_curves"))
     called = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
     ordered = [_in_order(*curve) for curve in curves]
     spans = [_span(*curve) for curve in ordered]
     blank = [name for name, span in zip(called, spans, strict=True) if np.isnan(span[0])]
     if blank:
-        message = f"no curve to average in {', '.join(blank)}"
-        return CommonCurves(*nothing, Reason("no_data", message))
+        reason = Reason.of("statistics.no_data", names=", ".join(blank))
+        return CommonCurves(*nothing, reason)
     start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
     if stop <= start:
         return CommonCurves(*nothing, _no_overlap(called, spans))
@@ -262,10 +252,12 @@ def _span(displacement: Floats, force: Floats) -> tuple[float, float]:
 def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
     starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
     late, early = int(np.argmax(starts)), int(np.argmin(stops))
-    return Reason(
-        "no_overlap",
-        f"no displacement that every curve has: {names[late]} begins at "
-        f"{1e3 * starts[late]:.4g} mm, {names[early]} ends at {1e3 * stops[early]:.4g} mm",
+    return Reason.of(
+        "statistics.no_overlap",
+        late=names[late],
+        start=1e3 * starts[late],
+        early=names[early],
+        stop=1e3 * stops[early],
     )
 
 
@@ -290,19 +282,14 @@ def mean_band(curves: CommonCurves, members: str = "samples") -> Band:
     """
     n = len(curves.force)
     if curves.reason or not len(curves.displacement):
-        reason = curves.reason or Reason(
-            "no_overlap", "every displacement lies in a gap of some curve"
-        )
+        reason = curves.reason or Reason.of("statistics.gaps_everywhere")
         return _bare(np.zeros(0), np.zeros(0), n, members, reason)
     mean = curves.force.mean(axis=0)
     if n == 1:
-        reason = Reason("one_curve", "a band needs the scatter of two curves, there is one")
+        reason = Reason.of("statistics.one_curve")
         return _bare(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
     half, half_all = t_quantile(n - 1) * error, simultaneous_quantile(curves.force) * error
-    why = (
-        f"no simultaneous band over two {members}, which may cross and then show no scatter at all"
-    )
     return Band(
         curves.displacement,
         mean,
@@ -312,7 +299,7 @@ def mean_band(curves: CommonCurves, members: str = "samples") -> Band:
         mean + half_all,
         n,
         members,
-        None if n > 2 else Reason("two_curves", why),
+        None if n > 2 else Reason.of("statistics.two_curves", members=members),
     )
 
 
@@ -366,20 +353,3 @@ def _turning(residuals: Floats) -> float:
     unit = residuals[:, norm > 1e-12 * size] / norm[norm > 1e-12 * size]
     cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
     return float(np.sum(np.arccos(cosine)))
-
-
-def block_means(values: Floats, points: int) -> Floats:
-    """Average blocks of consecutive samples.
-
-    Parameters
-    ----------
-    values : shape (n,); a NaN makes its mean NaN
-    points : smallest number of means, if there are as many samples
-
-    Returns
-    -------
-    Between `points` and twice as many; the last block includes the remainder.
-    """
-    size = max(1, len(values) // points)
-    starts = np.arange(0, max(len(values) - size + 1, 1), size)
-    return means_from(values, starts) if len(values) else values

@@ -13,6 +13,7 @@ from statistics import median
 import numpy as np
 from scipy import special
 
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
@@ -102,10 +103,8 @@ def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) ->
     decision = Decision("No samples")
     if over_samples.n:
         counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
-        why = (
-            "how spools differ is not known, so the interval holds for this spool, not for the type"
-        )
-        decision = Decision(f"Over {counted} of one spool", (why,))
+        done = sentence("statistics.over_one_spool", samples=counted)
+        decision = Decision(done, (sentence("statistics.one_spool"),))
     nan = float("nan")
     return NestedMean(
         chosen=over_samples,
@@ -130,59 +129,43 @@ def _decision(
 ) -> Decision:
     """Describe the decision: what was averaged, and the numbers behind it."""
     counts = tuple(len(values) for values in spools)
-    done = (
-        f"Pooled over {sum(counts)} samples of {len(counts)} spools"
-        if is_pooled
-        else f"Over {len(counts)} spool means, not pooled over {sum(counts)} samples"
+    done = sentence(
+        "statistics.pooled" if is_pooled else "statistics.not_pooled",
+        samples=sum(counts),
+        spools=len(counts),
     )
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
-        why = "all values are equal, so the spools cannot be distinguished by their scatter"
-        return Decision(done, (why,))
+        return Decision(done, (sentence("statistics.values_equal"),))
     return Decision(done, (*_share_words(scatter, limits), _test_words(p, counts, limits)))
 
 
 def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
     """Describe the shares of the variance, and the limit for pooling."""
     if np.isnan(scatter.within):
-        return ("no spool has two samples, so the scatter within spools is not known",)
-    upper = f"{100.0 * scatter.share_upper:.3g} %"
-    if scatter.between_spools == 0.0:
-        text = (
-            "the spools differ no more than their samples explain, "
-            f"yet up to {upper} of the variance may lie between them"
-        )
-    else:
-        text = f"{100 * scatter.share:.3g} % of the variance lies between spools{_ratio(scatter)}"
-        text += f", and it may be up to {upper}"
-    needed = (
-        f"pooling needs that share below {100 * limits.max_spool_share:.3g} % "
-        f"with {100 * limits.confidence:.4g} % confidence"
+        return (sentence("statistics.scatter_unknown"),)
+    share, upper, ratio = scatter.share, 100.0 * scatter.share_upper, ""
+    if scatter.within > 0.0:
+        times = scatter.between_spools / scatter.within
+        ratio = sentence("statistics.scatter_ratio", times=times)
+    text = (
+        sentence("statistics.spools_alike", upper=upper)
+        if scatter.between_spools == 0.0
+        else sentence("statistics.share", share=100.0 * share, ratio=ratio, upper=upper)
     )
-    return text, needed
-
-
-def _ratio(scatter: SpoolScatter) -> str:
-    if scatter.within == 0.0:
-        return ""
-    return (
-        f" (spools scatter {scatter.between_spools / scatter.within:.3g} times as much as samples)"
-    )
+    most, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
+    return text, sentence("statistics.share_needed", most=most, confidence=confidence)
 
 
 def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
     if np.isnan(p):
-        return "the Anderson-Darling test of equal spools needs two samples in each spool"
+        return sentence("statistics.no_test")
     least = smallest_p(counts)
     if least >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
-        return (
-            f"with {sizes} samples the Anderson-Darling test of equal spools cannot tell, "
-            f"as its p is never below {least:.2g}"
-        )
-    verdict = "does not distinguish them" if p >= limits.min_p else "distinguishes them"
-    return (
-        f"the Anderson-Darling test of equal spools {verdict} "
-        f"(p = {p:.2g}, pooling needs {limits.min_p:.2g})"
+        return sentence("statistics.blind_test", sizes=sizes, least=least)
+    is_alike = p >= limits.min_p
+    return sentence(
+        "statistics.equal" if is_alike else "statistics.unequal", p=p, needed=limits.min_p
     )
 
 
@@ -219,12 +202,11 @@ def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
     finite = array[~np.isnan(array)]
     n = len(finite)
     if n == 0:
-        reason = Reason("no_samples", f"there is no {what} to average")
+        reason = Reason.of("statistics.no_samples", what=what)
         return MeanInterval(np.nan, None, np.nan, 0, reason)
     mean = float(finite.mean())
     if n == 1:
-        message = f"an interval needs the scatter of two values, there is one {what}"
-        return MeanInterval(mean, None, np.nan, 1, Reason("one_sample", message))
+        return MeanInterval(mean, None, np.nan, 1, Reason.of("statistics.one_value", what=what))
     deviation = float(finite.std(ddof=1))
     half = t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)

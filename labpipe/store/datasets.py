@@ -22,7 +22,7 @@ from h5py import h5d, h5ds, h5s
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from labpipe.errors import StoreError, error_text
+from labpipe.errors import LabpipeError, StoreError
 from labpipe.records.arrays import AXIS_LABELS, Ints
 from labpipe.store import layout
 from labpipe.store.hdf5_objects import (
@@ -241,47 +241,25 @@ class Target:
         set_texts(self.group, name, values)
 
 
-_REMEDY = "Process the test again from its exports."
-
-
-_DAMAGE_ERRORS = (
-    OSError,
-    RuntimeError,
-    LookupError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    ArithmeticError,
-)
-"""Errors of the HDF5 library and of reading for damaged files."""
-
-
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """Open a result file of a known schema; raise all faults as StoreError."""
     try:
         if is_cut_off(path.parent):
-            found = "one whose files are being replaced, or were when a process was killed"
-            remedy = f"Wait until it is done, or finish it: `labpipe process {path}`."
-            raise _fault(path, "", "a result with all its files", found, remedy)
+            raise StoreError.about("store.cut_off", path, target=path)
         if not h5py.is_hdf5(path):
-            raise _fault(path, "", "a result file", _instead_of_hdf5(path), _REMEDY)
+            raise StoreError.about("store.no_hdf5", path, found=_instead_of_hdf5(path))
         with h5py.File(path, "r") as root:
             _check_schema(path, root)
             _check_links(path, root)
             yield root
+    except LabpipeError:
+        raise
     except MemoryError as error:
-        found = f"one that needs more ({error})"
-        remedy = "Close other programs, or exclude it."
-        raise _fault(path, "", "a result file that fits into the memory", found, remedy) from error
-    except _DAMAGE_ERRORS as error:
-        found = f"a damaged one ({' '.join(str(error).split())})"
-        raise _fault(path, "", "a whole result file", found, _REMEDY) from error
-
-
-def _fault(file: object, place: str, expected: str, found: str, remedy: str) -> StoreError:
-    message = error_text(file, place, expected=expected, found=found, remedy=remedy)
-    return StoreError(message, code="bad_result")
+        raise StoreError.about("store.too_large", path, reason=error) from error
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise StoreError.about("store.damaged", path, reason=reason) from error
 
 
 def _instead_of_hdf5(path: Path) -> str:
@@ -293,16 +271,18 @@ def _instead_of_hdf5(path: Path) -> str:
 
 
 def _check_schema(path: Path, root: Any) -> None:
-    schema = root.attrs.get(layout.SCHEMA_ATTRIBUTE)
-    place = layout.SCHEMA_ATTRIBUTE
-    expected = f"{layout.SCHEMA}, the schema that this version reads"
+    schema, known = root.attrs.get(layout.SCHEMA_ATTRIBUTE), layout.SCHEMA
     if schema is None:
-        raise _fault(path, place, expected, "an HDF5 file that labpipe did not make", _REMEDY)
-    if schema > layout.SCHEMA:
-        found = f"a file made by a newer labpipe, schema {schema}"
-        raise _fault(path, place, expected, found, "Update labpipe.")
-    if schema != layout.SCHEMA:
-        raise _fault(path, place, expected, f"schema {schema}", _REMEDY)
+        raise StoreError.about("store.foreign", path, layout.SCHEMA_ATTRIBUTE, known=known)
+    if schema != known:
+        is_newer = schema > known
+        raise StoreError.about(
+            "store.newer_schema" if is_newer else "store.other_schema",
+            path,
+            layout.SCHEMA_ATTRIBUTE,
+            known=known,
+            schema=schema,
+        )
 
 
 def _check_links(path: Path, root: Any) -> None:
@@ -313,11 +293,7 @@ def _check_links(path: Path, root: Any) -> None:
 
     link = root.id.links.visit(find_external, info=True)
     if link is not None:
-        raise _elsewhere(path, link.decode(errors="replace"), "a link into another file")
-
-
-def _elsewhere(path: object, place: str, found: str) -> StoreError:
-    return _fault(path, place, "all of the result in its own file", found, _REMEDY)
+        raise StoreError.about("store.link", path, link.decode(errors="replace"))
 
 
 def text(group: Any, name: str) -> str:
@@ -378,8 +354,7 @@ def _check_storage(dataset: Any) -> None:
     """Refuse a dataset that is incomplete or in another file, before allocating memory."""
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
-        found = "samples that are kept in another file"
-        raise _elsewhere(dataset.file.filename, dataset.name, found)
+        raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)
     shape, chunks = dataset.shape, dataset.chunks
     if chunks is None:
         has_all = dataset.id.get_storage_size() >= dataset.nbytes
@@ -387,12 +362,13 @@ def _check_storage(dataset: Any) -> None:
         sizes = zip(shape, chunks, strict=True)
         has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / one) for all_, one in sizes)
     if not has_all:
-        claimed = f"the {dataset.size} numbers that it claims"
-        raise _fault(dataset.file.filename, dataset.name, claimed, "a part of them", _REMEDY)
+        file, place, size = dataset.file.filename, dataset.name, dataset.size
+        raise StoreError.about("store.part_of_dataset", file, place, size=size)
 
 
 def _check(dataset: Any, what: str, expected: str, found: str) -> None:
     if expected != found:
-        raise _fault(
-            dataset.file.filename, dataset.name, f"{what} {expected!r}", repr(found), _REMEDY
+        file, place = dataset.file.filename, dataset.name
+        raise StoreError.about(
+            "store.other_layout", file, place, what=what, expected=expected, found=found
         )

@@ -13,11 +13,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from labpipe.errors import StoreError, error_text
+from labpipe.errors import StoreError
 
 _ERROR_TEXTS = {
-    errno.ENOSPC: ("room on the disk", "a full disk", "Make room and process the test again."),
-    errno.EDQUOT: ("room on the disk", "a used-up quota", "Make room and process the test again."),
     errno.EACCES: ("a folder to write in", "no permission", "Change the folder's permissions."),
     errno.EPERM: ("a folder to write in", "no permission", "Change the folder's permissions."),
     errno.EROFS: ("a folder to write in", "a read-only disk", "Choose another folder with --out."),
@@ -239,13 +237,13 @@ def storing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        expected, found, remedy = _ERROR_TEXTS.get(
-            error.errno or 0,
-            ("a file that can be written", str(error), "Check the disk and try again."),
-        )
-        message = error_text(path, "", expected=expected, found=found, remedy=remedy)
-        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        raise StoreError(message, code="disk_full" if is_full else "") from error
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise StoreError.about("store.disk_full", path) from error
+        unknown = ("a file that can be written", str(error), "Check the disk and try again.")
+        expected, found, remedy = _ERROR_TEXTS.get(error.errno or 0, unknown)
+        raise StoreError.about(
+            "store.cannot_write", path, expected=expected, found=found, remedy=remedy
+        ) from error
 
 
 def _flush_to_disk(path: Path) -> None:
@@ -305,14 +303,7 @@ def _acquire(path: Path, end: float) -> int:
             if time.monotonic() < end:
                 time.sleep(0.05)
                 continue
-            message = error_text(
-                path.parent,
-                "",
-                expected="a folder that no other process is writing",
-                found="another labpipe process at work in it",
-                remedy="Wait until it is done, or end it, and try again.",
-            )
-            raise StoreError(message, code="in_use")
+            raise StoreError.about("store.in_use", path.parent)
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), path.stat()):
                 return handle

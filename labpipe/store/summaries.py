@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe import __version__
-from labpipe.errors import StoreError, error_text
+from labpipe.errors import StoreError
 from labpipe.records.result import InputFile, Result, Specimen, TestResult, seal_of
 from labpipe.store.replace import locked, replacing
 
@@ -153,16 +153,7 @@ def check_summary(result: TestResult, path: Path) -> None:
     seals = {entry.name: entry.seal for entry in result.results}
     for entry in read_summary(path)["results"]:
         if not entry["seal"] == sealed(entry) == seals.get(entry["name"]):
-            raise StoreError(
-                error_text(
-                    path,
-                    str(entry["name"]),
-                    expected="the numbers of result.h5",
-                    found="others: one of the files was changed",
-                    remedy="Process the test again.",
-                ),
-                code="bad_result",
-            )
+            raise StoreError.about("store.other_numbers", path, str(entry["name"]))
 
 
 def sealed(entry: Mapping[str, Any]) -> str:
@@ -205,19 +196,15 @@ def read_summary(path: Path) -> dict[str, Any]:
         else:
             content = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        raise _no_summary(path, f"a damaged one ({error})") from error
+        raise StoreError.about("store.damaged_summary", path, reason=error) from error
     if not isinstance(content, dict) or not isinstance(schema := content.get("schema"), int):
-        raise _no_summary(path, "something else")
-    if schema > SUMMARY_SCHEMA:
-        raise _no_summary(path, f"one of a newer labpipe, schema {schema}", "Update labpipe.")
+        raise StoreError.about("store.no_summary", path)
     if schema != SUMMARY_SCHEMA:
-        raise _no_summary(path, f"one of schema {schema}")
+        is_newer = schema > SUMMARY_SCHEMA
+        raise StoreError.about(
+            "store.newer_summary" if is_newer else "store.other_summary", path, schema=schema
+        )
     return content
-
-
-def _no_summary(path: Path, found: str, remedy: str = "Process the test again.") -> StoreError:
-    expected = "a summary of a processed test"
-    return StoreError(error_text(path, "", expected=expected, found=found, remedy=remedy))
 
 
 @dataclass(frozen=True, slots=True)

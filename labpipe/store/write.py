@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import StoreError, error_text
+from labpipe.errors import StoreError
 from labpipe.records.curve import (
     Aligned,
     Bending,
@@ -88,14 +88,7 @@ def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArra
         except OSError:  # a wrong checksum
             is_whole = False
     if not is_whole:
-        message = error_text(
-            path,
-            "",
-            expected="to read back what was written",
-            found="something else",
-            remedy="Check the disk; the earlier result, if any, is untouched.",
-        )
-        raise StoreError(message)
+        raise StoreError.about("store.not_verified", path)
 
 
 def _write_root(target: Target, result: TestResult) -> None:

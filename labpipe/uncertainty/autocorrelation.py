@@ -157,12 +157,13 @@ class StretchLikelihood:
 
     @classmethod
     def of(cls, basis: Floats, values: Floats, grid: Grid, n_cosines: int) -> StretchLikelihood:
-        """Compute the likelihood by the slowest cosines of a stretch.
+        """Compute the likelihood by the slowest cosines of stretches.
 
         Parameters
         ----------
         basis : shape (p, n), orthonormal rows
-        values : shape (n,), without NaN; the part that the basis explains has no effect
+        values : shape (n,) or (stretches, n), without NaN; the part that the basis explains has no
+            effect
         grid : of the spectra
         n_cosines : number of cosines used, the slowest
         """

@@ -13,7 +13,7 @@ of delta.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
@@ -26,7 +26,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.noise_model import SHORT_RECORD_SAMPLES
-from labpipe.uncertainty.replicates import Input, Replicates
+from labpipe.uncertainty.replicates import Curves, Input, Replicates
 
 _QUANTILES_95 = (0.025, 0.975)
 _BETWEEN = Input(STEP, lambda trace, _: trace, law="uniform", stream="between samples")
@@ -109,10 +109,9 @@ def measure(
     plain = _decide_on_smooth(replicates, decide, reading)
     if isinstance(plain, Failure):
         return plain
-    smooth = SmoothNumbers.of(decide, replicates.smooth, plain)
-    base = _numbers_of(plain, replicates.smooth)
+    smooth = SmoothNumbers.of(decide, replicates.smooth, plain, replicates.curves)
     drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
-    noise = np.concatenate(drawn, axis=1) - base[:, None]
+    noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
     between, spread_between = _between_samples(replicates, reading, smooth)
     off = noise - between
     parts, doubts = [(STEP, spread_between)], list[tuple[str, Reason]]()
@@ -245,29 +244,38 @@ class SmoothNumbers:
     Parameters
     ----------
     decide : chooses the samples of the numbers
-    trace, reading : the curve, and its reading
-    fine, fine_reading : the same for the finer curve
+    trace, reading, numbers : the curve, its reading, and its numbers
+    fine, fine_reading, fine_numbers : the same for the finer curve
+    curves : made before, by input, its change, and parts per sampling step
     """
 
     decide: Decide
     trace: Trace
     reading: Reading
+    numbers: Floats
     fine: Trace
     fine_reading: Reading
+    fine_numbers: Floats
+    curves: Curves
 
     @classmethod
-    def of(cls, decide: Decide, trace: Trace, reading: Reading) -> SmoothNumbers:
+    def of(
+        cls, decide: Decide, trace: Trace, reading: Reading, curves: Curves | None = None
+    ) -> SmoothNumbers:
         """Decide again on finer samples, if only the sampling cuts its windows."""
         times = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.is_cut else 1
-        fine = trace.finer(times)
+        plain = trace, reading, _numbers_of(reading, trace)
+        smooth = cls(decide, *plain, *plain, {} if curves is None else curves)
+        fine = smooth._curve(None, 0.0, times)
         fine_reading = decide(fine)
         if isinstance(fine_reading, Failure):
-            return cls(decide, trace, reading, trace, reading)
-        return cls(decide, trace, reading, fine, fine_reading)
+            return smooth
+        numbers = _numbers_of(fine_reading, fine)
+        return replace(smooth, fine=fine, fine_reading=fine_reading, fine_numbers=numbers)
 
     def between_samples(self) -> Floats:
         """Return the change of the numbers with finer samples."""
-        return _numbers_of(self.fine_reading, self.fine) - _numbers_of(self.reading, self.trace)
+        return self.fine_numbers - self.numbers
 
     def corners(self) -> Floats:
         """Return the change of the numbers with corners between samples, where steps allow them."""
@@ -277,7 +285,7 @@ class SmoothNumbers:
             fine = self.trace.finer(parts_per_step, has_corners=has_corners)
             reading = self.decide(fine)
             if isinstance(reading, Failure):
-                return np.zeros(len(self.reading.numbers(self.trace)))
+                return np.zeros(len(self.numbers))
             changes.append(_numbers_of(reading, fine))
         return changes[1] - changes[0]
 
@@ -293,13 +301,24 @@ class SmoothNumbers:
         -------
         One per number; if the input moves the curve, windows are chosen again.
         """
-        moved = quantity.moved(self.trace, by)
         if not quantity.moves_curve:
-            return _numbers_of(self.reading, moved) - _numbers_of(self.reading, self.trace)
-        moved = moved.finer((len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1))
+            return _numbers_of(self.reading, self._curve(quantity, by, 1)) - self.numbers
+        times = (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1)
+        moved = self._curve(quantity, by, times)
         outcome = self.decide(moved)
         reading = self.fine_reading if isinstance(outcome, Failure) else outcome
-        return _numbers_of(reading, moved) - _numbers_of(self.fine_reading, self.fine)
+        return _numbers_of(reading, moved) - self.fine_numbers
+
+    def _curve(self, quantity: Input | None, by: float, times: int) -> Trace:
+        """Return the curve with an input changed, on finer samples; all numbers share it."""
+        key = quantity, by, times
+        if key not in self.curves:
+            if times > 1:
+                curve = self._curve(quantity, by, 1).finer(times)
+            else:
+                curve = quantity.moved(self.trace, by) if quantity else self.trace
+            self.curves[key] = curve
+        return self.curves[key]
 
 
 def _numbers_of(reading: Reading, trace: Trace) -> Floats:

@@ -103,9 +103,15 @@ def fit_linear(
     max_samples = max([count, *map(len, beside)])
     grid = Grid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
     window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
+    lengths = sorted(set(map(len, beside)))
     others = [
-        StretchLikelihood.of(cubic_basis(len(stretch)), stretch, grid, MAX_COSINES)
-        for stretch in beside
+        StretchLikelihood.of(
+            cubic_basis(length),
+            np.stack([x for x in beside if len(x) == length]),
+            grid,
+            MAX_COSINES,
+        )
+        for length in lengths
     ]
     noise = Noise.of([window, *others], grid.prior)
     shifts, unit = window.shifts[:, 0], window.unit

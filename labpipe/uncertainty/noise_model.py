@@ -41,6 +41,8 @@ _MIN_OWN_WAVES, _BAND_WAVES = 256, 16
 """Half waves over a branch above which the power of the record itself is used, in bands."""
 _MARGIN_TIMES = 12
 """Correlation times after which the end of a drawn record is independent of its start."""
+_BATCH_RECORDS = 10
+"""Records that are drawn at once: they fit into the cache."""
 _ROUNDING_SHARE = 1e-9
 """Share of the range of a signal below which residuals are rounding, not noise."""
 
@@ -194,14 +196,19 @@ class Noise:
         # Nor has the last one at half the sampling rate.
         height[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
         scale = np.sqrt(variance)
-        pairs = rng.standard_normal((replicates, len(angle), 2), dtype=np.float32)
-        waves = pairs.view(np.complex64)[..., 0]
         fast = np.searchsorted(angle, self.angles[0]) if len(self.angles) else len(angle)
-        waves[:, :fast] *= (scale[:, None] * height[which, :fast]).astype(np.float32)
-        if len(self.angles):  # fast waves have the power of the record
-            band = np.searchsorted(self.angles, angle[fast:], side="right") - 1
-            waves[:, fast:] *= np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
-        return np.asarray(fft.irfft(waves, length, axis=1)[:, :count], dtype=np.float32)
+        # Fast waves have the power of the record.
+        band = np.searchsorted(self.angles, angle[fast:], side="right") - 1
+        of_fast = np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
+        of_slow, of_fast = np.repeat(height[:, :fast], 2, axis=1), np.repeat(of_fast, 2)
+        records = np.empty((replicates, count), dtype=np.float32)
+        for first in range(0, replicates, _BATCH_RECORDS):
+            rows = slice(first, first + _BATCH_RECORDS)
+            waves = rng.standard_normal((len(which[rows]), 2 * len(angle)), dtype=np.float32)
+            waves[:, : 2 * fast] *= (scale[rows, None] * of_slow[which[rows]]).astype(np.float32)
+            waves[:, 2 * fast :] *= of_fast
+            records[rows] = fft.irfft(waves.view(np.complex64), length, axis=1)[:, :count]
+        return records
 
 
 def estimate_noise(

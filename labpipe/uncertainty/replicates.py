@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
@@ -71,6 +71,10 @@ class Input:
         return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.law, 1.0)
 
 
+Curves: TypeAlias = dict[tuple[Input | None, float, int], Trace]
+"""Curves with an input changed by standard uncertainties, on finer samples: parts per step."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Replicates:
     """A curve and its `N_REPLICATES` replicates.
@@ -84,6 +88,7 @@ class Replicates:
     inputs : further uncertain inputs
     seed : of all draws
     noises : noise models of force and displacement, for those that have noise
+    curves : made from `smooth` so far
     """
 
     measured: Trace
@@ -94,6 +99,7 @@ class Replicates:
     inputs: tuple[Input, ...]
     seed: bytes
     noises: Mapping[str, Noise]
+    curves: Curves = field(init=False, default_factory=dict)
 
     def traces(self) -> Iterator[Trace]:
         """Yield the replicates in batches."""

@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
-from labpipe.readers.load_frame import read
+from labpipe.readers.load_frame import read, recognise_card
 from labpipe.readers.load_frame.cards import shipped_cards
-from labpipe.readers.load_frame.recognition import recognise_card
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from tests.builders import load_frames as frames

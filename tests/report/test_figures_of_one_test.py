@@ -20,18 +20,16 @@ from labpipe.records.curve import (
     Slip,
     SlipDecision,
 )
-from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, TestResult
 from labpipe.report import marker_figures
 from labpipe.report.figure_page import style
 from labpipe.report.figures import (
-    Treatment,
     draw_force_displacement,
     draw_moment_curvature,
     draw_stiffness_lines,
     draw_timeline,
-    treatment,
-    treatment_of_force,
+    is_as_recorded,
 )
 from labpipe.report.marker_figures import (
     FLAG_COLOURS,
@@ -99,29 +97,19 @@ def treated(change_force: Floats | float = 0.0, change_travel: Floats | float = 
     return replace(FILTERED, curve=replace(FILTERED.curve, force=force, displacement=travel))
 
 
-def test_what_was_done_to_the_curve() -> None:
-    none, corrected, filtered = Treatment.NONE, Treatment.CORRECTED, Treatment.FILTERED
+def test_whether_the_curve_is_as_recorded() -> None:
     plain = treated()
     assert plain.curve is not None
-    force = plain.curve.force
-    at = np.arange(len(force))
-    repaired = np.where(at > 40, 0.3, 0.0) + np.where(at == 20, 5.0, 0.0)
+    at = np.arange(len(plain.curve.force))
     cut = np.where(at > at[-11], np.nan, 0.0)
-    note = QualityNote("compliance_removed", Severity.INFO, "displacement", "Taken off.")
-    softer = treated(change_travel=-1e-4 * force)
-    smoothed = treated(1e-4 * force * plain.curve.time, -1e-4 * force)
-    for test, expected in (
-        (FILTERED, filtered), (plain, none), (treated(change_travel=-1e-3), corrected),
-        (softer, filtered), (replace(softer, quality=(note,)), corrected),
-        (replace(smoothed, quality=(note,)), filtered),
-        (replace(plain, aligned=None), filtered), (replace(plain, curve=None), filtered),
+    both = ("force", "displacement")
+    for test, names, expected in (
+        (FILTERED, both, False), (plain, both, True), (treated(change_travel=-1e-3), both, False),
+        (treated(change_travel=-1e-3), ("force",), True), (treated(cut), ("force",), True),
+        (treated(np.nan), ("force",), False), (replace(plain, aligned=None), both, False),
+        (replace(plain, curve=None), both, False),
     ):  # fmt: skip
-        assert treatment(test) is expected
-    for test, expected in (
-        (FILTERED, filtered), (treated(cut), none), (treated(repaired), corrected),
-        (treated(np.nan), filtered),
-    ):  # fmt: skip
-        assert treatment_of_force(test) is expected
+        assert is_as_recorded(test, *names) is expected
 
 
 def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approved: Approve) -> None:

@@ -13,7 +13,7 @@ from labpipe.records.curve import FittedLine
 from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
 from labpipe.report.figure_page import style
 from labpipe.report.group_figures import group_drawings
-from labpipe.report.group_panels import MAX_SLIP_PANELS, file_panels
+from labpipe.report.group_panels import file_panels
 from labpipe.report.page_facts import stems
 from labpipe.statistics.mean_curves import without_band
 from tests.approved import Approve
@@ -23,10 +23,10 @@ from tests.report.figure_words import all_words
 
 def test_figures_that_a_group_has_data_for() -> None:
     bare = [replace(build_sample("s1", "a"), lines=())]
-    five = ["curves", "scaled", "slips", "lines", "numbers"]
+    three = ["curves", "scaled", "numbers"]
     for group, names in (
-        (build_group("A", six_samples()), five),
-        (bent(), [*five, "shapes", "moment"]),
+        (build_group("A", six_samples()), three),
+        (bent(), [*three, "shapes", "moment"]),
         (build_group("A", bare, scaled=False), ["curves"]),
         (build_group("A", [], scaled=False), ["curves"]),
     ):
@@ -84,7 +84,6 @@ def test_words(approved: Approve) -> None:
     group, troubled = build_group("A", six_samples()), build_group("A", troubled_samples())
     outlier = Outlier("tt-s1c", 5400.0, "Grubbs' test", 0.01)
     number = replace(group.numbers[1], outliers=(outlier,))
-    many = [build_sample("s1", str(number), slips=1) for number in range(MAX_SLIP_PANELS + 1)]
     segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
     segments = build_group("A", [replace(build_sample("s1", "a"), lines=(segment,))])
     two, three = (without_band(replace(group.band, n=count)) for count in (2, 3))
@@ -96,8 +95,7 @@ def test_words(approved: Approve) -> None:
         "two curves": figure("curves", replace(group, band=two)),
         "numbers, one doubtful": figure("numbers", troubled),
         "numbers, an outlier": figure("numbers", replace(group, numbers=(number,))),
-        "too many slips": figure("slips", build_group("A", many)),
-        "segments": figure("lines", segments),
+        "segments": figure("curves", segments),
         "laws of three": figure("moment", bent(3)),
     }
     approved(all_words(drawn))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,14 +18,10 @@ from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import calibration_drawings
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.figure_page import new_page, titled
-from labpipe.report.figures import FIGURES, save_figures
+from labpipe.report.figure_page import new_page, style, titled
+from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report
-from labpipe.report.saving import (
-    FigureToSave,
-    inline_svg,
-    save_pages,
-)
+from labpipe.report.saving import FigureToSave, as_address, save_pages
 from labpipe.report.wire_figures import wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from tests.approved import Approve
@@ -55,36 +52,23 @@ def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
     assert "<text" not in drawn
 
 
-DRAWING = b"""<?xml version="1.0"?>
-<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"
- width="100pt" height="50pt" viewBox="0 0 100 50" version="1.1">
- <metadata><x>made today</x></metadata>
- <defs><style type="text/css">*{stroke-linejoin: round; stroke-linecap: butt}</style></defs>
- <defs><path id="mark" d="M 0 1.23456 L -2.5 3" style="stroke: #000"/></defs>
- <g id="figure_1"><g id="axes_1">
-  <path d="M 1.23456 2
-L 3 4
-L 5.00001 -6.5
-" clip-path="url(#clip)" style="fill: none; stroke: #0072b2"/>
-  <use xlink:href="#mark" x="10.98765" y="2" style="stroke: #000"/>
-  <text style="font: 9px 'STIXGeneral', serif, 'DejaVu Sans'; fill: #000">a &lt; b</text>
- </g></g>
- <defs><clipPath id="clip"><rect x="0" y="0" width="9.87654" height="1"/></clipPath></defs>
-</svg>"""
+def test_a_figure_for_a_journal_has_serif_letters(tmp_path: Path) -> None:
+    """As the protocol asks; all others are drawn with the letters of the page."""
+    text = "report: {style: journal}"
+    assert not is_for_journal(RESULT)
+    assert not is_for_journal(replace(RESULT, protocol_yaml=text))  # of no grammar
+    wanted = [FigureToSave("a", page)]
+    (plain,) = save_pages(wanted, tmp_path / "page")
+    (serif,) = save_pages(wanted, tmp_path / "journal", is_journal=True)
+    assert "DejaVuSans" in plain.read_text("utf-8")
+    assert "STIXGeneral" in serif.read_text("utf-8")
 
 
-def inline(drawing: bytes = DRAWING, prefix: str = "a2", title: str = "") -> str:
-    return inline_svg(drawing, prefix=prefix, title=title).element
-
-
-def test_an_inline_drawing_is_small_and_named_and_its_ids_are_its_own() -> None:
-    element = inline(title='Force <of> "A2"')
-    attributes = {"role": "img", "aria-label": 'Force <of> "A2"', "viewBox": "0 0 100 50"}
-    assert attributes.items() <= ET.fromstring(element).attrib.items()
-    assert not re.findall(r"made today|<\?xml|style=|figure_1|<svg[^>]* width", element)
-    for part in ('d="M 1.23 2 3 4 5 -6.5"', "a &lt; b", 'id="a2-mark"', 'href="#a2-mark"',
-                 'clip-path="url(#a2-clip)"'):  # fmt: skip
-        assert part in element
+def test_a_figure_is_its_own_address() -> None:
+    with style():
+        head, _, data = as_address(page()).partition(",")
+    assert head == "data:image/svg+xml;base64"
+    assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
 
 
 @pytest.mark.slow

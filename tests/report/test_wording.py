@@ -26,7 +26,7 @@ from labpipe.report.workbook_file import (
     NumberCell,
     column_place,
     ends_record,
-    format_in_column,
+    in_column,
     number_cell,
     number_format,
     percent_cell,
@@ -145,7 +145,7 @@ def test_a_column_has_one_last_place_but_for_small_numbers() -> None:
     place = column_place([0.0, 12.345678, 53.2, None, "x"])
     assert place == -3
     cells: tuple[float, ...] = (53.2, 0.00123456, 3)
-    assert [format_in_column(cell, place) for cell in cells] == ["0.000", "0.00000", "0"]
+    assert [in_column(cell, place).form for cell in cells] == ["0.000", "0.00000", "0"]
     assert column_place(["a", 3, None]) is None
     forms = [
         number_format(*number) for number in ((2.345e8, 6), (3.1e-8, -9), (7e-4, -4), (0.0, -3))

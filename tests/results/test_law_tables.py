@@ -9,7 +9,8 @@ import pytest
 from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
-from labpipe.results.bent_frames import BendingTest, TipPull, held_at_rest
+from labpipe.results.beam import held_at_rest
+from labpipe.results.bent_frames import BendingTest, TipPull
 from labpipe.results.measured_law import (
     N_CLOUD_ROWS,
     N_CLOUD_STATIONS,

@@ -7,11 +7,11 @@ import pytest
 
 from labpipe.mechanics.law.plays import LinearLaw
 from labpipe.records.curve import PointFlag
+from labpipe.results.beam import held_at_rest
 from labpipe.results.bent_frames import (
     TipPull,
     curvature_gain,
     curves_at,
-    held_at_rest,
     marker_layout,
     mean_frames,
 )

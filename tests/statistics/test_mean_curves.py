@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, block_means
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.statistics.mean_curves import (
     _gaps,
-    block_means,
     common_curves,
     mean_band,
     simultaneous_quantile,

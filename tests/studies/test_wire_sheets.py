@@ -85,7 +85,7 @@ def fail(error: BaseException) -> Callable[..., object]:
          "processes that run to the end, found one that was killed"),
         ("write_texts", fail(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
         ("write_texts", fail(OSError(28, "No space left on device")),
-         StoreError, "expected room on the disk, found a full disk"),
+         StoreError, "expected room on the disk, found a full disk, or"),
     ],
     ids=["killed", "interrupt", "full disk"],
 )  # fmt: skip

@@ -21,16 +21,15 @@ from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.wire_table import straight_range
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, block_means
 from labpipe.records.causes import CENTRE, GRIP, PULL, SCALE_OF_DISPLACEMENT, SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.records.wire import WireSpec
-from labpipe.results.bent_frames import held_at_rest
+from labpipe.results.beam import held_at_rest
 from labpipe.results.moment_curvature import at_rest, notes_of
-from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import read_stages
 from labpipe.uncertainty.autocorrelation import long_run_variance
 from labpipe.units import GRAVITY

@@ -28,14 +28,14 @@ from labpipe.mechanics.wire.cantilever import (
 )
 from labpipe.mechanics.wire.wire_table import build, mass_per_length, straight_range
 from labpipe.protocol.plans import CalibrationPlan
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, block_means
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import Calibration, CurveErrors, Prediction
 from labpipe.report.calibration_summary import BentShape, ValidationGroup
-from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
+from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.store.read import read_result
 from labpipe.units import GRAVITY
 

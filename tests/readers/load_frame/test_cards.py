@@ -10,12 +10,12 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers import load_frame, read_export
+from labpipe.readers.load_frame import choose_card, recognise_card
 from labpipe.readers.load_frame.cards import (
     Card,
     lab_cards,
     parse_card,
 )
-from labpipe.readers.load_frame.recognition import choose_card, recognise_card
 from tests.approved import Approve
 from tests.builders import load_frames as frames
 
