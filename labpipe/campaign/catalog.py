@@ -83,6 +83,11 @@ class Claim:
     process: str
     since: float
 
+    @property
+    def machine(self) -> str:
+        """Return the name of the machine."""
+        return self.host.split()[0]
+
 
 def new_claim() -> Claim:
     """Make a claim of this process."""

@@ -204,19 +204,16 @@ class ContentKeys:
 
     def _protocol_text(self, name: str, folder: Path) -> str:
         """Return the hash of the protocol text; empty without a protocol."""
-        file = self._protocol_file(name, folder)
+        is_path = any(sign in name for sign in "/\\.")
+        wanted = (name, str(folder) if is_path else "")
+        if wanted not in self._found:
+            self._found[wanted] = find_protocol(name, beside=folder)
+        file = self._found[wanted]
         if isinstance(file, Fault):
             return ""
         if file not in self._hashes:
             self._hashes[file] = stamp_of(file).sha256
         return self._hashes[file]
-
-    def _protocol_file(self, name: str, folder: Path) -> Path | Fault:
-        is_path = any(sign in name for sign in "/\\.")
-        wanted = (name, str(folder) if is_path else "")
-        if wanted not in self._found:
-            self._found[wanted] = find_protocol(name, beside=folder)
-        return self._found[wanted]
 
     def _all_cards(self) -> str:
         if self._cards is None:

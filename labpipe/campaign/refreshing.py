@@ -158,7 +158,7 @@ def _refuse_if_running(catalog: Catalog) -> None:
     for folder, claim in catalog.claims().items():
         raise StoreError.about(
             "campaign.process_at_work", catalog.path,
-            pid=claim.pid, host=claim.host.split()[0], test=folder,
+            pid=claim.pid, host=claim.machine, test=folder,
         )  # fmt: skip
 
 

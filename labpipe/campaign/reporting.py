@@ -177,7 +177,13 @@ def report_tests(
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
-        pages = pages_of(campaign) if options.has_test_pages else {}
+        paged = (*samples_of(campaign), *campaign.rejected_samples)
+        pages = {
+            page_file(sample.label or sample.test): page_of_test(
+                Path(sample.source), report_id(campaign)
+            )
+            for sample in (paged if options.has_test_pages else ())
+        }
         extras = Extras(options.letterhead, options.formats, pages, "journal" in read.styles)
         written = write_report(campaign, stage, extras)
         recipe = options.text(folder)
@@ -361,21 +367,3 @@ def page_of_test(file: Path, report: str = "") -> str:
         If the result cannot be read.
     """
     return render_test(read_result(file), report=report)
-
-
-def pages_of(campaign: Campaign) -> dict[str, str]:
-    """Make the pages of all tests of a report, including rejected ones.
-
-    Parameters
-    ----------
-    campaign : with its groups
-
-    Returns
-    -------
-    Pages by address below the report.
-    """
-    report = report_id(campaign)
-    return {
-        page_file(sample.label or sample.test): page_of_test(Path(sample.source), report)
-        for sample in (*samples_of(campaign), *campaign.rejected_samples)
-    }

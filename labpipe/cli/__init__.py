@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +101,7 @@ def _freeze_imported_objects() -> None:
 
 def parser_of_commands() -> argparse.ArgumentParser:
     """Build the parser of all commands from ``commands.toml``."""
-    text = (files("labpipe.cli") / "commands.toml").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
     labpipe, shared, *commands = tomllib.loads(text).items()
     parser = argparse.ArgumentParser(
         prog="labpipe", formatter_class=argparse.RawDescriptionHelpFormatter, **labpipe[1]

@@ -142,13 +142,11 @@ def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     from labpipe.campaign.watching import watch
 
-    watch(campaign, figures=not options.no_figures, say=_print_with_time)
+    def say(text: str) -> None:
+        print(f"{datetime.now():%H:%M:%S}  {text}", flush=True)
+
+    watch(campaign, figures=not options.no_figures, say=say)
     return 0
-
-
-def _print_with_time(text: str) -> None:
-    """Print a message of ``watch`` after the time of day, and flush it."""
-    print(f"{datetime.now():%H:%M:%S}  {text}", flush=True)
 
 
 _ACTIONS: dict[str, Any] = {
@@ -178,7 +176,7 @@ def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
     done, total = len(summary.processed), len(summary.overview.rows)
     lines = [_state_counts_line(campaign, summary.overview), f"  processed {done} of {total}"]
     if summary.elsewhere:
-        names = _abbreviated_names(summary.elsewhere)
+        names = ", ".join(summary.elsewhere[:3]) + (" ..." if len(summary.elsewhere) > 3 else "")
         lines.append(f"  processed by another labpipe: {len(summary.elsewhere)}: {names}")
     failed = [row for row in summary.overview.rows.values() if row.state == FAILED]
     lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
@@ -199,11 +197,15 @@ def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
 def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[str]:
     """List tests that need attention by state, then unapplied decisions and unknown files."""
     lines: list[str] = []
+    running = {
+        folder: f"process {claim.pid} on {claim.machine}"
+        for folder, claim in overview.claims.items()
+    }
     descriptions: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
-        RUNNING: lambda row: _claimant(overview, row.folder),
+        RUNNING: lambda row: running[row.folder],
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
     for state, describe in descriptions.items():
@@ -225,11 +227,6 @@ def _unapplied_decisions(overview: Overview) -> list[str]:
     )
 
 
-def _claimant(overview: Overview, folder: str) -> str:
-    claim = overview.claims[folder]
-    return f"process {claim.pid} on {claim.host.split()[0]}"
-
-
 def _section_lines(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
@@ -241,10 +238,6 @@ def _section_lines(heading: str, lines: list[str]) -> list[str]:
     ]
 
 
-def _abbreviated_names(names: list[str]) -> str:
-    return ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
-
-
 def _as_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
@@ -254,7 +247,7 @@ def _as_json(
         for folder, row in overview.rows.items()
     }
     running = {
-        folder: {"host": claim.host.split()[0], "pid": claim.pid, "since": claim.since}
+        folder: {"host": claim.machine, "pid": claim.pid, "since": claim.since}
         for folder, claim in overview.claims.items()
     }
     not_applied = [
