@@ -138,9 +138,10 @@ def _sweep(harness: FollowedHarness) -> Iterator[str]:
     if harness.sweep:
         yield "  length of the line    smallest bend radius    on the way"
     for finding in harness.sweep:
-        if finding.status == "failed":
-            yield f"  {1e3 * finding.length:>12.5g} mm        -  {finding.reasons[0].message}"
+        length = 1e3 * finding.harness.line.length
+        if finding.status is Status.FAILED:
+            yield f"  {length:>12.5g} mm        -  {finding.reasons[0].message}"
             continue
-        radius, path_radius = 1e3 * finding.bend.radius, 1e3 * finding.bend_on_path.radius
+        radius, path_radius = 1e3 * finding.bend.radius, 1e3 * finding.sharpest.radius
         doubt = f"  doubtful: {finding.reasons[0].code}" if finding.reasons else ""
-        yield f"  {1e3 * finding.length:>12.5g} mm{radius:>19.4g} mm{path_radius:>14.4g} mm{doubt}"
+        yield f"  {length:>12.5g} mm{radius:>19.4g} mm{path_radius:>14.4g} mm{doubt}"

@@ -36,7 +36,7 @@ from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, rough_pe
 from labpipe.signal.corners import Corner
 from labpipe.signal.reversals import Reversal
 from labpipe.signal.turning_points import Stroke, sharpest_turn
-from labpipe.uncertainty.zero_drift import drift_modes
+from labpipe.uncertainty.noise_model import drift_modes
 
 
 def join_clocks(

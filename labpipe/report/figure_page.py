@@ -104,9 +104,12 @@ def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Fig
     -------
     The same page.
     """
-    line_mm, key_line_mm = 4.2, 4.6
+    import matplotlib as mpl
+
+    size: float = mpl.rcParams["font.size"]
+    line_mm, key_line_mm = 0.52 * size, 0.6 * size
     characters_per_mm = 0.72  # of the width of the page, in a footnote
-    width, height = (size * _MM_PER_INCH for size in page.get_size_inches().tolist())
+    width, height = (side * _MM_PER_INCH for side in page.get_size_inches().tolist())
     _letter_panels(page.axes)
     keys = _labelled_artists(page.axes)
     columns = columns or _key_columns(list(map(_width_mm, keys)), width - 2.0)
@@ -125,7 +128,7 @@ def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Fig
             borderaxespad=0, bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
         )  # fmt: skip
     low = line * (0.4 + len(notes)) if notes else 0.0
-    high = 1 - (1.3 + 1.1 * rows) * line
+    high = 1 - 1.3 * line - rows * key_line_mm / height
     pad = 1.2 / _MM_PER_INCH
     page.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
     return page

@@ -9,29 +9,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.records import causes
 from labpipe.records.arrays import Floats, Ints, means_from
-from labpipe.records.causes import (
-    CENTRE,
-    DRIFT_OF_ZERO,
-    GRIP,
-    LENGTH,
-    PULL,
-    REPAIRED_SLIPS,
-    RESOLUTION,
-    SCALE_OF_DISPLACEMENT,
-    SCALE_OF_FORCE,
-    SECTION,
-    SHAPE,
-    SPAN,
-    STEP,
-    ZERO_OF_DISPLACEMENT,
-    ZERO_OF_FORCE,
-)
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
 from labpipe.results.sample_noise import have_no_effect
 from labpipe.uncertainty.extractors import Trace
+from labpipe.uncertainty.noise_model import drift_modes
 from labpipe.uncertainty.replicates import (
     Input,
     Law,
@@ -40,9 +25,8 @@ from labpipe.uncertainty.replicates import (
     smooth_curve,
     spline_intervals_of,
 )
-from labpipe.uncertainty.zero_drift import drift_modes
 
-_BY_FRAMES = (SHAPE, GRIP, PULL, CENTRE)
+_BY_FRAMES = (causes.SHAPE, causes.GRIP, causes.PULL, causes.CENTRE)
 """Causes whose effect is computed frame by frame, from markers with noise."""
 
 
@@ -276,21 +260,21 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats])
     for cause, signal in displacement.moved.items():
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
-        law: Law = "uniform" if cause == SHAPE else "normal"
+        law: Law = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(displaced, by=change), law=law)
     for cause, clocks in test.clocks.moved.items():
         later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
         yield Input(cause, partial(_later, by=_means(later, starts)))
     for name, by in test.setup.uncertainties.items():
-        cause = name if name in (LENGTH, SPAN) else SECTION
+        cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
         yield Input(cause, partial(_sized, name=name, by=by), moves_curve=False, stream=name)
     beyond = partial(_beyond, step=len(starts) / len(time))
-    yield Input(STEP, beyond, law="step", moves_curve=False)
+    yield Input(causes.STEP, beyond, law="step", moves_curve=False)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     for number, slip in enumerate(repaired, start=1):
         sample = int(np.searchsorted(starts, slip.stop))
         back = partial(_added_back, by=slip.drop_interval.standard_error, sample=sample)
-        yield Input(REPAIRED_SLIPS, back, stream=f"{REPAIRED_SLIPS} {number}")
+        yield Input(causes.REPAIRED_SLIPS, back, stream=f"{causes.REPAIRED_SLIPS} {number}")
 
 
 def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
@@ -304,23 +288,25 @@ def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
         return displaced(trace, x * displacement.relative_error, by=whole)
 
     if force.relative_error:
-        yield Input(SCALE_OF_FORCE, gain)
+        yield Input(causes.SCALE_OF_FORCE, gain)
     if force.zero_error:
-        yield Input(ZERO_OF_FORCE, _raised(test, force.zero_error))
+        yield Input(causes.ZERO_OF_FORCE, _raised(test, force.zero_error))
     if displacement.relative_error:
-        yield Input(SCALE_OF_DISPLACEMENT, scaled)
+        yield Input(causes.SCALE_OF_DISPLACEMENT, scaled)
     if displacement.zero_error:
-        yield Input(ZERO_OF_DISPLACEMENT, partial(displaced, by=displacement.zero_error))
+        yield Input(causes.ZERO_OF_DISPLACEMENT, partial(displaced, by=displacement.zero_error))
 
 
 def _levels_of_force(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolution of the force, and the modes of the drift of its zero."""
     if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
-        yield Input(RESOLUTION, _raised(test, coarse / np.sqrt(12.0)), law="uniform")
+        yield Input(causes.RESOLUTION, _raised(test, coarse / np.sqrt(12.0)), law="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
     since = np.abs(_means(test.known_curve.time, starts) - _zeroed_at(test))
     for number, wave in enumerate(drift_modes(since, drift), start=1):
-        yield Input(DRIFT_OF_ZERO, _raised(test, wave), stream=f"{DRIFT_OF_ZERO} {number}")
+        yield Input(
+            causes.DRIFT_OF_ZERO, _raised(test, wave), stream=f"{causes.DRIFT_OF_ZERO} {number}"
+        )
 
 
 def _raised(test: ReducedTest, by: float | Floats) -> Callable[[Trace, float], Trace]:

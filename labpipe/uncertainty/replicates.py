@@ -27,8 +27,8 @@ from labpipe.uncertainty.noise_model import (
     SHORT_RECORD_SAMPLES,
     Noise,
     estimate_noise,
+    polynomial_pieces,
 )
-from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 
 N_REPLICATES = 400
 """Enough that widths of intervals repeat within 5 %."""

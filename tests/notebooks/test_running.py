@@ -71,3 +71,12 @@ def test_a_notebook_is_small_and_its_links_lead_somewhere(path: Path) -> None:
     links = re.findall(r"\]\(([^)#]+)", "\n".join(words))
     assert links
     assert [link for link in links if not (path.parent / link).exists()] == []
+
+
+def test_the_examples_of_mechanics_run(repository: Path) -> None:
+    page = (repository / "docs/explanations/mechanics.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    exec("\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), names)
+    assert 0.0 < names["back"].force[1] < 0.5 * names["there"].force[1]
+    assert names["loads"][-1] == pytest.approx(names["there"].force[1], rel=0.02)
+    assert names["path"].states[-1].positions[-1][2] < -0.1

@@ -20,7 +20,7 @@ from labpipe.mechanics.rod.rotations import (
 from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.statics import RodSettings, follow
 from labpipe.mechanics.rod.supports import Grip, supports_of
-from labpipe.mechanics.studies.harness_responses import residual_curvature
+from labpipe.mechanics.studies.harness_numbers import residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
     LENGTH,
@@ -372,7 +372,8 @@ def ended(line: Line, steps: int, *boundaries: Boundary) -> tuple[str, tuple[obj
     """Sentence of the only reason of a walk; its status, number of states, code, step and node."""
     path = follow(line, boundaries, steps=steps)
     (reason,) = path.reasons
-    facts = (path.status, len(path.states), reason.code, reason.step, reason.node)
+    node = max(reason.nodes.values())
+    facts = (path.status, len(path.states), reason.code, reason.step, node)
     return reason.sentence, facts
 
 

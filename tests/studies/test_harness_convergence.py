@@ -88,7 +88,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
     other = walk_with_other_steps(prepared, 10)
-    torn = replace(other.path, status="failed", reasons=(Reason("torn", "step 2: torn", 2),))
+    torn = replace(other.path, status="failed", reasons=(Reason("mechanics.rod.torn", 2),))
     doubt = coarse_doubt(path, prepared, replace(other, path=torn), {})
     assert doubt is not None
     assert set(doubt.names) == set(numbers)

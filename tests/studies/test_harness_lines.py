@@ -21,7 +21,7 @@ from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.rod.rotations import matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_responses import (
+from labpipe.mechanics.studies.harness_numbers import (
     curvature_after_release,
     largest_unbending,
     max_residual_curvature,
@@ -138,8 +138,8 @@ def test_inputs_change_length_and_rest(tmp_path: Path) -> None:
     prepared = line_of(tmp_path, arch(), length_factor=np.log(1.01))
     assert prepared.line.length == pytest.approx(0.202)
     assert held(prepared, "right").position[-1] == pytest.approx([0.18, 0.0, 0.03])
-    other = prepare_line(harness(tmp_path, arch()), SECTION, {}, length=0.25)
-    assert other.line.length == pytest.approx(0.25)
+    longer = arch().replace("length: 200 mm", "length: 250 mm")
+    assert line_of(tmp_path, longer).line.length == pytest.approx(0.25)
 
 
 def test_rings_strings_and_planes(tmp_path: Path) -> None:

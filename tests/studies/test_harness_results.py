@@ -13,25 +13,23 @@ from labpipe.mechanics.rod.path import Reason as RodReason
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import (
+    RADIUS,
+    RADIUS_ON_PATH,
     Doubt,
     Number,
     bend_limit,
     curvature_of,
     element_doubt,
+    evaluate_number,
+    fields_of,
     jump_doubt,
+    number_names,
     numbers_of,
     radius_of,
     reasons_of,
     results_of,
     sharpest,
     unloading_doubt,
-)
-from labpipe.mechanics.studies.harness_responses import (
-    RADIUS,
-    RADIUS_ON_PATH,
-    evaluate_number,
-    fields_of,
-    number_names,
 )
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
 from labpipe.mechanics.studies.harness_study import (
@@ -100,20 +98,14 @@ def test_a_heavy_cantilever() -> None:
 
 def test_reasons_say_places_and_not_nodes() -> None:
     _, material, prepared, path = followed(ALONE)
-    sentences = [
-        "between nodes 0 and 6 the line is 0.05 m long",
-        "it gives way most at node 12",
-        "the line slid out of r with its node 0",
-    ]
-    reasons = tuple(RodReason("taut", sentence, 1, 6) for sentence in sentences)
-    messages = [
-        r.message for r in reasons_of(replace(path, reasons=reasons), prepared.line, material)
-    ]
-    assert messages == [
-        "between 0 mm and 50 mm from the start the line is 0.05 m long",
-        "it gives way most at 100 mm from the start",
-        "the line slid out of r with its end 0 mm from the start: put it further in, or move less",
-    ]
+    reason = RodReason.of(
+        "mechanics.rod.too_short", step=1, place=0, other=6, length=0.05, distance=0.1
+    )
+    assert "between node 0 and node 6" in reason.sentence
+    (said,) = reasons_of(replace(path, reasons=(reason,)), prepared.line, material)
+    assert said.message.startswith(
+        "step 1: between 0 mm from the start and 50 mm from the start the line is 0.05 m long"
+    )
 
 
 @pytest.mark.parametrize(
@@ -229,7 +221,12 @@ def test_beyond_what_backs_the_law() -> None:
     )
     assert message in reason.message
     assert reason.message.startswith("step ")
-    beyond = replace(path, reasons=(RodReason("beyond_law", "step 3: too far", 3),))
+    beyond = replace(
+        path,
+        reasons=(
+            RodReason("mechanics.rod.beyond_law", 3, {"place": 0}, {"curvature": 2.0, "last": 1.0}),
+        ),
+    )
     assert [reason.code for reason in reasons_of(beyond, prepared.line, half)] == ["beyond_law"]
 
 

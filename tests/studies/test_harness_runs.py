@@ -183,12 +183,12 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists(), "nothing is written here"
     longer = solve_sweep_length(result, 0.25)
     assert longer.prepared.line.length == pytest.approx(0.25)
-    assert (longer.length, longer.bands) == (0.25, None)
-    assert longer.bend_on_path.radius <= longer.bend.radius
+    assert (longer.harness.line.length, longer.bands) == (0.25, None)
+    assert longer.sharpest.radius <= longer.bend.radius
     assert longer.bend.step == 8
-    failed = replace(longer, path=replace(longer.path, status="failed"))
+    failed = replace(longer, status=Status.FAILED)
     assert math.isnan(failed.bend.radius)
-    assert math.isnan(failed.bend_on_path.radius)
+    assert math.isnan(failed.sharpest.radius)
 
 
 @pytest.mark.slow
@@ -207,7 +207,7 @@ def test_one_beyond_its_law_is_doubtful_with_all_its_numbers(tmp_path: Path) -> 
     result = run(tmp_path, coarse)
     radius, length = result.results[0], solve_sweep_length(result, result.prepared.line.length)
     assert radius.status is Status.DOUBTFUL
-    assert length.status == "doubtful", "a length of a sweep has all doubts of its numbers"
+    assert length.status is Status.DOUBTFUL, "a length of a sweep has all doubts of its numbers"
     codes = {reason.code for reason in length.reasons}
     assert {reason.code for reason in radius.reasons} <= codes
 

@@ -16,8 +16,8 @@ from labpipe.uncertainty.noise_model import (
     _processes,
     _whitened_squares,
     estimate_noise,
+    polynomial_pieces,
 )
-from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.replicates import smooth_curve
 
 RNG = np.random.default_rng

@@ -11,8 +11,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure
 from labpipe.uncertainty.extractors import Reading, Trace, combine
+from labpipe.uncertainty.noise_model import drift_modes
 from labpipe.uncertainty.replicates import N_REPLICATES, Input, Law, draw_replicates, smooth_curve
-from labpipe.uncertainty.zero_drift import drift_modes
 from tests.builders.noise_rows import flicker
 from tests.builders.plain_records import replicates_of, trace_of
 

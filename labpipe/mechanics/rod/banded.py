@@ -46,6 +46,29 @@ def places_of(n: int) -> Places:
     return Places(first, first[:-1] + STRETCH, first[:-1] + TURN, first[:-1] + FORCE)
 
 
+def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: Floats) -> Floats:
+    """Return numbers of nodes and elements in the order of the unknowns.
+
+    Parameters
+    ----------
+    positions : shape (n + 1, 3)
+    stretches : shape (n,)
+    turns, forces : shape (n, 3)
+    """
+    out = np.empty(PER_ELEMENT * len(stretches) + 3)
+    rows = out[:-3].reshape(-1, PER_ELEMENT)
+    rows[:, :STRETCH], out[-3:] = positions[:-1], positions[-1]
+    rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:] = stretches, turns, forces
+    return out
+
+
+def split_unknowns(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the numbers of positions, stretches, turns and forces; see `join_unknowns`."""
+    rows = values[:-3].reshape(-1, PER_ELEMENT)
+    positions = np.concatenate([rows[:, :STRETCH], values[None, -3:]])
+    return positions, rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:]
+
+
 def entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
     """Return rows and columns of all entries of equal blocks, one block after the other."""
     shape = (len(rows), height, width)

@@ -16,8 +16,9 @@ from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.response import Band, Fields, Response, band_of, field_band, respond
 from labpipe.mechanics.rod.rotations import conjugate, multiply, rotation_vectors
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 
 Solve = Callable[[Mapping[str, float]], RodPath]
 """Build a line and its boundaries from named inputs, and follow it along its whole path."""
@@ -103,8 +104,7 @@ def bands_of(
         If there is no distribution.
     """
     if not distributions:
-        message = "distributions: expected at least one"
-        raise ValueError(message)
+        raise ValueError(sentence("mechanics.rod.no_distribution"))
     solves = [solve] * len(distributions) if callable(solve) else solve
     solvers = [_Solver(solve, steps) for solve, _ in zip(solves, distributions, strict=True)]
     responses = [
@@ -208,24 +208,26 @@ def _range_notes(path: RodPath, tested: float) -> Iterator[QualityNote]:
         return
     step = int(np.argmax(largest))
     node = int(np.argmax(path.states[step].bendings))
-    message = (
-        f"step {step}, node {node}: the line is bent to {largest[step]:.3g} 1/m, the tests of the "
-        f"calibration reached {tested:.3g} 1/m: beyond, the law and the band are extrapolated"
+    yield QualityNote.of(
+        "mechanics.rod.beyond_tested",
+        f"step {step}, node {node}",
+        step=step,
+        node=node,
+        curvature=largest[step],
+        tested=tested,
     )
-    yield QualityNote("beyond_tested", Severity.WARNING, f"step {step}, node {node}", message)
 
 
 def _side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
-    for code, reason in (
-        ("one_sided", "to one side of these causes the line has no equilibrium; the band uses "
-         "the other side for both"),
-        ("silent", "to both sides of these causes the line has no equilibrium; the band excludes "
-         "them"),
-    ):  # fmt: skip
+    for code in ("one_sided", "silent"):
         causes = dict.fromkeys(cause for response in responses for cause in getattr(response, code))
         if causes:
-            message = f"{reason}: {', '.join(causes)}"
-            yield QualityNote(code, Severity.WARNING, ", ".join(causes), message)
+            names = ", ".join(causes)
+            yield QualityNote.of(
+                "mechanics.rod.one_sided" if code == "one_sided" else "mechanics.rod.silent",
+                names,
+                causes=names,
+            )
 
 
 def _jump_notes(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
@@ -233,9 +235,5 @@ def _jump_notes(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
     differing = [jumps for look in solvers for jumps in look.snapped if jumps != look.snapped[0]]
     if differing:
         steps = solvers[0].snapped[0], differing[0]
-        step_text, other = (", ".join(map(str, step)) or "none" for step in steps)
-        message = (
-            f"steps in which the line jumps: {step_text} at the best inputs, {other} to one side "
-            "of a cause; near a jump the smooth response and the band are not valid"
-        )
-        yield QualityNote("jumps", Severity.WARNING, "", message)
+        here, other = (", ".join(map(str, step)) or "none" for step in steps)
+        yield QualityNote.of("mechanics.rod.jumps", "", steps=here, other=other)

@@ -13,6 +13,8 @@ from typing import TypeAlias
 
 import numpy as np
 
+from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
 
 EARTH = (0.0, 0.0, -9.81)
@@ -24,12 +26,12 @@ def _rows(name: str, values: object, width: int) -> Floats:
     path: Floats = np.array(values, dtype=np.float64)
     path = path[None] if path.ndim == 1 else path
     if path.ndim != 2 or path.shape[1] != width or not len(path):
-        message = f"{name} of shape {path.shape}: expected (steps + 1, {width}) or ({width},)"
-        raise ValueError(message)
-    if not np.all(np.isfinite(path)):
-        row = int(np.argmin(np.all(np.isfinite(path), axis=1)))
-        message = f"{name}, row {row}: must be finite"
-        raise ValueError(message)
+        shape = path.shape
+        raise ValueError(sentence("mechanics.rod.path_shape", name=name, shape=shape, width=width))
+    is_finite = np.all(np.isfinite(path), axis=1)
+    if not np.all(is_finite):
+        row = f"{name}, row {int(np.argmin(is_finite))}"
+        raise ValueError(sentence("mechanics.rod.not_finite", name=row))
     path.flags.writeable = False
     return path
 
@@ -37,9 +39,8 @@ def _rows(name: str, values: object, width: int) -> Floats:
 def _direction(name: str, values: object) -> Floats:
     vector = _rows(name, values, 3)
     size = float(np.linalg.norm(vector[0]))
-    if len(vector) != 1 or not size > 0.0:
-        message = f"{name}={np.asarray(values).tolist()}: must be a direction, not zero"
-        raise ValueError(message)
+    is_one = len(vector) == 1 and size > 0.0
+    require(name, np.asarray(values).tolist(), "a direction, not zero", holds=is_one)
     unit: Floats = vector[0] / size
     unit.flags.writeable = False
     return unit
@@ -81,12 +82,9 @@ class Held:
         if self.frame is not None:
             frame = _rows("frame", self.frame, 4)
             if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > 1e-6:
-                message = "frame: must be unit quaternions"
-                raise ValueError(message)
+                raise ValueError(sentence("mechanics.rod.not_unit", name="frame"))
             _set(self, frame=frame)
-        if self.release is not None and self.release < 1:
-            message = f"release={self.release}: must be >= 1"
-            raise ValueError(message)
+        require("release", self.release, ">= 1", holds=self.release is None or self.release >= 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,9 +138,7 @@ class String:
 
     def __post_init__(self) -> None:
         _set(self, anchor=_rows("anchor", self.anchor, 3))
-        if not (np.isfinite(self.length) and self.length > 0.0):
-            message = f"length={self.length!r}: must be finite and > 0"
-            raise ValueError(message)
+        require_positive("length", self.length)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,9 +195,7 @@ class Plane:
     def __post_init__(self) -> None:
         point = _rows("point", self.point, 3)[0]
         _set(self, point=point, normal=_direction("normal", self.normal))
-        if not (np.isfinite(self.friction) and self.friction >= 0.0):
-            message = f"friction={self.friction!r}: must be finite and >= 0"
-            raise ValueError(message)
+        require_not_negative("friction", self.friction)
 
     def raised(self, height: float) -> Plane:
         """Return the plane raised by a height, m, for the axis of a line of that radius."""

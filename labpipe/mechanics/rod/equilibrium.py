@@ -15,6 +15,7 @@ from labpipe.mechanics.rod.assembly import (
     LineMemory,
     Shape,
 )
+from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
@@ -22,7 +23,6 @@ from labpipe.mechanics.rod.rotations import (
     rotation_vectors,
     unit,
 )
-from labpipe.records.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,8 @@ def find_equilibrium(
     demands: tuple[Demands, Demands],
     *,
     force: float,
-    earlier: LineMemory | None = None,
+    guess: LineMemory,
+    known: Balance | None = None,
     drag: ArtificialDrag | None = None,
 ) -> Equilibrium | None:
     """Find the next equilibrium from one.
@@ -52,8 +53,9 @@ def find_equilibrium(
     shape, memory : present shape and history
     demands : present and new ones
     force : N, size of the forces on the whole line
-    earlier : history before the last step: equal forces, but sliders that slid slide on, which is
-        the better guess where the motion continues
+    guess : history for the first step: the present one, or that before the last step: equal forces,
+        but sliders that slid slide on, which is the better guess where the motion continues
+    known : balance of the present shape, in place of its computation where it applies
     drag : artificial drag
 
     Returns
@@ -67,7 +69,9 @@ def find_equilibrium(
     nodes = assembly.supports.held
     # held nodes and clamps move with the first step, or the share of it that is taken
     present_demands = replace(goal, held=now.held, clamps=now.clamps)
-    balance = assembly.balance(shape, present_demands, memory if earlier is None else earlier, drag)
+    balance = _known_balance(known, now, goal, guess) if known and drag is None else None
+    if balance is None:
+        balance = assembly.balance(shape, present_demands, guess, drag)
     least_turn, idle = math.inf, 0
     for iteration in range(1, max_iterations + 1):
         held = goal.held - shape.positions[nodes]
@@ -76,64 +80,63 @@ def find_equilibrium(
         change = assembly.band.solve(balance.values, right)
         if change is None:
             return None
-        turn = _largest_turn(assembly, change)
+        moves, _, turns, _ = split_unknowns(change)
+        turn, move = float(np.max(np.abs(turns))), float(np.max(np.abs(moves)))
         least_turn, idle = (turn, 0) if turn < least_turn else (least_turn, idle + 1)
-        share = _step_share(assembly, change, turn)
+        share = _step_share(turn, move / assembly.line.length)
         if share < min_step_share or idle == max_idle_iterations:
             return None
         shape = assembly.changed(shape, share * change)
-        present_demands = goal if share == 1.0 else _turn_clamps(present_demands, share * clamps)
+        if share == 1.0:
+            present_demands = goal
+        else:
+            turned = multiply(present_demands.clamps, from_rotation_vectors(share * clamps))
+            present_demands = replace(present_demands, clamps=unit(turned))
         balance = assembly.balance(shape, present_demands, memory, drag)
-        if share == 1.0 and _is_close(assembly, balance, shape, change, force):
+        moved = max(turn, move / assembly.line.length)
+        if share == 1.0 and _is_close(assembly, balance, shape, moved, force):
             return Equilibrium(shape, balance, iteration)
     return None
 
 
-def _turn_clamps(demands: Demands, clamps: Floats) -> Demands:
-    return replace(demands, clamps=unit(multiply(demands.clamps, from_rotation_vectors(clamps))))
+def _known_balance(
+    known: Balance, now: Demands, goal: Demands, guess: LineMemory
+) -> Balance | None:
+    """Return a balance with the forces of new demands; None where it is of another history."""
+    memory, drag = known.given
+    others = ((now.moments, goal.moments), (now.anchors, goal.anchors), (now.rings, goal.rings))
+    if memory is not guess or drag is not None or not all(np.array_equal(*pair) for pair in others):
+        return None
+    none = np.zeros((len(now.forces) - 1, 3))
+    added = join_unknowns(now.forces - goal.forces, none[:, 0], none, none)
+    return replace(known, residual=known.residual + added)
 
 
-def _largest_turn(assembly: Assembly, change: Floats) -> float:
-    return float(np.max(np.abs(change[assembly.places.turns[:, None] + np.arange(3)])))
-
-
-def _step_share(assembly: Assembly, change: Floats, turn: float) -> float:
+def _step_share(turn: float, move: float) -> float:
     """Return the share of a step that turns and moves no part of the line too far."""
     max_turn = 0.7  # rad, of an element in one iteration
     max_move = 0.35  # of the line's length, of a node in one iteration
-    p = assembly.places
-    move = float(np.max(np.abs(change[p.positions[:, None] + np.arange(3)])))
-    return 1.0 / max(1.0, turn / max_turn, move / (max_move * assembly.line.length))
+    return 1.0 / max(1.0, turn / max_turn, move / max_move)
 
 
 def _is_close(
-    assembly: Assembly, balance: Balance, shape: Shape, change: Floats, force: float
+    assembly: Assembly, balance: Balance, shape: Shape, moved: float, force: float
 ) -> bool:
+    """Return whether a shape is in balance; the last step moved it by a share of its length."""
     balance_tolerance = 1e-10  # of force, moment and length of the whole line
     # of the length, or rad: ends the search where rounding limits the balance
     step_tolerance = 1e-11
     rounded_balance = 1e-5
     # of the forces on the line: the shape of a tauter line is mostly rounding
     max_pull_factor = 1e4
-    p = assembly.places
-    three = np.arange(3)
     length = assembly.line.length
-    residual = np.where(assembly.band.fixed, 0.0, balance.residual)
     pull = float(np.max(np.abs(shape.forces)))
     if assembly.is_rigid and pull > max_pull_factor * force:
         return False
     force = max(force, pull)
-    unbalanced = float(np.max(np.abs(residual[p.positions[:, None] + three])))
-    error = max(
-        max(unbalanced - assembly.rounding, 0.0) / force,
-        float(np.max(np.abs(residual[p.turns[:, None] + three]))) / (force * length),
-        float(np.max(np.abs(residual[p.stretches]))) / (force * length),
-        float(np.max(np.abs(residual[p.forces[:, None] + three]))) / length,
-    )
-    if error < balance_tolerance:
-        return True
-    moved = max(
-        _largest_turn(assembly, change),
-        float(np.max(np.abs(change[p.positions[:, None] + three]))) / length,
-    )
-    return moved < step_tolerance and error < rounded_balance
+    residual = np.abs(balance.residual)
+    residual[assembly.band.fixed] = 0.0
+    nodes, stretches, turns, gaps = (float(np.max(part)) for part in split_unknowns(residual))
+    moments = max(turns, stretches) / (force * length)
+    error = max(max(nodes - assembly.rounding, 0.0) / force, moments, gaps / length)
+    return error < balance_tolerance or (moved < step_tolerance and error < rounded_balance)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
 from scipy.stats.qmc import Sobol
 
+from labpipe.messages import sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.records.wire_calibration import PARAMETERS, Solution
 
@@ -79,8 +80,9 @@ def stated_distribution(
         need different seeds; the name is part of the seed, so that different names suffice
     """
     if not (np.isfinite(deviation) and deviation > 0.0 and freedom > 0.0):
-        message = f"{name}: deviation={deviation!r}, freedom={freedom!r}: must be > 0"
-        raise ValueError(message)
+        raise ValueError(
+            sentence("mechanics.rod.bad_deviation", name=name, deviation=deviation, freedom=freedom)
+        )
     chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
     uniform = (chance.permutation(draws) + 0.5) / draws
     amounts = np.asarray(

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
+from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.rod.rotations import (
     conjugate,
@@ -22,6 +23,7 @@ from labpipe.mechanics.rod.rotations import (
     shortest_turns,
     unit,
 )
+from labpipe.messages import sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 
 
@@ -54,28 +56,15 @@ class Section:
 
     def __post_init__(self) -> None:
         if not self.law.first_stiffness > 0.0:
-            message = (
-                "law: found neither a stiffness nor sliders; expected a line that resists bending"
-            )
-            raise ValueError(message)
-        _require("torsional_stiffness", self.torsional_stiffness, self.torsional_stiffness > 0.0)
-        if not self.axial_stiffness > 0.0:
-            message = f"axial_stiffness={self.axial_stiffness!r}: must be > 0"
-            raise ValueError(message)
-        _require("mass_per_length", self.mass_per_length, self.mass_per_length >= 0.0)
-        _require("diameter", self.diameter, self.diameter >= 0.0)
-        max_coupling = np.sqrt(self.axial_stiffness * self.torsional_stiffness)
-        _require("coupling", self.coupling, abs(self.coupling) < max_coupling)
-
-
-def _require(name: str, value: float, is_allowed: bool) -> None:
-    if not (np.isfinite(value) and is_allowed):
-        bounds = {
-            "torsional_stiffness": "> 0",
-            "coupling": "of magnitude below sqrt(axial_stiffness * torsional_stiffness)",
-        }
-        message = f"{name}={value!r}: must be finite and {bounds.get(name, '>= 0')}"
-        raise ValueError(message)
+            raise ValueError(sentence("mechanics.rod.no_stiffness"))
+        require_positive("torsional_stiffness", self.torsional_stiffness)
+        axial, coupling = self.axial_stiffness, self.coupling
+        require("axial_stiffness", axial, "> 0", holds=axial > 0.0)
+        require_not_negative("mass_per_length", self.mass_per_length)
+        require_not_negative("diameter", self.diameter)
+        bound = "finite and of magnitude below sqrt(axial_stiffness * torsional_stiffness)"
+        is_small = abs(coupling) < np.sqrt(axial * self.torsional_stiffness)
+        require("coupling", coupling, bound, holds=np.isfinite(coupling) and is_small)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,21 +97,16 @@ class Line(ArrayRecord):
         ArrayRecord.__post_init__(self)
         n = len(self.lengths)
         if n < 1 or len(self.positions) != n + 1 or len(self.rest_curvature) != n - 1:
-            message = (
-                f"{n} elements, {len(self.positions)} nodes, {len(self.rest_curvature)} rest "
-                "curvatures: expected n >= 1 elements, n + 1 nodes and n - 1 curvatures"
+            nodes, curvatures = len(self.positions), len(self.rest_curvature)
+            raise ValueError(
+                sentence("mechanics.rod.element_numbers", n=n, nodes=nodes, curvatures=curvatures)
             )
-            raise ValueError(message)
         for name in ("lengths", "positions", "frames", "rest_curvature"):
             if not np.all(np.isfinite(getattr(self, name))):
-                message = f"{name}: must be finite"
-                raise ValueError(message)
-        if not np.all(self.lengths > 0.0):
-            message = f"lengths={self.lengths.tolist()}: must be > 0"
-            raise ValueError(message)
+                raise ValueError(sentence("mechanics.rod.not_finite", name=name))
+        require("lengths", self.lengths.tolist(), "> 0", holds=bool(np.all(self.lengths > 0.0)))
         if np.max(np.abs(np.linalg.norm(self.frames, axis=1) - 1.0)) > 1e-6:
-            message = "frames: must be unit quaternions"
-            raise ValueError(message)
+            raise ValueError(sentence("mechanics.rod.not_unit", name="frames"))
 
     @property
     def length(self) -> float:
@@ -197,14 +181,12 @@ def line_along(
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:
-        message = f"positions of shape {points.shape}: expected (n + 1, 3) with n >= 1"
-        raise ValueError(message)
+        raise ValueError(sentence("mechanics.rod.points_shape", shape=points.shape))
     steps = np.diff(points, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     if not np.all(lengths > 0.0):
         index = int(np.argmin(lengths > 0.0))
-        message = f"positions {index} and {index + 1} coincide: successive points must differ"
-        raise ValueError(message)
+        raise ValueError(sentence("mechanics.rod.same_points", first=index, second=index + 1))
     directions = steps / lengths[:, None]
     turns = shortest_turns(directions[:-1], directions[1:])
     frames = [frame_from_axes(directions[0], np.asarray(up))]

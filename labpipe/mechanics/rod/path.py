@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 
+from labpipe.messages import code_of_template, sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 
 Status: TypeAlias = Literal["ok", "doubtful", "failed"]
@@ -69,16 +71,43 @@ class Reason:
 
     Parameters
     ----------
-    code : one word
-    sentence : for people, with the step and the place
+    template : of its sentence
     step : in which
-    node : its place; None if it has none
+    nodes : its places, if any, by the fields of the template
+    facts : other fields
     """
 
-    code: str
-    sentence: str
+    template: str
     step: int
-    node: int | None = None
+    nodes: Mapping[str, int] = field(default_factory=dict)
+    facts: Mapping[str, object] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, name: str, /, *, step: int, **facts: object) -> Reason:
+        """Make a reason; its fields `place` and `other` are nodes."""
+        places = [key for key in ("place", "other") if key in facts]
+        nodes: dict[str, int] = {key: int(str(facts.pop(key))) for key in places}
+        return cls(name, step, nodes, facts)
+
+    @property
+    def code(self) -> str:
+        """Return its code, one word."""
+        return code_of_template(self.template)
+
+    @property
+    def sentence(self) -> str:
+        """Return the sentence for people, with nodes as places."""
+        return self.at("node {}".format)
+
+    def at(self, place: Callable[[int], str]) -> str:
+        """Return the sentence with other words for the places.
+
+        Parameters
+        ----------
+        place : of a node
+        """
+        places = {key: place(node) for key, node in self.nodes.items()}
+        return sentence(self.template, step=self.step, **places, **self.facts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +153,5 @@ class RodPath(ArrayRecord):
             If there is none: step 0 failed.
         """
         if not self.states:
-            message = f"no state was reached: {self.reasons[0].sentence}"
-            raise ValueError(message)
+            raise ValueError(sentence("mechanics.rod.no_state", reason=self.reasons[0].sentence))
         return self.states[-1]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
 
 _FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
@@ -19,6 +20,7 @@ _OTHERS = np.array([[3, 0, 0], [0, 3, 0], [0, 0, 2]]), np.array([[3, 3, 2], [3, 
 _OF_SQUARES = np.array([[-2.0, 2.0, 2.0], [2.0, -2.0, 2.0], [2.0, 2.0, -2.0]])
 _OF_OTHERS = np.array([[-2.0, -2.0, 2.0], [2.0, -2.0, -2.0], [-2.0, 2.0, -2.0]])
 _EYE = np.eye(3)
+_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def multiply(left: Floats, right: Floats) -> Floats:
@@ -28,7 +30,7 @@ def multiply(left: Floats, right: Floats) -> Floats:
 
 def conjugate(frames: Floats) -> Floats:
     """Invert rotations, shape (..., 4)."""
-    return np.asarray(frames * np.array([1.0, -1.0, -1.0, -1.0]))
+    return np.asarray(frames * _INVERSE)
 
 
 def cross(u: Floats, v: Floats) -> Floats:
@@ -51,18 +53,17 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
     half = 0.5 * np.sqrt(np.vecdot(vectors, vectors))
     out = np.empty((*vectors.shape[:-1], 4))
     out[..., 0] = np.cos(half)
-    out[..., 1:] = (0.5 * np.sinc(half / np.pi))[..., None] * vectors
+    size = np.maximum(half, 1e-150)
+    out[..., 1:] = (0.5 * np.sin(size) / size)[..., None] * vectors
     return out
 
 
 def rotation_vectors(frames: Floats) -> Floats:
     """Return rotation vectors of quaternions, rad, the shorter way, shape (..., 3)."""
-    sign = np.where(frames[..., 0] < 0.0, -1.0, 1.0)
-    real = sign * frames[..., 0]
-    size = np.sqrt(np.vecdot(frames[..., 1:], frames[..., 1:]))
-    half = np.arctan2(size, real)
-    scale = 2.0 * sign * np.where(size > 0.0, half / np.where(size > 0.0, size, 1.0), 1.0)
-    return np.asarray(scale[..., None] * frames[..., 1:])
+    real, others = frames[..., 0], frames[..., 1:]
+    size = np.maximum(np.sqrt(np.vecdot(others, others)), 1e-150)
+    scale = np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / size
+    return np.asarray(scale[..., None] * others)
 
 
 def matrices(frames: Floats) -> Floats:
@@ -94,11 +95,8 @@ def frame_from_axes(direction: Floats, up: Floats) -> Floats:
     d3 = np.asarray(direction, dtype=np.float64)
     across = cross(d3, np.asarray(up, dtype=np.float64))
     if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
-        message = (
-            f"direction={np.asarray(direction).tolist()}, up={np.asarray(up).tolist()}: must be "
-            "two directions that are not parallel"
-        )
-        raise ValueError(message)
+        given = [np.asarray(vector).tolist() for vector in (direction, up)]
+        raise ValueError(sentence("mechanics.rod.parallel", direction=given[0], up=given[1]))
     d3, d2 = unit(d3), unit(across)
     return _from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
 

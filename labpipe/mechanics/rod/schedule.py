@@ -30,6 +30,7 @@ from labpipe.mechanics.rod.rotations import (
     multiply,
     rotation_vectors,
 )
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
 
 T = TypeVar("T")
@@ -80,47 +81,44 @@ class Schedule:
 
     def node(self, boundary: Boundary) -> int:
         """Return the node of a boundary, from 0."""
-        node = boundary.node  # type: ignore[union-attr]
-        if not -self.n - 1 <= node <= self.n:
-            message = (
-                f"{boundary_name(self.boundaries, boundary)}: node={node}: "
-                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
+        return self._from_zero(boundary, "node")
+
+    def _from_zero(self, boundary: Boundary, name: str) -> int:
+        """Return a number of a node of a boundary, counted from the start."""
+        node, n = getattr(boundary, name), self.n
+        if not -n - 1 <= node <= n:
+            which = boundary_name(self.boundaries, boundary)
+            message = sentence(
+                "mechanics.rod.not_on_line", boundary=which, name=name, node=node, n=n, nodes=n + 1
             )
             raise ValueError(message)
-        return int(node % (self.n + 1))
+        return int(node % (n + 1))
 
     def _ring_start(self, ring: Ring) -> float:
         """Return the place, in nodes, where the line passes through a ring at the start."""
         if self.n < 2:
-            message = (
-                f"{boundary_name(self.boundaries, ring)}: expected a line of at least two elements"
-            )
-            raise ValueError(message)
-        if ring.near is None:
-            distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
-            return nearest_place(self.start.positions, ring.position[0], float(np.argmin(distance)))
-        if not -self.n - 1 <= ring.near <= self.n:
-            message = (
-                f"{boundary_name(self.boundaries, ring)}: near={ring.near}: "
-                f"expected 0 to {self.n}, or -1 to {-self.n - 1} from the end"
-            )
-            raise ValueError(message)
-        return nearest_place(
-            self.start.positions, ring.position[0], float(ring.near % (self.n + 1))
-        )
+            name = boundary_name(self.boundaries, ring)
+            raise ValueError(sentence("mechanics.rod.short_for_ring", boundary=name))
+        distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
+        near = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
+        return nearest_place(self.start.positions, ring.position[0], float(near))
 
     def _require_one_each(self) -> None:
         for step in range(self.steps + 1):
             nodes = [self.held_nodes[k] for k in self.grips(step)]
             held_twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
             if held_twice:
-                message = f"step {step}: node {held_twice[0]} is held twice; once is allowed"
-                raise ValueError(message)
+                node = held_twice[0]
+                raise ValueError(sentence("mechanics.rod.held_twice", step=step, node=node))
 
     def grips(self, step: int) -> tuple[int, ...]:
         """Return the indices of the boundaries that hold a node in a step."""
         releases = ((k, self._get(Held, k).release) for k in self.held)
         return tuple(k for k, release in releases if release is None or step < release)
+
+    def is_clamp(self, k: int) -> bool:
+        """Return whether a boundary that holds a node holds its frame, too."""
+        return self._get(Held, k).frame is not None
 
     def force_scale(self) -> float:
         """Return the size of the forces on the whole line, N."""
@@ -233,8 +231,8 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
             path = getattr(boundary, name, None)
             if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
                 continue
-            message = (
-                f"{boundary_name(boundaries, boundary)}: {name} has {len(path)} rows; "
-                f"expected 1 or steps + 1 = {steps + 1}"
+            which, rows = boundary_name(boundaries, boundary), len(path)
+            message = sentence(
+                "mechanics.rod.path_rows", boundary=which, name=name, rows=rows, expected=steps + 1
             )
             raise ValueError(message)

@@ -13,11 +13,12 @@ release. An unstable equilibrium is left along its softest mode.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.boundaries import Boundary, Moment, Plane
 from labpipe.mechanics.rod.equilibrium import Equilibrium, find_equilibrium
 from labpipe.mechanics.rod.line import Line
@@ -35,7 +36,14 @@ from labpipe.mechanics.rod.states import (
     work_done,
 )
 from labpipe.mechanics.rod.supports import supports_of
-from labpipe.mechanics.rod.walk_errors import held_in_plane, out_of_reach, ring_left, torn_or_folded
+from labpipe.mechanics.rod.walk_errors import (
+    NoEquilibriumError,
+    check_line,
+    check_planes,
+    check_reach,
+    check_rings,
+)
+from labpipe.messages import sentence
 from labpipe.records.arrays import Floats
 
 
@@ -97,14 +105,6 @@ def follow(
     return walk.path()
 
 
-class _NoEquilibriumError(Exception):
-    """No further equilibrium, with the reason."""
-
-    def __init__(self, reason: Reason) -> None:
-        super().__init__(reason.sentence)
-        self.reason = reason
-
-
 class _Walk:
     def __init__(
         self,
@@ -126,35 +126,18 @@ class _Walk:
         self.work = self.lost = self.rubbed = self.jumped = self.lost_in_jumps = 0.0
         self.failed = False
         self.is_checked = self.settings.checks_stability
-        self._set_up(
-            self.schedule.grips(0),
-            time=-1.0,
-            shape=shape,
-            rests=rests,
-            contacts=contacts,
-            places=_start_places(self.schedule, start),
-        )
+        memory = LineMemory(rests, contacts, _start_places(self.schedule, start))
+        self._set_up(self.schedule.grips(0), -1.0, shape, memory)
         self.work = self._stored()
 
     # ---- grips --------------------------------------------------------------------------------
 
     def _set_up(
-        self,
-        grips: tuple[int, ...],
-        *,
-        time: float,
-        shape: Shape,
-        rests: Floats,
-        contacts: Floats,
-        places: Floats,
+        self, grips: tuple[int, ...], time: float, shape: Shape, memory: LineMemory
     ) -> None:
-        """Set the line up with the grips that hold from a time on."""
+        """Set the line up with the grips that hold from a time on; its memory is by nodes."""
         self.grips, schedule = grips, self.schedule
-        held = []
-        for k in grips:
-            held.append(
-                (schedule.held_nodes[k], getattr(self.boundaries[k], "frame", 0) is not None)
-            )
+        held = [(schedule.held_nodes[k], schedule.is_clamp(k)) for k in grips]
         planes = tuple(
             boundary.raised(0.5 * self.line.section.diameter)
             for boundary in self.boundaries
@@ -171,7 +154,7 @@ class _Walk:
         )
         is_turned = any(isinstance(boundary, Moment) for boundary in self.boundaries)
         self.check = StabilityCheck(self.assembly, is_turned=is_turned)
-        memory = LineMemory(merge_rests(self.assembly.supports, rests), contacts, places)
+        memory = replace(memory, rests=merge_rests(self.assembly.supports, memory.rests))
         demands = schedule.demands(time, grips)
         balance = self.assembly.balance(shape, demands, memory)
         self.now = WalkState(time, shape, balance, demands, memory, None)
@@ -186,14 +169,8 @@ class _Walk:
             return
         self.snapped.append(step)
         free, lost = self._unaccounted_energy(), self.lost
-        self._set_up(
-            grips,
-            time=now.time,
-            shape=now.shape,
-            rests=split_sides(self.assembly.supports, now.memory.rests),
-            contacts=now.memory.contacts,
-            places=now.memory.places,
-        )
+        rests = split_sides(self.assembly.supports, now.memory.rests)
+        self._set_up(grips, now.time, now.shape, replace(now.memory, rests=rests))
         jumped, lost_in_jumps = self.jumped, self.lost_in_jumps
         equilibrium = self._find_equilibrium(now.time)
         is_lost = equilibrium is not None and not self._is_stable(equilibrium)
@@ -208,15 +185,13 @@ class _Walk:
         self.step = step
         try:
             grips = self.schedule.grips(step)
-            is_rigid = self.assembly.is_rigid
-            self._raise_first(
-                out_of_reach(self.schedule, grips, step) if is_rigid else None,
-                held_in_plane(self.schedule, grips, step),
-            )
+            if self.assembly.is_rigid:
+                check_reach(self.schedule, grips, step)
+            check_planes(self.schedule, grips, step)
             if step > 0:
                 self._release_grips(step)
             self._walk_to(float(step))
-        except _NoEquilibriumError as failure:
+        except NoEquilibriumError as failure:
             self.reasons.insert(0, failure.reason)
             self.failed = True
             return False
@@ -229,10 +204,11 @@ class _Walk:
         was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
-            equilibrium = self._find_equilibrium(time)
+            is_last = part <= smallest
+            equilibrium = self._find_equilibrium(time, both=is_last or not was_refused)
             is_lost = equilibrium is not None and not self._is_stable(equilibrium)
             was_refused, before = equilibrium is None or is_lost, was_refused
-            if was_refused and part > smallest and not (is_lost and self._is_doubtful):
+            if was_refused and not is_last and not (is_lost and self._is_doubtful):
                 part *= 0.5
                 continue
             self._move_on(time, equilibrium, is_lost=is_lost)
@@ -256,19 +232,19 @@ class _Walk:
         """Return whether an unstable equilibrium was accepted: smaller parts do not help."""
         return self._has_reason("unstable") or self._has_reason("whirls")
 
-    def _find_equilibrium(self, time: float) -> Equilibrium | None:
-        """Find the equilibrium at a time; None where there is none near."""
+    def _find_equilibrium(self, time: float, *, both: bool = True) -> Equilibrium | None:
+        """Find the equilibrium at a time; None where there is none near.
+
+        Sliders may slide on, or stick after a reversal: the second guess is made if `both`.
+        """
         now = self.now
         goal = self.schedule.demands(time, self.grips)
-        # sliders may slide on, or stick after a reversal
-        for earlier in (now.earlier, None) if now.earlier is not None else (None,):
+        for guess in [now.earlier or now.memory, now.memory][: 2 if both and now.earlier else 1]:
             equilibrium = find_equilibrium(
-                self.assembly,
-                now.shape,
-                now.memory,
-                (now.demands, goal),
+                *(self.assembly, now.shape, now.memory, (now.demands, goal)),
                 force=self.force,
-                earlier=earlier,
+                guess=guess,
+                known=now.balance,
             )
             if equilibrium is not None and self._is_near_enough(equilibrium):
                 return equilibrium
@@ -293,13 +269,9 @@ class _Walk:
         self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
         self.rubbed += sum(touch.rubbed for touch in new.touches)
         self.now = WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
-        largest_stretch = self.settings.most_stretch
-        self._raise_first(
-            torn_or_folded(
-                self.assembly, equilibrium.shape, new, self.step, most_stretch=largest_stretch
-            ),
-            ring_left(self.schedule, new, self.step),
-        )
+        most = self.settings.most_stretch
+        check_line(self.assembly, equilibrium.shape, new, self.step, most_stretch=most)
+        check_rings(self.schedule, new, self.step)
 
     def _stored(self) -> float:
         return stored_energy(self.assembly, self.now.balance, self.now.shape)
@@ -313,7 +285,7 @@ class _Walk:
     def _leave_unstable(self, time: float) -> None:
         """Leave an unstable equilibrium, unless it whirls."""
         if self._has_reason("whirls") or self.check.whirls(self.now.balance):
-            self._doubt_stability("whirls", "the line whirls under moments of constant direction")
+            self._doubt_stability(is_whirling=True)
         else:
             self._relax(time, is_unstable=True)
 
@@ -332,8 +304,13 @@ class _Walk:
                 return
             self.now, self.work, self.lost, self.rubbed = saved
         if not is_unstable:
-            self._give_up()
-        self._doubt_stability("unstable", "no stable one was reached from it")
+            pulls = np.linalg.norm(self.now.shape.forces, axis=1)
+            node = int(np.argmax(pulls))
+            reason = Reason.of(
+                "mechanics.rod.no_equilibrium", step=self.step, place=node, pull=pulls[node]
+            )
+            raise NoEquilibriumError(reason)
+        self._doubt_stability(is_whirling=False)
 
     def _relax_to_rest(self, time: float, kick: float) -> bool:
         """Relax the line through decreasing drag; false where it does not come to rest."""
@@ -383,7 +360,10 @@ class _Walk:
         now = self.now
         drag = ArtificialDrag(size, shape, self.assembly.turns(shape, now.demands))
         equilibrium = find_equilibrium(
-            self.assembly, shape, now.memory, (now.demands, goal), force=self.force, drag=drag
+            *(self.assembly, shape, now.memory, (now.demands, goal)),
+            force=self.force,
+            guess=now.memory,
+            drag=drag,
         )
         if equilibrium is None or not self._is_near_enough(equilibrium):
             return None
@@ -396,55 +376,34 @@ class _Walk:
         now = self.now
         if not size:
             return now.shape
-        p = self.assembly.places
-        three = np.arange(3)
         goal = self.schedule.demands(float(self.step), self.grips)
-        push = np.zeros(p.total)
-        push[p.positions[:, None] + three] = goal.forces
+        none = np.zeros((self.schedule.n, 3))
+        push = join_unknowns(goal.forces, none[:, 0], none, none)
         mode = self.check.lowest_mode(now.balance, now.shape, push)
         if mode is None:
             return now.shape
-        move = float(np.max(np.abs(mode[p.positions[:, None] + three]))) / self.line.length
-        turn = float(np.max(np.abs(mode[p.turns[:, None] + three])))
-        return self.assembly.changed(now.shape, mode * (size / max(move, turn)))
+        moves, _, turns, _ = split_unknowns(mode)
+        largest = max(np.max(np.abs(moves)) / self.line.length, np.max(np.abs(turns)))
+        return self.assembly.changed(now.shape, mode * (size / largest))
 
-    # ---- failures -----------------------------------------------------------------------------
+    # ---- results ------------------------------------------------------------------------------
 
-    def _give_up(self) -> None:
-        node = int(np.argmax(np.linalg.norm(self.now.shape.forces, axis=1)))
-        pull = float(np.linalg.norm(self.now.shape.forces[node]))
-        sentence = (
-            f"step {self.step}: no equilibrium follows, however small the step; the largest force, "
-            f"{pull:.3g} N, was behind node {node}"
-        )
-        raise _NoEquilibriumError(Reason("no_equilibrium", sentence, self.step, node))
-
-    def _doubt_stability(self, code: str, reason: str) -> None:
+    def _doubt_stability(self, *, is_whirling: bool) -> None:
         """Accept an unstable equilibrium, with one reason."""
-        if self._has_reason(code):
-            return
         push = np.zeros(self.assembly.places.total)
         mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
-        node = None
-        if mode is not None:
-            moved = mode[self.assembly.places.positions[:, None] + np.arange(3)]
-            node = int(np.argmax(np.linalg.norm(moved, axis=1)))
-        sentence = (
-            f"step {self.step}: the equilibrium is not stable, and {reason}; it is softest at "
-            f"node {node}"
+        moves = split_unknowns(push if mode is None else mode)[0]
+        node = int(np.argmax(np.linalg.norm(moves, axis=1)))
+        reason = Reason.of(
+            "mechanics.rod.whirls" if is_whirling else "mechanics.rod.unstable",
+            step=self.step,
+            place=node,
         )
-        self.reasons.append(Reason(code, sentence, self.step, node))
+        if not self._has_reason(reason.code):
+            self.reasons.append(reason)
 
     def _has_reason(self, code: str) -> bool:
         return any(reason.code == code for reason in self.reasons)
-
-    def _raise_first(self, *reasons: Reason | None) -> None:
-        """Raise the first blocking reason."""
-        for reason in reasons:
-            if reason is not None:
-                raise _NoEquilibriumError(reason)
-
-    # ---- results ------------------------------------------------------------------------------
 
     def _record_state(self, step: int) -> None:
         state = state_of(self.assembly, self.schedule, self.grips, self.now, step)
@@ -455,11 +414,12 @@ class _Walk:
         last = self.line.section.law.last
         node = int(np.argmax(state.bendings))
         if state.bendings[node] > last and not self._has_reason("beyond_law"):
-            sentence = (
-                f"step {step}: the curvature {state.bendings[node]:.4g} 1/m at node {node} is "
-                f"beyond the range of the law, which ends at {last:.4g} 1/m"
+            bent = state.bendings[node]
+            self.reasons.append(
+                Reason.of(
+                    "mechanics.rod.beyond_law", step=step, place=node, curvature=bent, last=last
+                )
             )
-            self.reasons.append(Reason("beyond_law", sentence, step, node))
 
     def path(self) -> RodPath:
         """Return the path."""
@@ -494,9 +454,9 @@ def _start_state(
         contacts = np.tile(line.positions, (n_planes, 1, 1))
         return shape, np.zeros((n + 1, 2, sliders, 2)), contacts
     if start.rests.shape != (n + 1, 2, sliders, 2):
-        message = (
-            f"start: a state of {start.rests.shape[0] - 1} elements and {start.rests.shape[2]} "
-            f"sliders; expected a state of this line, {n} and {sliders}"
+        nodes, _, n_sliders, _ = start.rests.shape
+        message = sentence(
+            "mechanics.rod.other_line", elements=nodes - 1, sliders=n_sliders, n=n, own=sliders
         )
         raise ValueError(message)
     shape = Shape(start.positions, start.frames, start.stretches, start.forces)

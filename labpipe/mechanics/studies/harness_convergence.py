@@ -1,4 +1,4 @@
-"""Convergence of a harness in steps and elements, by a solution with half as many.
+"""Convergence of a harness in steps and elements, by solutions with half as many.
 
 Sliders and friction depend on the path, which is straight in each step. The error of steps falls at
 least linearly with their size, so that it is at most the change by half as many steps. Steps at
@@ -50,6 +50,34 @@ class ConvergenceWalk:
     def steps_text(self) -> str:
         """Return the number of steps, as text."""
         return "twice as many" if np.any(self.times % 1.0 > 0.0) else "half as many"
+
+
+def convergence_doubts(
+    path: RodPath, prepared: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
+) -> Iterator[Doubt | None]:
+    """Yield the doubts about numbers that depend on the numbers of steps and elements.
+
+    Of a line with a history, half as many of both are tried at once, and each alone only if the
+    numbers then change.
+
+    Parameters
+    ----------
+    path, prepared : of the solution
+    half : the same line, of half as many elements
+    intervals : by name, of those numbers that have one
+    """
+    steps, has_history = len(path.states) - 1, depends_on_history(prepared)
+    if has_history:
+        other = walk_with_other_steps(half, steps)
+        numbers = numbers_of(path, prepared)
+        if other.path.status != "failed" and not _excess_changes(
+            numbers, numbers_of(other.path, other.prepared), prepared, intervals
+        ):
+            return
+    yield few_elements_doubt(path, prepared, half, intervals)
+    if has_history:
+        other = walk_with_other_steps(prepared, steps)
+        yield coarse_doubt(path, prepared, other, intervals)
 
 
 def depends_on_history(prepared: PreparedLine) -> bool:
@@ -144,18 +172,28 @@ def coarse_doubt(
     """
     numbers, steps = numbers_of(path, prepared), len(path.states) - 1
     if other.path.status == "failed":
-        return _unsolved_doubt(
-            "too_coarse", numbers, other.path, f"{other.steps_text} steps", steps
+        reason = Reason.of(
+            "mechanics.studies.unsolved_steps",
+            steps=other.steps_text,
+            failure=other.path.reasons[0].code,
+            count=steps,
+            wanted=2 * steps,
         )
+        return _doubt_about_all(reason, numbers)
     too_far = _excess_changes(numbers, numbers_of(other.path, other.prepared), prepared, intervals)
     if not too_far:
         return None
     wanted = steps * math.ceil(max(too_far.values()))
-    message = (
-        f"{_change_text(f'{other.steps_text} steps', 'it', 1.0)}, most at "
-        f"{_worst_place(path, prepared, other)}: {steps} steps are too few; take {wanted}"
+    reason = Reason.of(
+        "mechanics.studies.too_coarse",
+        steps=other.steps_text,
+        change=100.0 * MAX_CHANGE,
+        of_band=100.0 * MAX_CHANGE_OF_BAND,
+        place=_worst_place(path, prepared, other),
+        count=steps,
+        wanted=wanted,
     )
-    return Doubt(Reason("too_coarse", message), tuple(too_far))
+    return Doubt(reason, tuple(too_far))
 
 
 def few_elements_doubt(
@@ -173,35 +211,31 @@ def few_elements_doubt(
     numbers, steps = numbers_of(path, prepared), len(path.states) - 1
     count, other = len(prepared.line.lengths), follow(half.line, half.boundaries, steps=steps)
     if other.status == "failed":
-        return _unsolved_doubt("coarse_elements", numbers, other, "half as many elements", count)
+        reason = Reason.of(
+            "mechanics.studies.unsolved_elements",
+            failure=other.reasons[0].code,
+            count=count,
+            wanted=2 * count,
+        )
+        return _doubt_about_all(reason, numbers)
     too_far = _excess_changes(
         numbers, numbers_of(other, half), prepared, intervals, share=error_share
     )
     if not too_far:
         return None
-    wanted = max(2 * count, math.ceil(count * math.sqrt(max(too_far.values()))))
-    changed = _change_text("half as many elements", "a number", 1.0 / error_share)
-    worst = max(too_far, key=lambda name: too_far[name])
-    message = f"{changed}, most {worst}: {count} elements are too few; take {wanted}"
-    # another number may be unchanged by chance
-    return Doubt(Reason("coarse_elements", message), tuple(number.name for number in numbers))
-
-
-def _unsolved_doubt(
-    code: str, numbers: Sequence[Number], other: RodPath, change: str, count: int
-) -> Doubt:
-    message = (
-        f"with {change} the line cannot be solved ({other.reasons[0].code}), so that {count} "
-        f"cannot be checked: take {2 * count}"
+    reason = Reason.of(
+        "mechanics.studies.few_elements",
+        change=100.0 * MAX_CHANGE / error_share,
+        of_band=100.0 * MAX_CHANGE_OF_BAND / error_share,
+        worst=max(too_far, key=lambda name: too_far[name]),
+        count=count,
+        wanted=max(2 * count, math.ceil(count * math.sqrt(max(too_far.values())))),
     )
-    return Doubt(Reason(code, message), tuple(number.name for number in numbers))
+    return _doubt_about_all(reason, numbers)  # another number may be unchanged by chance
 
 
-def _change_text(change: str, what: str, times: float) -> str:
-    return (
-        f"{change} change {what} by more than {100.0 * MAX_CHANGE * times:g} % (or "
-        f"{100.0 * MAX_CHANGE_OF_BAND * times:g} % of its band)"
-    )
+def _doubt_about_all(reason: Reason, numbers: Sequence[Number]) -> Doubt:
+    return Doubt(reason, tuple(number.name for number in numbers))
 
 
 def _excess_changes(

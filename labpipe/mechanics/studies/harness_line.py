@@ -68,9 +68,7 @@ class PreparedLine:
     nodes: Mapping[str, int]
 
 
-def prepare_line(
-    harness: HarnessFile, section: Section, inputs: Inputs, *, length: float | None = None
-) -> PreparedLine:
+def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> PreparedLine:
     """Prepare the line of a harness.
 
     Parameters
@@ -78,14 +76,13 @@ def prepare_line(
     harness : as read
     section : of the line
     inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 for a missing one; others are ignored
-    length : m, of a sweep; None for that of the file
 
     Raises
     ------
     ValueError
         If length or section is out of its range.
     """
-    stations = _stations(harness, harness.line.length if length is None else length)
+    stations = _stations(harness)
     places = {
         boundary.name: int(np.argmin(np.abs(stations - min(boundary.at, stations[-1]))))
         for boundary in harness.boundaries
@@ -113,8 +110,9 @@ def _bend_axes(line: Line, spool: Spool | None) -> Floats:
     return np.array([[-side[1], side[0]], [-side[0], -side[1]]])
 
 
-def _stations(harness: HarnessFile, length: float) -> Floats:
+def _stations(harness: HarnessFile) -> Floats:
     """Return the nodes, m: elements of equal length between any two named places."""
+    length = harness.line.length
     named = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
     marks = sorted({0.0, length, *(min(place, length) for place in named)})
     count = harness.line.elements

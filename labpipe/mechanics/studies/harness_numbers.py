@@ -1,43 +1,270 @@
-"""Numbers of a solved harness and their doubts: bend radii, forces, curvature after release."""
+"""Numbers of a solved harness and their doubts: bend radii, forces, curvature after release.
+
+They are computed from fields: vectors that respond smoothly to inputs. A norm, a minimum or a
+maximum is not smooth at zero or where its place changes. Therefore the response is linear in the
+fields, and each number is computed from them in every draw as from a solved line. Residual
+curvature of a released line is that by Masing's rule, and at most.
+"""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
+from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
+from labpipe.mechanics.rod.response import Fields, sizes
+from labpipe.mechanics.rod.rotations import unit
 from labpipe.mechanics.studies.harness_line import PreparedLine
-from labpipe.mechanics.studies.harness_responses import (
-    ENERGY_LOST,
-    FORCE,
-    HOLDS,
-    LOWEST_POINT,
-    MOMENT,
-    RADIUS,
-    RADIUS_ON_PATH,
-    RESIDUAL,
-    SPRINGBACK,
-    curvature_vectors,
-    evaluate_number,
-    fields_of,
-    heights_of,
-    largest_of_sides,
-    largest_unbending,
-    residual_curvature,
-    unloading_reason,
-)
 from labpipe.mechanics.studies.harness_section import Material
+from labpipe.messages import sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+
+LOWEST_POINT, RADIUS = "lowest_point", "smallest_bend_radius"
+RADIUS_ON_PATH = f"{RADIUS}_on_the_way"
+ENERGY_LOST, RESIDUAL = "energy_lost", "kept_curvature"
+FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
+POSITIONS, CURVATURES = "places", "bent "
+HOLDS = rod.Held | rod.Ring | rod.String | rod.Plane
+
+
+def curvature_vectors(state: RodState, line: Line) -> Floats:
+    """Return the curvature vectors of the line, 1/m, shape (n + 1, 2, 2).
+
+    Natural curvature included; on both sides of every node, which differ at a clip.
+
+    Parameters
+    ----------
+    state : of the line
+    line : in this state
+    """
+    return np.asarray(state.node_curvatures[:, :, :2] + line.rest_curvature_at_nodes[:, None, :2])
+
+
+def largest_of_sides(bent: Floats) -> Floats:
+    """Return the curvature at the nodes, 1/m, shape (..., n + 1): the larger one of both sides.
+
+    Parameters
+    ----------
+    bent : curvature vectors, shape (..., n + 1, 2, 2)
+    """
+    return np.asarray(sizes(bent).max(axis=-1))
+
+
+def heights_of(places: Floats, prepared: PreparedLine) -> Floats:
+    """Return heights against gravity, m, shape (..., n + 1); z of a line without weight.
+
+    Parameters
+    ----------
+    places : positions, shape (..., n + 1, 3)
+    prepared : line and boundaries
+    """
+    weights = [each.vector[-1] for each in prepared.boundaries if isinstance(each, rod.Gravity)]
+    return np.asarray(places @ (-unit(weights[0]) if weights else [0.0, 0.0, 1.0]))
+
+
+def fields_of(path: RodPath, prepared: PreparedLine) -> dict[str, Floats]:
+    """Return the fields of a complete path, by name.
+
+    Parameters
+    ----------
+    path : of the line
+    prepared : line and boundaries
+
+    Returns
+    -------
+    `POSITIONS` of the nodes at the last step (n + 1, 3); `curvature_vectors` of each step under
+    ``bent 0`` and so on; forces, moments and springback as vectors (3,), by the names of the
+    numbers; `RESIDUAL`, the vectors of `curvature_after_release`; `ENERGY_LOST`.
+    """
+    last, line = path.last, prepared.line
+    bent = [curvature_vectors(state, line) for state in path.states]
+    return {
+        **{f"{CURVATURES}{step}": vectors for step, vectors in enumerate(bent)},
+        **dict(_boundary_fields(path, prepared)),
+        POSITIONS: last.positions,
+        RESIDUAL: curvature_after_release(line.section.law, last.rests),
+        ENERGY_LOST: np.asarray(path.lost[-1]),
+    }
+
+
+def _boundary_fields(path: RodPath, prepared: PreparedLine) -> Iterator[tuple[str, Floats]]:
+    last = path.last
+    for number, boundary in enumerate(prepared.boundaries):
+        if isinstance(boundary, HOLDS):
+            yield f"{FORCE}{boundary.name}", last.reaction_forces[number]
+        if isinstance(boundary, rod.Held) and boundary.frame is not None:
+            yield f"{MOMENT}{boundary.name}", last.reaction_moments[number]
+        if isinstance(boundary, rod.Held) and boundary.release is not None:
+            node = prepared.nodes[boundary.name]
+            before = path.states[boundary.release - 1].positions[node]
+            yield f"{SPRINGBACK}{boundary.name}", last.positions[node] - before
+
+
+def number_names(fields: Fields) -> tuple[str, ...]:
+    """Return the names of the numbers of fields.
+
+    Parameters
+    ----------
+    fields : of a line
+    """
+    shape = (POSITIONS, CURVATURES)
+    others = [field for field in fields if not field.startswith(shape)]
+    return (RADIUS, RADIUS_ON_PATH, LOWEST_POINT, *others)
+
+
+def evaluate_number(
+    name: str, field: Callable[[str], Floats], prepared: PreparedLine, steps: int
+) -> Floats:
+    """Compute a number from fields; instead of a bend radius its curvature, 1/m.
+
+    Parameters
+    ----------
+    name : of the number
+    field : returns a field by its name; leading axes, of draws, are kept
+    prepared : line and boundaries
+    steps : number of the last one
+    """
+    match name:
+        case "smallest_bend_radius":
+            return _max_curvature(field(f"{CURVATURES}{steps}"))
+        case "smallest_bend_radius_on_the_way":  # step by step, to limit the memory for draws
+            names = (f"{CURVATURES}{step}" for step in range(steps + 1))
+            return reduce(np.maximum, (_max_curvature(field(name)) for name in names))
+        case "lowest_point":
+            return np.asarray(heights_of(field(POSITIONS), prepared).min(axis=-1))
+        case "kept_curvature":
+            return _max_curvature(field(RESIDUAL))
+        case "energy_lost":
+            return np.maximum(field(ENERGY_LOST), 0.0)
+    return sizes(field(name))
+
+
+def _max_curvature(bent: Floats) -> Floats:
+    return np.asarray(largest_of_sides(bent).max(axis=-1))
+
+
+_MIN_CURVATURE = 1e-3
+"""1/m; below it a line is straight."""
+
+
+def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
+    """Return the curvature of each station after release, 1/m, shape (..., 2).
+
+    Parameters
+    ----------
+    law : of every station
+    rests : 1/m, shape (..., sliders, 2): rest curvatures of its sliders
+
+    Notes
+    -----
+    The curvature at zero moment, where sliders slide in the other direction: EI_0 kappa + sum of
+    w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), solved for kappa with the
+    w_j of the step before (Weiszfeld's iteration, which descends on a convex energy). It starts
+    at the curvature reached if no slider slides. Without sliders it is 0.
+    """
+    max_iterations, relative_tolerance = 1000, 1e-9
+    curvature = np.zeros((*rests.shape[:-2], 2))
+    if not len(law.stiffnesses):
+        return curvature
+    weights = np.broadcast_to(law.stiffnesses, rests.shape[:-1])
+    for _ in range(max_iterations):
+        total = law.stiffness + weights.sum(axis=-1)
+        previous, curvature = (
+            curvature,
+            np.einsum("...j,...jx->...x", weights, rests) / total[..., None],
+        )
+        if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
+            break
+        bent = np.linalg.norm(curvature[..., None, :] - rests, axis=-1)
+        weights = law.stiffnesses * law.slip_curvatures / np.maximum(bent, law.slip_curvatures)
+    return curvature
+
+
+def residual_curvature(state: RodState, law: SliderLaw) -> Floats:
+    """Return the curvature of the line if it were released, 1/m, shape (n + 1,).
+
+    Parameters
+    ----------
+    state : with the state of its sliders
+    law : of the line
+
+    Notes
+    -----
+    Without natural curvature. See `curvature_after_release`; the larger one where both sides of a
+    node differ at a clip.
+    """
+    return np.asarray(np.linalg.norm(curvature_after_release(law, state.rests), axis=2).max(axis=1))
+
+
+def max_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
+    """Return the residual curvature if no slider slid on unloading, 1/m, shape (n + 1,).
+
+    Parameters
+    ----------
+    path : of the line
+    law : of the line
+
+    Notes
+    -----
+    From the largest bend of each node: sum of K_j a_j over the first stiffness.
+    """
+    if not len(law.stiffnesses):
+        return np.zeros(len(path.last.positions))
+    sizes = [
+        np.linalg.norm(np.einsum("j,nsjx->nsx", law.stiffnesses, state.rests), axis=2).max(axis=1)
+        for state in path.states
+    ]
+    return np.asarray(np.max(sizes, axis=0) / law.first_stiffness)
+
+
+def largest_unbending(path: RodPath) -> float:
+    """Return the largest decrease of curvature at a node over the sharpest bend of the line.
+
+    Parameters
+    ----------
+    path : of the line
+    """
+    bent = np.array([state.bendings for state in path.states])
+    most = bent.max(axis=0)
+    return float(np.max(most - bent[-1]) / max(float(most.max()), _MIN_CURVATURE))
+
+
+def unloading_reason(path: RodPath, line: Line) -> Reason | None:
+    """Return the reason why numbers that depend on unloading are doubtful, if they are.
+
+    Parameters
+    ----------
+    path : of the line
+    line : of the path
+
+    Notes
+    -----
+    The law of a wire is that of first loading; on unloading it follows Masing's rule, by which
+    copper springs back two to four times as far as standards of annealed wire allow.
+    """
+    law = line.section.law
+    largest = max_residual_curvature(path, law)
+    node = int(np.argmax(largest))
+    residual = float(residual_curvature(path.last, law)[node])
+    if largest[node] <= max(_MIN_CURVATURE, 1.1 * residual):
+        return None
+    return Reason.of(
+        "mechanics.studies.unloading_assumed",
+        place=1e3 * line.stations[node],
+        by_rule=residual,
+        without_sliding=largest[node],
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +310,9 @@ def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
     if harness.allowed_bend_radius is not None:
         return BendLimit(harness.allowed_bend_radius, "stated in the file", is_assumed=False)
     diameters = 5.0
-    source = f"assumed: {diameters:g} times the outer diameter of {_mm(material.diameter)}"
+    source = sentence(
+        "mechanics.studies.assumed_radius", times=diameters, diameter=1e3 * material.diameter
+    )
     return BendLimit(diameters * material.diameter, source, is_assumed=True)
 
 
@@ -100,12 +329,6 @@ def curvature_of(state: RodState, line: Line) -> Floats:
     The larger one where both sides of a node differ at a clip.
     """
     return largest_of_sides(curvature_vectors(state, line))
-
-
-def turns_of(state: RodState, line: Line) -> Floats:
-    """Return the turn at each node over its longer element, rad, shape (n + 1,)."""
-    lengths = np.maximum(np.append(line.lengths, 0.0), np.append(0.0, line.lengths))
-    return np.asarray(lengths * curvature_of(state, line))
 
 
 def radius_of(curvature: Floats) -> Floats:
@@ -129,9 +352,8 @@ def sharpest(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
     line : of the path
     steps : at least one
     """
-    curvature = np.array([curvature_of(path.states[step], line) for step in steps])
-    row, node = divmod(int(np.argmax(curvature)), curvature.shape[1])
-    radius = float(radius_of(curvature[row, node : node + 1])[0])
+    row, node, curvature = _largest([curvature_of(path.states[step], line) for step in steps])
+    radius = float(radius_of(np.array(curvature)))
     return Bend(radius, steps[row], float(line.stations[node]))
 
 
@@ -144,48 +366,44 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     line : of the path
     material : with the limits of curvature and stretch of its law
     """
-    reasons = [
-        Reason(reason.code, _nodes_to_places(reason.sentence, line)) for reason in path.reasons
-    ]
+
+    def place(node: int) -> str:
+        return f"{_mm(line.stations[node])} from the start"
+
+    reasons = [Reason(reason.code, reason.at(place)) for reason in path.reasons]
     if not path.states:
         return tuple(reasons)
-    bent = np.array([state.bendings for state in path.states])
-    row, node = divmod(int(np.argmax(bent)), bent.shape[1])
-    codes = {reason.code for reason in reasons}
-    if bent[row, node] > material.limit and "beyond_law" not in codes:
-        message = (
-            f"step {row}, {_mm(line.stations[node])} from the start: the line is bent to "
-            f"{bent[row, node]:.4g} 1/m, its law is supported up to {material.limit:.4g} 1/m by "
-            f"{material.limit_source}"
+    row, node, bent = _largest([state.bendings for state in path.states])
+    if bent > material.limit and "beyond_law" not in {reason.code for reason in reasons}:
+        reasons.append(
+            Reason.of(
+                "mechanics.studies.beyond_backed",
+                step=row,
+                place=place(node),
+                curvature=bent,
+                limit=material.limit,
+                source=material.limit_source,
+            )
         )
-        reasons.append(Reason("beyond_backed", message))
-    stretches = np.abs([state.stretches for state in path.states])
-    row, element = divmod(int(np.argmax(stretches)), stretches.shape[1])
-    if stretches[row, element] > material.stretch_limit:
-        message = (
-            f"step {row}, {_mm(line.stations[element])} from the start: the line is stretched by "
-            f"{100.0 * stretches[row, element]:.2g} %, its axial stiffness is supported up to "
-            f"{100.0 * material.stretch_limit:.2g} %, where copper yields"
+    row, element, stretch = _largest([np.abs(state.stretches) for state in path.states])
+    if stretch > material.stretch_limit:
+        reasons.append(
+            Reason.of(
+                "mechanics.studies.beyond_stretch",
+                step=row,
+                place=place(element),
+                stretch=100.0 * stretch,
+                limit=100.0 * material.stretch_limit,
+            )
         )
-        reasons.append(Reason("beyond_stretch", message))
     return tuple(reasons)
 
 
-def _nodes_to_places(sentence: str, line: Line) -> str:
-    """Replace numbers of nodes in a sentence of the rod by places along the line."""
-
-    def place(node: str) -> str:
-        return _mm(line.stations[int(node)])
-
-    def at_nodes(match: re.Match[str]) -> str:
-        return f"between {place(match[1])} and {place(match[2])} from the start"
-
-    def with_end(match: re.Match[str]) -> str:
-        return f"with its end {place(match[1])} from the start: put it further in, or move less"
-
-    sentence = re.sub(r"between nodes (\d+) and (\d+)", at_nodes, sentence)
-    sentence = re.sub(r"with its node (\d+)", with_end, sentence)
-    return re.sub(r"\bnode (\d+)", lambda match: f"{place(match[1])} from the start", sentence)
+def _largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
+    """Return step and place of the largest number, and the number."""
+    values = np.array(values_by_step)
+    row, place = divmod(int(np.argmax(values)), values.shape[1])
+    return row, place, float(values[row, place])
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,13 +441,8 @@ def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
         return None
     fell = np.diff(path.lost_in_jumps, prepend=0.0)
     step_text = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
-    message = (
-        f"step {step_text}: the line jumped (it snapped or was released) and lost "
-        f"{100.0 * share:.0f} % of the energy; history-dependent results depend on its motion, "
-        "which is unknown"
-    )
     names = (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
-    return Doubt(Reason("jumped", message), names)
+    return Doubt(Reason.of("mechanics.studies.jumped", steps=step_text, share=100.0 * share), names)
 
 
 def element_doubt(path: RodPath, line: Line) -> Doubt | None:
@@ -247,15 +460,19 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
     that of the shape 0.3 % of the length.
     """
     max_turn, excessive_turn = float(np.radians(30.0)), float(np.radians(90.0))
-    turns = np.array([turns_of(state, line) for state in path.states])
-    row, node = divmod(int(np.argmax(turns)), turns.shape[1])
-    turn, count = float(turns[row, node]), len(line.lengths)
+    lengths = np.maximum(np.append(line.lengths, 0.0), np.append(0.0, line.lengths))
+    turns = [lengths * curvature_of(state, line) for state in path.states]  # over longer elements
+    row, node, turn = _largest(turns)
+    count = len(line.lengths)
     if turn <= max_turn:
         return None
-    message = (
-        f"step {row}, {_mm(line.stations[node])} from the start: the line turns by "
-        f"{np.degrees(turn):.0f} deg over one of its {count} elements; the error of its bend "
-        f"exceeds 1 %: take {math.ceil(count * turn / max_turn)} elements or more"
+    reason = Reason.of(
+        "mechanics.studies.long_elements",
+        step=row,
+        place=1e3 * line.stations[node],
+        turn=np.degrees(turn),
+        count=count,
+        wanted=math.ceil(count * turn / max_turn),
     )
     names: tuple[str, ...] = (RADIUS_ON_PATH,)
     if len(line.section.law.stiffnesses):
@@ -264,7 +481,7 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
         names = ("", RADIUS_ON_PATH)
     elif turns[-1].max() > max_turn:
         names = (RADIUS, MOMENT, *names)
-    return Doubt(Reason("coarse_elements", message), names)
+    return Doubt(reason, names)
 
 
 def unloading_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
@@ -345,14 +562,42 @@ def numbers_of(path: RodPath, prepared: PreparedLine) -> tuple[Number, ...]:
     path : of the line, to the last step
     prepared : line and boundaries
     """
-    fields, steps = fields_of(path, prepared), len(path.states) - 1
+    return tuple(_numbers(path, prepared))
 
-    def value(name: str) -> float:
-        return float(evaluate_number(name, fields.__getitem__, prepared, steps))
 
-    bends = _bend_numbers(path, prepared, value(LOWEST_POINT))
-    forces = _force_numbers(path, prepared, value)
-    return (*bends, *forces, *_release_numbers(path, prepared, value))
+def _numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
+    fields, last, line = fields_of(path, prepared), len(path.states) - 1, prepared.line
+
+    def number(name: str, unit: str, remark: str = "") -> Number:
+        value = float(evaluate_number(name, fields.__getitem__, prepared, last))
+        return Number(name, value, unit, remark)
+
+    def place(node: int) -> str:
+        return f"{_mm(line.stations[node])} from the start"
+
+    end, overall = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
+    yield Number(RADIUS, end.radius, "m", f"{_mm(end.place)} from the start")
+    where = f"step {overall.step}, {_mm(overall.place)} from the start"
+    yield Number(RADIUS_ON_PATH, overall.radius, "m", where)
+    lowest = int(np.argmin(heights_of(path.last.positions, prepared)))
+    yield number(LOWEST_POINT, "m", place(lowest))
+    forces = np.array([sizes(state.reaction_forces) for state in path.states])
+    for k, boundary in enumerate(prepared.boundaries):
+        if isinstance(boundary, HOLDS):
+            step = int(np.argmax(forces[:, k]))
+            remark = f"largest on the way: {forces[step, k]:.4g} N at step {step}"
+            yield number(f"{FORCE}{boundary.name}", "N", remark)
+        if isinstance(boundary, rod.Held) and boundary.frame is not None:
+            yield number(f"{MOMENT}{boundary.name}", "N*m")
+    for boundary in prepared.boundaries:
+        if isinstance(boundary, rod.Held) and boundary.release is not None:
+            remark = f"against step {boundary.release - 1}, the last one before its release"
+            yield number(f"{SPRINGBACK}{boundary.name}", "m", remark)
+    residual = residual_curvature(path.last, line.section.law)
+    node = int(np.argmax(residual))
+    remark = f"{place(node)}; if released, by Masing's rule" if residual[node] else ""
+    yield number(RESIDUAL, "1/m", remark)
+    yield number(ENERGY_LOST, "J", "in bending, since the start")
 
 
 def results_of(
@@ -387,51 +632,12 @@ def _reasons_for(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
 
 def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
     if not np.isfinite(number.value):
-        reason = Reason("straight", "the line is straight and has no bend radius")
+        reason = Reason.of("mechanics.studies.straight")
         return Result(number.name, None, number.unit, None, Status.FAILED, (reason,))
     status = Status.DOUBTFUL if reasons else Status.OK
     return Result(
         *(number.name, number.value, number.unit, interval, status, reasons), remark=number.remark
     )
-
-
-def _bend_numbers(path: RodPath, prepared: PreparedLine, lowest: float) -> Iterator[Number]:
-    last, line = len(path.states) - 1, prepared.line
-    end, overall = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
-    yield Number(RADIUS, end.radius, "m", f"{_mm(end.place)} from the start")
-    where = f"step {overall.step}, {_mm(overall.place)} from the start"
-    yield Number(RADIUS_ON_PATH, overall.radius, "m", where)
-    node = int(np.argmin(heights_of(path.last.positions, prepared)))
-    yield Number(LOWEST_POINT, lowest, "m", f"{_mm(line.stations[node])} from the start")
-
-
-def _force_numbers(
-    path: RodPath, prepared: PreparedLine, value: Callable[[str], float]
-) -> Iterator[Number]:
-    sizes = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
-    for number, boundary in enumerate(prepared.boundaries):
-        if not isinstance(boundary, HOLDS):
-            continue
-        largest = int(np.argmax(sizes[:, number]))
-        remark = f"largest on the way: {sizes[largest, number]:.4g} N at step {largest}"
-        yield Number(f"{FORCE}{boundary.name}", value(f"{FORCE}{boundary.name}"), "N", remark)
-        if isinstance(boundary, rod.Held) and boundary.frame is not None:
-            yield Number(f"{MOMENT}{boundary.name}", value(f"{MOMENT}{boundary.name}"), "N*m", "")
-
-
-def _release_numbers(
-    path: RodPath, prepared: PreparedLine, value: Callable[[str], float]
-) -> Iterator[Number]:
-    for boundary in prepared.boundaries:
-        if isinstance(boundary, rod.Held) and boundary.release is not None:
-            remark = f"against step {boundary.release - 1}, the last one before its release"
-            name = f"{SPRINGBACK}{boundary.name}"
-            yield Number(name, value(name), "m", remark)
-    residual = residual_curvature(path.last, prepared.line.section.law)
-    node = int(np.argmax(residual))
-    where = f"{_mm(prepared.line.stations[node])} from the start; if released, by Masing's rule"
-    yield Number(RESIDUAL, value(RESIDUAL), "1/m", where if residual[node] else "")
-    yield Number(ENERGY_LOST, value(ENERGY_LOST), "J", "in bending, since the start")
 
 
 def _mm(length: float) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, error_text, nearest
+from labpipe.errors import ReadError, UsageError, nearest
 from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
@@ -158,13 +158,9 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
     if name in specs:
         return specs[name]
     near = ", ".join(nearest(name, list(specs)))
-    message = error_text(
-        *(where, ""),
-        expected=f"a wire of {sheet}, such as {near}",
-        found=repr(name),
-        remedy="Add its row to the sheet, or name another sheet.",
+    raise UsageError.about(
+        "mechanics.studies.no_such_wire", where, sheet=sheet, near=near, name=name
     )
-    raise UsageError(message)
 
 
 def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
@@ -272,7 +268,7 @@ def _deck_material(block: SectionBlock, path: Path) -> Material:
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         fault = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
-        raise _deck_error(path, "the law of a wire with its range", fault) from error
+        raise ReadError.about("mechanics.studies.deck_without_law", path, fault=fault) from error
     limits = {"the range of the deck": law.last, _INSULATION_LIMIT: doubtful}
     source = min(limits, key=lambda limit: limits[limit])
     return Material(
@@ -287,16 +283,9 @@ def _read_deck(path: Path) -> dict[str, Any]:
     try:
         deck = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None
     except (OSError, ValueError, RecursionError) as error:
-        raise _deck_error(path, "a deck of labpipe", f"a damaged one ({error})") from error
+        raise ReadError.about("mechanics.studies.damaged_deck", path, error=error) from error
     if not isinstance(deck, dict):
-        raise _deck_error(path, "a deck of labpipe", "something else")
+        raise ReadError.about("mechanics.studies.no_deck", path)
     if "reason" in deck:
-        raise _deck_error(
-            path, "the law of a wire as sliders", f"the reason why there is none: {deck['reason']}"
-        )
+        raise ReadError.about("mechanics.studies.deck_of_reason", path, reason=deck["reason"])
     return deck
-
-
-def _deck_error(path: Path, expected: str, fault: str) -> ReadError:
-    remedy = "`labpipe model` writes <wire>.sliders.json."
-    return ReadError(error_text(path, "", expected=expected, found=fault, remedy=remedy))

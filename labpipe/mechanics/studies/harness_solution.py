@@ -4,31 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, error_text
+from labpipe.errors import ProcessingError
 from labpipe.mechanics.rod.bands import LineBands, StateBands, bands_of
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.response import Band, Fields, Response, band_of, respond, sizes
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_convergence import (
-    coarse_doubt,
-    depends_on_history,
-    few_elements_doubt,
-    walk_with_other_steps,
-)
+from labpipe.mechanics.studies.harness_convergence import convergence_doubts
 from labpipe.mechanics.studies.harness_line import Inputs, PreparedLine, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
+    LOWEST_POINT,
+    POSITIONS,
+    RADIUS,
+    RADIUS_ON_PATH,
     Bend,
     BendLimit,
     Doubt,
     bend_limit,
     element_doubt,
+    evaluate_number,
+    fields_of,
     jump_doubt,
+    number_names,
     numbers_of,
     reasons_of,
     reference_size,
@@ -36,16 +38,8 @@ from labpipe.mechanics.studies.harness_numbers import (
     sharpest,
     unloading_doubt,
 )
-from labpipe.mechanics.studies.harness_responses import (
-    LOWEST_POINT,
-    POSITIONS,
-    RADIUS,
-    RADIUS_ON_PATH,
-    evaluate_number,
-    fields_of,
-    number_names,
-)
 from labpipe.mechanics.studies.harness_section import Material
+from labpipe.messages import sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -53,46 +47,6 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 
 FAILED = "failed"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SweepRun:
-    """One length of a sweep.
-
-    Parameters
-    ----------
-    length : m
-    path : of the line
-    prepared : line and boundaries
-    reasons : why its bend is doubtful or missing
-    bands : of the last step, if any
-    """
-
-    length: float
-    path: RodPath
-    prepared: PreparedLine
-    reasons: tuple[Reason, ...] = ()
-    bands: HarnessBands | None = None
-
-    @property
-    def status(self) -> str:
-        """Return `ok`, `doubtful` or `failed`."""
-        return self.path.status if self.path.status == FAILED or not self.reasons else "doubtful"
-
-    @property
-    def bend(self) -> Bend:
-        """Return the sharpest bend at the last step; NaN for a failed line."""
-        return self._sharpest([len(self.path.states) - 1])
-
-    @property
-    def bend_on_path(self) -> Bend:
-        """Return the sharpest bend of all steps; NaN for a failed line."""
-        return self._sharpest(range(len(self.path.states)))
-
-    def _sharpest(self, steps: Sequence[int]) -> Bend:
-        if self.path.status == FAILED:
-            return Bend(math.nan, -1, math.nan)
-        return sharpest(self.path, self.prepared.line, steps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +67,7 @@ class FollowedHarness:
     limit : allowed bend radius
     folder : of the results
     files : that were written
-    sweep : other lengths
+    sweep : the same harness with the lengths of its sweep, reasons those of its bends
     bands : of the steps that are shown; None without information on the uncertainty of the line
     """
 
@@ -128,7 +82,7 @@ class FollowedHarness:
     limit: BendLimit
     folder: Path
     files: tuple[Path, ...] = ()
-    sweep: tuple[SweepRun, ...] = ()
+    sweep: tuple[FollowedHarness, ...] = ()
     bands: HarnessBands | None = None
 
     @property
@@ -144,8 +98,18 @@ class FollowedHarness:
 
     @property
     def sharpest(self) -> Bend:
-        """Return the sharpest bend of all steps."""
-        return sharpest(self.path, self.prepared.line, range(len(self.path.states)))
+        """Return the sharpest bend of all steps; NaN for a failed line."""
+        return self._sharpest(range(len(self.path.states)))
+
+    @property
+    def bend(self) -> Bend:
+        """Return the sharpest bend at the last step; NaN for a failed line."""
+        return self._sharpest([len(self.path.states) - 1])
+
+    def _sharpest(self, steps: Sequence[int]) -> Bend:
+        if self.status is Status.FAILED:
+            return Bend(math.nan, -1, math.nan)
+        return sharpest(self.path, self.prepared.line, steps)
 
     @property
     def is_bend_doubtful(self) -> bool:
@@ -170,8 +134,6 @@ def solve_harness(
     material: Material,
     folder: Path,
     on_step: Callable[[], object] = lambda: None,
-    *,
-    length: float | None = None,
 ) -> FollowedHarness:
     """Solve a harness, without its sweep.
 
@@ -182,17 +144,13 @@ def solve_harness(
     material : of its line
     folder : of the results; nothing is written
     on_step : called after each step of the line
-    length : m, of a sweep, which shows the last step only; None for that of the file
 
     Raises
     ------
     ProcessingError
         If the line does not fit its boundaries.
     """
-    steps = shown_steps(harness) if length is None else (harness.steps,)
-    path, prepared, bands = _follow_with_bands(
-        harness, file, material, steps, length, on_step=on_step
-    )
+    path, prepared, bands = _follow_with_bands(harness, file, material, on_step)
     reasons = _all_reasons(path, prepared, material, bands)
     is_whole = path.status != FAILED
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
@@ -201,7 +159,7 @@ def solve_harness(
         intervals = {} if bands is None else bands.intervals
         line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
         coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
-        half = prepare_line(coarse, section(material.best), material.best, length=length)
+        half = prepare_line(coarse, section(material.best), material.best)
         doubts = _doubts(path, prepared, half, intervals)
         results = results_of(numbers_of(path, prepared), reasons, intervals, doubts)
     limit = bend_limit(harness, material)
@@ -217,13 +175,10 @@ def _doubts(
     """Return the doubts about some numbers of a complete path."""
     doubts = [
         element_doubt(path, prepared.line),
-        few_elements_doubt(path, prepared, half, intervals),
         jump_doubt(path, prepared),
         unloading_doubt(path, prepared),
+        *convergence_doubts(path, prepared, half, intervals),
     ]
-    if depends_on_history(prepared):
-        other = walk_with_other_steps(prepared, len(path.states) - 1)
-        doubts.append(coarse_doubt(path, prepared, other, intervals))
     return [doubt for doubt in doubts if doubt is not None]
 
 
@@ -242,8 +197,8 @@ def _all_reasons(
 
 def solve_sweep_length(
     stated: FollowedHarness, length: float, on_step: Callable[[], object] = lambda: None
-) -> SweepRun:
-    """Solve a harness with another length of its line.
+) -> FollowedHarness:
+    """Solve a harness with another length of its line, and show its last step only.
 
     Parameters
     ----------
@@ -258,49 +213,40 @@ def solve_sweep_length(
     """
     other = stated
     if length != stated.harness.line.length:
-        inputs = stated.harness, stated.file, stated.material, stated.folder
-        other = solve_harness(*inputs, on_step, length=length)
-    reasons = other.reasons
-    if other.status is not Status.FAILED:
-        listed = [
-            result.reasons
-            for result in other.results
-            if result.name in (RADIUS, RADIUS_ON_PATH, LOWEST_POINT) and result.value is not None
-        ]
-        reasons = tuple(dict.fromkeys(reason for result in listed for reason in result))
-    return SweepRun(length, other.path, other.prepared, reasons, other.bands)
+        line = stated.harness.line.model_copy(update={"length": length})
+        harness = stated.harness.model_copy(update={"line": line, "show": ()})
+        other = solve_harness(harness, stated.file, stated.material, stated.folder, on_step)
+    if other.status is Status.FAILED:
+        return other
+    listed = [
+        result.reasons
+        for result in other.results
+        if result.name in (RADIUS, RADIUS_ON_PATH, LOWEST_POINT) and result.value is not None
+    ]
+    reasons = tuple(dict.fromkeys(reason for result in listed for reason in result))
+    return replace(other, reasons=reasons, status=Status.DOUBTFUL if reasons else Status.OK)
 
 
 def _follow_with_bands(
-    harness: HarnessFile,
-    file: Path,
-    material: Material,
-    steps: Sequence[int],
-    length: float | None = None,
-    *,
-    on_step: Callable[[], object],
+    harness: HarnessFile, file: Path, material: Material, on_step: Callable[[], object]
 ) -> tuple[RodPath, PreparedLine, HarnessBands | None]:
     """Solve a line at its best inputs, and at others where these have distributions."""
     solutions: list[Followed] = []
 
     def follow_line(number: int, inputs: Inputs) -> Followed:
-        prepared = prepare_line(harness, material.sections[number](inputs), inputs, length=length)
+        prepared = prepare_line(harness, material.sections[number](inputs), inputs)
         with np.errstate(over="ignore", invalid="ignore"):  # it then has the status failed
             path = follow(prepared.line, prepared.boundaries, steps=harness.steps, on_step=on_step)
         solutions.append((path, prepared))
         return solutions[-1]
 
     try:
-        bands = harness_bands(follow_line, material, steps)
+        bands = harness_bands(follow_line, material, shown_steps(harness))
         path, prepared = solutions[0] if solutions else follow_line(0, material.best)
     except ValueError as error:
-        message = error_text(
-            *(file, "line"),
-            expected="a line that fits its boundaries",
-            found=f"this: {error}",
-            remedy="Check the line and its boundaries.",
-        )
-        raise ProcessingError(message) from error
+        raise ProcessingError.about(
+            "mechanics.studies.line_does_not_fit", file, "line", error=error
+        ) from error
     return path, prepared, bands
 
 
@@ -473,15 +419,13 @@ def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason 
         return None
     faults = [f"{lost} have no equilibrium"] if lost else []
     if off.get(most, 0.0) > max_cause_error:
+        error, limit = off[most], max_cause_error
         faults.append(
-            f"{most} differs by {off[most]:.2g} times half the width of its band, "
-            f"root mean square (allowed is {max_cause_error:g})"
+            sentence("mechanics.studies.cause_error", number=most, error=error, most=limit)
         )
-    message = (
-        f"the causes of the bands do not add up: of {count} draws with all causes "
-        f"at once, {' and '.join(faults)}; bands may be too narrow or shifted"
+    return Reason.of(
+        "mechanics.studies.causes_do_not_add", count=count, faults=" and ".join(faults)
     )
-    return Reason("causes_do_not_add", message)
 
 
 def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:

@@ -20,22 +20,22 @@ from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine
-from labpipe.mechanics.studies.harness_numbers import curvature_of, radius_of
-from labpipe.mechanics.studies.harness_responses import (
+from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
+    curvature_of,
     heights_of,
+    radius_of,
     residual_curvature,
 )
 from labpipe.mechanics.studies.harness_section import input_file, material_of
 from labpipe.mechanics.studies.harness_solution import (
-    FAILED,
     FollowedHarness,
-    SweepRun,
     solve_harness,
     solve_sweep_length,
 )
 from labpipe.mechanics.studies.study_json import entries, plain
+from labpipe.messages import sentence
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Status
@@ -142,10 +142,16 @@ def _write_failure(solution: FollowedHarness) -> None:
 
 def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarness:
     folder, rod_path, prepared = solution.folder, solution.path, solution.prepared
+    shapes, forces = {}, {}
+    for step, state in solution.bands_by_step.items():
+        places, bent, pulls = state.positions, state.curvature, state.reaction_forces
+        lower = np.column_stack([places.lower, bent.lower])
+        shapes[step] = lower, np.column_stack([places.upper, bent.upper])
+        forces[step] = pulls.lower, pulls.upper
     title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
     texts = {
-        SHAPE_FILE: shape_csv(rod_path, prepared.line, solution.steps, _shape_bands(solution)),
-        FORCES_FILE: forces_csv(rod_path, prepared, _force_bands(solution)),
+        SHAPE_FILE: shape_csv(rod_path, prepared.line, solution.steps, shapes),
+        FORCES_FILE: forces_csv(rod_path, prepared, forces),
         VTK_FILE: shape_vtk(rod_path, prepared.line, solution.steps, title),
         DECK_FILE: line_deck(prepared.line, prepared.boundaries, title=title),
         SUMMARY_FILE: json.dumps(as_json(solution), indent=1, ensure_ascii=False) + "\n",
@@ -168,37 +174,20 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
     return replace(solution, files=files)
 
 
-def _shape_bands(solution: FollowedHarness) -> Bands:
-    return {
-        step: (
-            np.column_stack([state.positions.lower, state.curvature.lower]),
-            np.column_stack([state.positions.upper, state.curvature.upper]),
-        )
-        for step, state in solution.bands_by_step.items()
-    }
-
-
-def _force_bands(solution: FollowedHarness) -> Bands:
-    return {
-        step: (state.reaction_forces.lower, state.reaction_forces.upper)
-        for step, state in solution.bands_by_step.items()
-    }
-
-
-def _sweep_row(run: SweepRun) -> dict[str, object]:
+def _sweep_row(run: FollowedHarness) -> dict[str, object]:
     names = (
         *("smallest_bend_radius [m]", "lower [m]", "upper [m]", "place [m]"),
         *(f"{RADIUS_ON_PATH} [m]", "step", "lowest_point [m]"),
     )
-    row: dict[str, object] = {"length [m]": run.length, **dict.fromkeys(names)}
-    if run.path.status != FAILED:
-        bend, on_path = run.bend, run.bend_on_path
+    row: dict[str, object] = {"length [m]": run.harness.line.length, **dict.fromkeys(names)}
+    if run.status is not Status.FAILED:
+        bend, on_path = run.bend, run.sharpest
         lowest = float(heights_of(run.path.last.positions, run.prepared).min())
         values = (bend.radius, *_band_ends(run).values(), bend.place)
         row |= zip(names, (*values, on_path.radius, str(on_path.step), lowest), strict=True)
     reason = run.reasons[0] if run.reasons else None
     code, message = (reason.code, reason.message) if reason else ("", "")
-    return row | {"status": run.status, "code": code, "reason": message}
+    return row | {"status": str(run.status), "code": code, "reason": message}
 
 
 def _json_head(solution: FollowedHarness) -> dict[str, object]:
@@ -247,20 +236,21 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
         "results": [result_entry(result) for result in solution.results],
         "sweep": [
             {
-                **entries(run, "length", "status"),
+                "length": run.harness.line.length,
+                **entries(run, "status"),
                 "smallest_bend_radius": finite_or_none(run.bend.radius),
                 **_band_ends(run),
-                "smallest_bend_radius_on_the_way": finite_or_none(run.bend_on_path.radius),
+                "smallest_bend_radius_on_the_way": finite_or_none(run.sharpest.radius),
             }
             for run in solution.sweep
         ],
         "bands": _bands_json(solution),
         "quality": [entries(note, "code", "severity", "message") for note in material.notes],
-        "units": dict(_UNITS),
+        "units": _UNITS,
     }
 
 
-def _band_ends(run: SweepRun) -> dict[str, float | None]:
+def _band_ends(run: FollowedHarness) -> dict[str, float | None]:
     """Return the ends of the band of the smallest bend radius; None without one."""
     if run.bands is None:
         return {"lower": None, "upper": None}
@@ -270,8 +260,7 @@ def _band_ends(run: SweepRun) -> dict[str, float | None]:
 def _bands_json(solution: FollowedHarness) -> dict[str, object]:
     """Return the kind of the bands and the share of each cause, or why there are none."""
     if solution.bands is None:
-        reason = "the uncertainty of the law is unknown: name a calibration or an uncertainty"
-        return {"kind": None, "reason": reason}
+        return {"kind": None, "reason": sentence("mechanics.studies.no_bands")}
     return {"kind": "pointwise 95 %", "shares": plain(solution.bands.line.states[-1].shares)}
 
 
@@ -531,24 +520,24 @@ def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
     """
     if not solution.sweep:
         return None
-    sweep = sorted(solution.sweep, key=lambda run: run.length)
+    sweep = sorted(solution.sweep, key=lambda run: run.harness.line.length)
     return DrawnSweep(
         name=solution.file.stem,
         note=_caption(solution),
-        length=np.array([run.length for run in sweep]),
+        length=np.array([run.harness.line.length for run in sweep]),
         radius=np.array([run.bend.radius for run in sweep]),
-        way=np.array([run.bend_on_path.radius for run in sweep]),
+        way=np.array([run.sharpest.radius for run in sweep]),
         radius_band=_radius_band(sweep),
         shapes=tuple(
-            np.empty((0, 3)) if run.path.status == FAILED else run.path.last.positions
+            np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions
             for run in sweep
         ),
         allowed=solution.limit.radius,
-        is_doubtful=np.array([run.status == "doubtful" for run in sweep]),
+        is_doubtful=np.array([run.status is Status.DOUBTFUL for run in sweep]),
     )
 
 
-def _radius_band(sweep: Sequence[SweepRun]) -> tuple[Floats, Floats] | None:
+def _radius_band(sweep: Sequence[FollowedHarness]) -> tuple[Floats, Floats] | None:
     """Return the bands of the smallest bend radius by length; None where no length has one."""
     intervals = [None if run.bands is None else run.bands.intervals[RADIUS] for run in sweep]
     if not any(intervals):

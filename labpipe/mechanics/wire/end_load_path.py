@@ -1,13 +1,12 @@
-"""End load of the cantilever at successive tip deflections, from straight (PHYSICS 5).
+"""End load of the cantilever at successive tip deflections, from rest (PHYSICS 5).
 
-As long as nothing unloads, all points are solved at once: by the first integral of `wire.end_load`,
-or with the wire's own weight as in `wire.heavy_loading`. From there on they are solved station by
-station as in `wire.cantilever`, each extrapolated from those before.
+As long as nothing unloads, all points are solved at once, see `wire.first_loading`. From there on
+they are solved station by station as in `wire.cantilever`, each extrapolated from those before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +25,6 @@ from labpipe.mechanics.law.plays import (
 )
 from labpipe.mechanics.wire.bending_law import MomentCurve
 from labpipe.mechanics.wire.cantilever import (
-    DEFAULT_STATIONS,
     AtDeflection,
     CantileverShape,
     WireState,
@@ -35,15 +33,13 @@ from labpipe.mechanics.wire.cantilever import (
     shape_of,
     straight,
 )
-from labpipe.mechanics.wire.end_load import deflection_at, end_loads
-from labpipe.mechanics.wire.heavy_loading import heavy_states
-from labpipe.mechanics.wire.newton import chebyshev_stations
+from labpipe.mechanics.wire.first_loading import FIRST_LOADING, LoadingStates, loading_states
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 
-HEAVY_STATIONS = 48
-"""Along a wire with weight: loads are within 3e-5 of those of 160 stations."""
+PATH_STATIONS = 48
+"""Along a wire: loads are within 1e-4 of those of 160 stations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +63,7 @@ def end_load_path(
     length: float,
     deflections: Floats,
     *,
-    n_stations: int = DEFAULT_STATIONS,
+    n_stations: int = PATH_STATIONS,
     self_weight: float = 0.0,
 ) -> EndLoadPath:
     """Compute end load and clamp moment at successive tip deflections, from straight or rest.
@@ -77,7 +73,7 @@ def end_load_path(
     law : law of the wire
     length : m
     deflections : shape (n,), m, in the order in which they are reached
-    n_stations : along the wire, where it is solved station by station
+    n_stations : along the wire
     self_weight : N/m, of the wire; with weight it lies level at rest, its tip held by the load
 
     Returns
@@ -97,132 +93,71 @@ def end_load_path(
     require_positive("length", length)
     require_finite("deflections", deflections)
     require_not_negative("self_weight", self_weight)
-    unloading_share = 0.7  # of the length: about where something begins to unload
     goes_on = np.diff(deflections, prepend=0.0) > 0.0
-    if self_weight > 0.0:
-        goes_on &= deflections <= unloading_share * length
+    goes_on &= deflections <= FIRST_LOADING * length
     growing = deflections[: len(goes_on) if goes_on.all() else int(np.argmin(goes_on))]
-    if self_weight > 0.0:
-        first = _from_rest(law, length, growing, self_weight)
-    else:
-        first = _from_straight(law, length, growing, n_stations)
-    load, clamp = np.empty((2, len(deflections)))
-    done = len(first.load)
-    load[:done], clamp[:done] = first.load, first.clamp_moment[:done]
-    is_outside = [not is_within(law, moment) for moment in first.clamp_moment.tolist()]
-    if any(is_outside):
-        done = min(is_outside.index(True), done)
-    elif done < len(deflections):
-        ahead = EndLoadPath(load[done:], clamp[done:])
-        done += _continue_path(law, first.states(), length, deflections[done:], ahead)
-    if first.rest is not None:
-        load -= first.rest.force[1]
-    return EndLoadPath(load[:done], clamp[:done], first.rest)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Loaded:
-    """The first loading of a path.
-
-    Parameters
-    ----------
-    load, clamp_moment : at its deflections, N, N m; the latter also where something begins to
-        unload
-    states : returns the last two states, from which the path goes on
-    rest : of a wire with weight
-    """
-
-    load: Floats
-    clamp_moment: Floats
-    states: Callable[[], list[WireState]]
-    rest: CantileverShape | None = None
-
-
-def _from_straight(law: MomentLaw, length: float, deflections: Floats, n_stations: int) -> _Loaded:
-    unbent = straight(law, n_stations)
-    if not len(deflections):
-        return _Loaded(np.zeros(0), np.zeros(0), lambda: [unbent, unbent])
-    first = end_loads(law, length, deflections)
-    from_tip = length * (1.0 - chebyshev_stations(n_stations).position)
-
-    def state(row: int) -> WireState:
-        """Return an approximate state, at the stations of the straight wire."""
-        moment, load = first.moment_at(row, from_tip), float(first.load[row])
-        return replace(unbent, moment=moment, load=load, travel=float(first.deflection[row]))
-
-    def last_states() -> list[WireState]:
-        before, last = state(max(len(first.load) - 3, 0)), state(-1)
-        guess = last.moment, last.load
-        return [before, _bend_one(law, unbent, length, last.travel, guess)]
-
-    return _Loaded(first.load[:-1], first.clamp_moment, last_states)
-
-
-def _from_rest(law: MomentLaw, length: float, deflections: Floats, self_weight: float) -> _Loaded:
-    """Load a wire with weight from rest."""
-    max_lean = 1.0  # rad: a steeper wire has other equilibria, too
-    at = heavy_states(
-        *(LoadingTable.of_plays(law), length, None, self_weight, deflections),
-        n_stations=HEAVY_STATIONS,
+    at = loading_states(
+        *(LoadingTable.of_plays(law), length, None, self_weight, growing),
+        n_stations=n_stations,
         with_changes=False,
     )
-    unbent = straight(law, HEAVY_STATIONS, self_weight=self_weight)
+    rest = _state(law, straight(law, n_stations, self_weight=self_weight), at, None)
+    shape = _shape_at_rest(law, rest, length) if self_weight > 0.0 else None
+    done = at.count_loading()
+    outside = [n for n in range(done) if not is_within(law, float(at.moment[n, 0]))]
+    if outside:
+        done, further = outside[0], []
+    else:
+        loaded = [_state(law, rest, at, row) for row in range(max(done - 2, 0), done)]
+        states = [rest, rest, *loaded][-2:]
+        further = list(_continue_path(law, states, length, deflections[done:]))
+    load = np.append(at.tension[:done], [state.force[1] for state in further])
+    clamp = np.append(at.moment[:done, 0], [state.moment[0] for state in further])
+    return EndLoadPath(load - (0.0 if shape is None else shape.force[1]), clamp, shape)
 
-    def state(before: WireState, moment: Floats, load: float, travel: float) -> WireState:
-        plays = respond(law, moment, before.plays).plays
-        return WireState(moment, plays, np.array([0.0, load]), load, travel, self_weight)
 
-    rest = state(unbent, at.rest, at.rest_tension, 0.0)
+def _state(law: MomentLaw, before: WireState, at: LoadingStates, row: int | None) -> WireState:
+    """Return the state with history at one of the deflections, or at rest."""
+    at_rest = at.rest, at.rest_tension, 0.0
+    moment, load, travel = (
+        at_rest if row is None else (at.moment[row], at.tension[row], at.deflection[row])
+    )
+    plays, force = respond(law, moment, before.plays).plays, np.array([0.0, load])
+    return replace(
+        before, moment=moment, plays=plays, force=force, load=float(load), travel=float(travel)
+    )
+
+
+def _shape_at_rest(law: MomentLaw, rest: WireState, length: float) -> CantileverShape:
+    """Return the shape that the wire's own weight gives it."""
+    max_lean = 1.0  # rad: a steeper wire has other equilibria, too
     shape = shape_of(law, rest, length)
     lean = float(np.max(np.abs(shape.angle)))
     if lean > max_lean:
         where = "deg between clamp and tip"
         message = f"by its weight the wire is inclined by {np.degrees(lean):.3g} {where}"
         raise ValueError(message)
-    done = at.count_loading()
-
-    def last_states() -> list[WireState]:
-        rows = range(max(done - 2, 0), done)
-        loaded = [
-            state(rest, at.moment[row], float(at.tension[row]), float(deflections[row]))
-            for row in rows
-        ]
-        return [rest, rest, *loaded][-2:]
-
-    return _Loaded(at.tension[:done], at.moment[:done, 0], last_states, shape)
-
-
-def _bend_one(
-    law: MomentLaw,
-    state: WireState,
-    length: float,
-    deflection: float,
-    guess: tuple[Floats, float] | None,
-) -> WireState:
-    """Bend a wire to a deflection, in one step if a guess allows."""
-    tolerance = 1e-5  # from a good guess; the next change would be 1e-10
-    bent = None
-    if guess is not None:
-        at = AtDeflection(np.array([deflection]))
-        bent = settle(law, state, length, at, travel=deflection, guess=guess, tolerance=tolerance)
-    return deflect(law, state, length, deflection) if bent is None else bent
+    return shape
 
 
 def _continue_path(
-    law: MomentLaw,
-    states: list[WireState],
-    length: float,
-    deflections: Floats,
-    path: EndLoadPath,
-) -> int:
-    """Fill in a path, extrapolating from the states before; return the number of points."""
-    for number, deflection in enumerate(deflections.tolist()):
-        state = _bend_one(law, states[-1], length, deflection, _extrapolated(states, deflection))
+    law: MomentLaw, states: list[WireState], length: float, deflections: Floats
+) -> Iterator[WireState]:
+    """Yield the states at further deflections up to the end of the law, from those before."""
+    tolerance = 1e-5  # from a good guess; the next change would be 1e-10
+    for deflection in deflections.tolist():
+        before, state = states[-1], None
+        guess = _extrapolated(states, deflection)
+        if guess is not None:
+            at = AtDeflection(np.array([deflection]))
+            state = settle(
+                law, before, length, at, travel=deflection, guess=guess, tolerance=tolerance
+            )
+        state = deflect(law, before, length, deflection) if state is None else state
         if not is_within(law, float(np.max(np.abs(state.moment)))):
-            return number
+            return
         states = [*states[-2:], state]
-        path.load[number], path.clamp_moment[number] = state.force[1], state.moment[0]
-    return len(deflections)
+        yield state
 
 
 def _extrapolated(states: list[WireState], travel: float) -> tuple[Floats, float] | None:
@@ -247,6 +182,8 @@ DEFLECTIONS = 49
 """Points of the curve, including zero."""
 FARTHEST = 0.8
 """Tip deflection at its end, as a share of the length."""
+SPACING_POWER = 3
+"""Of its points: the first lies at 1e-5 of the last, before strands slip."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,18 +229,17 @@ def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> Can
         message = f"no curve of the cantilever: {error}"
         note = QualityNote("cantilever_cut", Severity.WARNING, spec.place, message)
         return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
-    wanted = FARTHEST * spec.length
-    end = min(wanted, deflection_at(law, spec.length, float(curve.moment[-1])))
     notes = []
     try:
-        bent = _bend_to(law, spec.length, end, self_weight)
+        bent = _bend_to_end(law, spec.length, self_weight)
     except ValueError as error:
         message = (
             f"the curve of the cantilever of {spec.length * 1e3:.4g} mm is without the wire's own "
             f"weight, {1e3 * self_weight * spec.length:.4g} mN: {error}"
         )
         notes.append(QualityNote("weight_left_out", Severity.WARNING, spec.place, message))
-        bent = _bend_to(law, spec.length, end, 0.0)
+        bent = _bend_to_end(law, spec.length, 0.0)
+    wanted = FARTHEST * spec.length
     if bent.deflection[-1] < wanted:
         message = (
             f"the cantilever of {spec.length * 1e3:.4g} mm is reported up to a tip deflection of "
@@ -314,33 +250,24 @@ def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> Can
     return replace(bent, notes=tuple(notes))
 
 
-def _bend_to(law: PlayLaw, length: float, end: float, self_weight: float) -> CantileverCurve:
-    """Compute the curve up to a deflection, or to the end of the law.
-
-    With weight the clamp reaches the end of the law at a slightly different deflection than
-    without, for which `end` holds; a curve that is cut ends there.
-    """
-    end_share = 0.97  # of the way to the end of the law, which is extrapolated linearly
-    deflection = _deflections(end)
-    path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
-    last = len(path.load)
-    if last > 1 and end < FARTHEST * length and path.rest is not None:
-        clamp = np.append(path.rest.moment[0], path.clamp_moment)
-        slope = (clamp[-1] - clamp[-2]) / (deflection[last] - deflection[last - 1])
-        ahead = (law.largest_moment - clamp[-1]) / slope
-        deflection = _deflections(deflection[last] + end_share * ahead)
-        path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
-        last = len(path.load)
-    force = np.append(0.0, path.load)
-    rest = _rest_record(path.rest)
-    clamp = np.append(0.0 if rest is None else rest.moment, path.clamp_moment)
-    return CantileverCurve(deflection[: last + 1], force, clamp, rest, ())
+def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:
+    """Compute the curve up to its farthest deflection, or to the end of the law."""
+    end_share = 0.9999  # of the law's last moment, so that rounding stays within
+    endless, end = replace(law, largest_moment=np.inf), FARTHEST * length
+    for _ in range(2):
+        deflection = end * np.linspace(0.0, 1.0, DEFLECTIONS) ** SPACING_POWER
+        path = end_load_path(endless, length, deflection[1:], self_weight=self_weight)
+        rest = None if path.rest is None else _rest_record(path.rest)
+        clamp = np.append(rest.moment if rest else 0.0, path.clamp_moment)
+        if clamp[-1] <= law.largest_moment:
+            break
+        end = float(PchipInterpolator(clamp, deflection)(end_share * law.largest_moment))
+    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, rest, ())
 
 
-def _deflections(end: float) -> Floats:
-    """Return the deflections of the curve, m, dense near zero."""
-    spacing_power = 3  # the first point lies at 1e-5 of the last, before strands slip
-    return np.asarray(end * np.linspace(0.0, 1.0, DEFLECTIONS) ** spacing_power)
+def _rest_record(shape: CantileverShape) -> WireAtRest:
+    rest = float(shape.force[1]), float(shape.moment[0]), float(shape.curvature[0])
+    return WireAtRest(*rest, -float(np.min(shape.y)))
 
 
 def force_at(table: WireTable, deflection: float) -> float:
@@ -362,11 +289,3 @@ def force_at(table: WireTable, deflection: float) -> float:
     if len(table.tip_deflection) < 2 or deflection > table.tip_deflection[-1]:
         return float("nan")
     return float(PchipInterpolator(table.tip_deflection, table.tip_force)(deflection))
-
-
-def _rest_record(shape: CantileverShape | None) -> WireAtRest | None:
-    if shape is None:
-        return None
-    sag = -float(np.min(shape.y))
-    rest = float(shape.force[1]), float(shape.moment[0]), float(shape.curvature[0])
-    return WireAtRest(*rest, sag)

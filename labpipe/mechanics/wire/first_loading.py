@@ -1,33 +1,34 @@
-"""First loading curve of the clamped wire, by the first integral (PHYSICS 5).
+"""First loading of a clamped wire, with or without weight, all points at once (PHYSICS 5, 8).
 
-Every point of the curve is two equations for the tip's force P and its lean beta (see below):
-the arc length is the wire's, and the string points from the tip to its
-anchor. All points are solved at once, without stations or history. This holds on first loading from
-straight, while the moment grows everywhere. The path of `wire.cantilever` is independent of it and
-also follows cycles.
-
-With a tip force of magnitude P that leans by beta towards the clamp, dM/ds = -P cos(theta - beta)
-and d(theta)/ds = kappa(M) have the first integral W*(M) + P sin(theta - beta) = const, where W* is
-the complementary energy. With Q(M) = W*(M0) - W*(M) - P sin(beta), M0 the moment at the clamp, and
-R = sqrt(P^2 - Q^2),
-
-    L = integral of dM / R,    A = M0 / P,    B = integral of Q / (P R) dM,    from 0 to M0,
-
-with A and B the tip's position along and across the direction of beta:
-x = A cos(beta) - B sin(beta), y = A sin(beta) + B cos(beta).
+At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
+Newton's method solves for the moments at Chebyshev-Lobatto stations of all wanted deflections
+together. The law is one of first loading; where the weight bent the wire the other way, it returns
+by Masing's rule. `wire.cantilever` follows the same path step by step with a history at each
+station, and also unloading, cycles and a slack string.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, TypeAlias
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from labpipe.mechanics.law.loading_table import LoadingLaw
-from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
+from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.wire.cantilever import AtDeflection, StringRig
+from labpipe.mechanics.wire.newton import Wire, bend_wire, chebyshev_stations, sensitivity, solve
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
+
+N_STATIONS = 24
+"""Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
+N_LOADING_POINTS = 32
+"""Of a loading curve."""
+TOLERANCE = 1e-5
+"""Last change of the moments, as a share of the largest; the next would be 1e-9."""
+FIRST_LOADING = 0.7
+"""Deflection over length at which about something begins to unload."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +45,7 @@ class LoadingCurve(ArrayRecord):
     stiffness : N/m, slope of tension against deflection
     tension_change : shape (parameters, n), N, derivative at constant deflection by each of the
         law's parameters
+    states : along the wire, from which a similar law is solved faster
     """
 
     deflection: Vector
@@ -54,6 +56,7 @@ class LoadingCurve(ArrayRecord):
     clamp_moment: Vector
     stiffness: Vector
     tension_change: Annotated[Floats, "parameters", "n"]
+    states: LoadingStates | None = None
 
     @property
     def force(self) -> Floats:
@@ -61,114 +64,217 @@ class LoadingCurve(ArrayRecord):
         return np.asarray(self.tension - self.tension[0])
 
 
-def load_cantilever(
-    law: LoadingLaw, length: float, rig: StringRig | None = None, *, has_memory: bool = True
-) -> LoadingCurve:
-    """Load a straight cantilever until the moment at its clamp is the last of the law.
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadingStates:
+    """A wire at rest and at deflections of its first loading.
 
     Parameters
     ----------
-    law : law of first loading
+    rest : shape (stations,), N m, moments at rest
+    rest_tension : N
+    deflection : shape (n,), m
+    moment : shape (n, stations), N m
+    tension : shape (n,), N
+    across : shape (n,), N, force across the wire at its tip; where it falls, so do the moments
+        near the tip
+    x, tip_angle : shape (n,), m, rad
+    curvature : shape (n,), 1/m, at the clamp
+    tension_change : shape (1 + parameters, n), derivative of tension less that at rest by the
+        deflection, N/m, and by each of the law's parameters, N; shape (0, n) if not computed
+    """
+
+    rest: Floats
+    rest_tension: float
+    deflection: Floats
+    moment: Floats
+    tension: Floats
+    across: Floats
+    x: Floats
+    tip_angle: Floats
+    curvature: Floats
+    tension_change: Floats
+
+    def count_loading(self) -> int:
+        """Count the deflections, from rest on, up to which no part of the wire unloads.
+
+        Beyond about 0.7 of the length the moments near the tip fall; those of a sagging wire
+        may fall earlier.
+        """
+        rounding_share = 1e-5  # of the largest moment
+        before = np.vstack([self.rest, self.moment[:-1]])
+        step, way = self.moment - before, before - self.rest
+        small = rounding_share * np.max(np.abs(self.moment), axis=1, keepdims=True)
+        turns = ((step * way < 0.0) & (np.abs(step) > small)).any(axis=1)
+        turns[1:] |= np.diff(self.across) <= 0.0
+        return int(np.argmax(turns)) if turns.any() else len(turns)
+
+
+def load_cantilever(
+    table: LoadingTable,
+    length: float,
+    rig: StringRig | None,
+    self_weight: float,
+    deflection: float,
+    *,
+    near: LoadingStates | None = None,
+) -> LoadingCurve:
+    """Load a wire from rest to a deflection.
+
+    Parameters
+    ----------
+    table : law of first loading, with its derivatives by parameters
     length : m
-    rig : string and counterweight; the string just reaches the straight wire, so that its tension
-        at rest is the weight. None for an end load normal to the axis
-    has_memory : whether unloading differs from loading
+    rig : string and counterweight; the string just reaches the straight wire. None for an end
+        load normal to the clamped axis that holds the tip level at rest
+    self_weight : N/m, may be 0
+    deflection : m, of the tip from rest
+    near : of a similar law, otherwise the same, to start from
 
     Returns
     -------
-    The curve: rest, then a point for each of the law's. With memory it ends where the force across
-    the wire at the tip is largest (at about 0.7 of the length): beyond, the moment near the tip
-    falls and first loading ends.
+    The curve: rest, then `N_LOADING_POINTS` points up to the deflection, or until a part of the
+    wire unloads. Its derivatives by parameters are those of the force above that at rest.
 
     Raises
     ------
     ValueError
         If no equilibrium is found.
-
-    Notes
-    -----
-    Newton's method for P and beta of all points at once; the unknown is the logarithm of P above
-    the least force that can hold the moment, W*(M0) / (1 + sin(beta)).
     """
-    max_iterations = 60
-    force_tolerance = 1e-11
-    max_step = 3.0  # of the logarithm of the excess of the force
-    max_lean_step = 0.2
-    rule = rule_of(law)
-    excess, lean = _guess(law, rule, length, rig)
-    for _ in range(max_iterations):
-        sine = np.sin(lean)
-        growth = np.exp(excess)
-        balance = balance_of(rule, rule.energy / (1.0 + sine) + growth, lean)
-        shift = -rule.energy * balance.cosine / (1.0 + sine) ** 2
-        (a, b), (c, d) = slopes(balance, rig)
-        matrix = ((a * growth, b + a * shift), (c * growth, d + c * shift))
-        excess_step, turn = solve_pair(matrix, balance.arc_length - length, misfit(balance, rig))
-        error = np.abs(excess_step * growth) / balance.force + np.abs(turn)
-        if error.max() <= force_tolerance:
-            return _curve(law, rule, balance, rig, has_memory=has_memory)
-        excess = excess - np.minimum(np.maximum(excess_step, -max_step), max_step)
-        lean = lean - np.minimum(np.maximum(turn, -max_lean_step), max_lean_step)
-    count = int(np.sum(error > force_tolerance))
-    message = f"length={length!r}: no equilibrium found at {count} of {len(lean)} loads"
-    raise ValueError(message)
-
-
-def _guess(law: LoadingLaw, rule: Rule, length: float, rig: StringRig | None) -> Pair:
-    """Guess the logarithm of the excess force, and the lean, for x = L / (1 + (kappa L)^2 / 15)."""
-    x = length / (1.0 + (law.curvature[law.points] * length) ** 2 / 15.0)
-    excess = np.maximum(rule.moment / x - rule.energy, 0.05 * rule.energy)
-    lean = np.zeros_like(x) if rig is None else (x - rig.anchor_x) / rig.string_length
-    return np.log(excess), lean
-
-
-def _curve(
-    law: LoadingLaw, rule: Rule, state: Balance, rig: StringRig | None, *, has_memory: bool
-) -> LoadingCurve:
-    curvature = law.curvature[law.points]
-    slope = _slope(state, rig, curvature)
-    change = _changes(law, rule, state, rig, slope)
-    sine = rule.energy / state.force - state.sine
-    falls = np.flatnonzero(np.diff(state.force * np.sqrt(1.0 - sine**2)) <= 0.0)
-    stop = int(falls[0]) + 1 if has_memory and len(falls) else len(sine)
-    weight, tension = weight_of(rig), tension_of(state, rig)
+    crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
+    farthest = min(deflection, FIRST_LOADING * length)
+    wanted = farthest * (np.arange(1, N_LOADING_POINTS + 1) / N_LOADING_POINTS) ** crowding
+    states = loading_states(table, length, rig, self_weight, wanted, near=near)
+    stop = states.count_loading()
+    rise = states.tension[0] - states.rest_tension
+    rest_slope = float(rise / states.deflection[0])  # before slip
 
     def from_rest(rest: float, values: Floats) -> Floats:
         return np.concatenate([[rest], values[:stop]])
 
+    bent, _ = table.bend(states.rest)
+    change = states.tension_change[1:, :stop]
     return LoadingCurve(
-        from_rest(0.0, state.y),
-        from_rest(weight, tension),
-        from_rest(float(state.arc_length[0]), state.x),
-        from_rest(0.0, np.arcsin(sine) + state.lean),
-        from_rest(0.0, curvature),
-        from_rest(0.0, rule.moment),
-        from_rest(float((tension[0] - weight) / state.y[0]), slope),
-        np.hstack([np.zeros((len(change), 1)), change[:, :stop]]),
+        deflection=from_rest(0.0, states.deflection),
+        tension=from_rest(states.rest_tension, states.tension),
+        x=from_rest(length, states.x),
+        tip_angle=from_rest(0.0, states.tip_angle),
+        clamp_curvature=from_rest(float(bent[0]), states.curvature),
+        clamp_moment=from_rest(float(states.rest[0]), states.moment[:, 0]),
+        stiffness=from_rest(rest_slope, states.tension_change[0]),
+        tension_change=np.hstack([np.zeros((len(change), 1)), change]),
+        states=states,
     )
 
 
-def _slope(state: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
-    """Return the slope of tension against deflection, N/m, as the moment at the clamp grows.
+def loading_states(
+    table: LoadingTable,
+    length: float,
+    rig: StringRig | None,
+    self_weight: float,
+    deflections: Floats,
+    *,
+    n_stations: int = N_STATIONS,
+    with_changes: bool = True,
+    near: LoadingStates | None = None,
+) -> LoadingStates:
+    """Find the equilibria of a wire at rest and at given deflections.
 
-    The integrals change with their upper end, where Q = -P sin(beta), and with W*(M0).
+    Parameters
+    ----------
+    table, length, rig, self_weight : as for `load_cantilever`
+    deflections : shape (n,), m, from rest, in the direction of the pull, increasing
+    n_stations : along the wire
+    with_changes : whether to compute `tension_change`
+    near : as for `load_cantilever`
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found.
     """
-    arc = curvature * state.cube_q + 1.0 / (state.force * state.cosine)
-    across = curvature * state.force * state.cube - state.sine / state.cosine / state.force
-    deflection, tension = respond_to(state, rig, arc, across, 1.0 / state.force)
-    return tension / deflection
+    stations = chebyshev_stations(n_stations, length)
+    from_tip = length - stations.position
+    tip_force = 0.375 * self_weight * length
+    at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
+    level = Wire(table.bend, stations, self_weight, at_rest)
+    begin = tip_force + (0.0 if rig is None else rig.weight)
+    start = (tip_force - 0.5 * level.beyond) * from_tip
+    first = _solve(level, at_rest, start[None], np.array([begin]))
+    rest, tension = first[0][0], float(first[1][0])
+    loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
+    solution = None if near is None else _solve_near(loaded, near)
+    if solution is None:
+        clamp = _clamp_moments(table, length, deflections)
+        guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
+        solution = _solve_all(loaded, at, np.append(rest, tension), guess)
+    moment, tensions = solution
+    bent = bend_wire(loaded, moment, tensions)
+    tension_change = np.zeros((0, len(deflections)))
+    if with_changes:
+        rest_change = sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
+        changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
+        tension_change = sensitivity(loaded, bent, changes)[:, :, -1]
+        tension_change[1:] -= rest_change[1:, :, -1]
+    cos, sin, pull = bent.cos[:, -1], bent.sin[:, -1], bent.wanted.force
+    return LoadingStates(
+        *(rest, tension, deflections, moment, tensions),
+        across=pull[:, 1] * cos - pull[:, 0] * sin,
+        x=bent.tip[:, 0],
+        tip_angle=np.arctan2(sin, cos),
+        curvature=bent.curvature[:, 0],
+        tension_change=tension_change,
+    )
 
 
-def _changes(
-    law: LoadingLaw, rule: Rule, state: Balance, rig: StringRig | None, slope: Floats
-) -> Floats:
-    """Return the derivatives of the tension at constant deflection by the law's parameters."""
-    end = law.energy_change[:, law.points]
-    inside = law.node_energy_change.reshape(len(end), law.node_energy.size)[:, rule.nodes]
-    arc = end * state.cube_q - rule.total(inside * state.cubes_q)
-    across = state.force * (end * state.cube - rule.total(inside * state.cubes))
-    deflection, tension = respond_to(state, rig, arc, across, np.zeros_like(end))
-    return tension - slope * deflection
+def _solve_near(wire: Wire, near: LoadingStates) -> tuple[Floats, Floats] | None:
+    """Solve from states of a similar law; None where that leads far away, such as to a curl."""
+    max_change_share = 0.3  # of the largest moment
+    solution = solve(wire, near.moment, near.tension, tolerance=TOLERANCE)
+    if solution is None:
+        return None
+    change = np.abs(solution[0] - near.moment).max(axis=1)
+    is_near = change <= max_change_share * np.abs(near.moment).max(axis=1)
+    return solution if is_near.all() else None
+
+
+def _clamp_moments(table: LoadingTable, length: float, deflections: Floats) -> Floats:
+    """Estimate the clamp moments at deflections, N m, for a curvature that falls linearly."""
+    share = np.minimum(deflections / length, 0.9)
+    bent = 3.0 * share / (1.0 - share**2) / length
+    return np.interp(bent, table.curvature, table.moment)
+
+
+def _solve_all(
+    wire: Wire, at: AtDeflection, rest: Floats, start: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Solve for moments and tensions, first at some deflections, then between them."""
+    min_deflections = 60  # for fewer, solving every fourth first costs more
+    stride = 4
+    deflections, solution = at.deflection, np.column_stack(start)
+    if len(deflections) < min_deflections:
+        return _solve(wire, at, *start)
+    coarse = np.append(np.arange(0, len(deflections) - 1, stride), len(deflections) - 1)
+    fine = np.setdiff1d(np.arange(len(deflections)), coarse)
+    for rows in (coarse, fine):
+        if rows is fine:
+            states = np.vstack([rest, solution[coarse]])
+            spline = CubicSpline(np.append(0.0, deflections[coarse]), states)
+            solution[fine] = spline(deflections[fine])
+        part = replace(at, deflection=deflections[rows])
+        part_solution = _solve(wire, part, solution[rows, :-1], solution[rows, -1])
+        solution[rows] = np.column_stack(part_solution)
+    return solution[:, :-1], solution[:, -1]
+
+
+def _solve(wire: Wire, at: AtDeflection, moment: Floats, tension: Floats) -> tuple[Floats, Floats]:
+    wire = replace(wire, condition=at)
+    solution = solve(wire, moment, tension, tolerance=TOLERANCE)
+    if solution is None:
+        farthest = at.deflection[-1]
+        where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"
+        message = f"length={wire.stations.position[-1]:.6g} m: no equilibrium found {where}"
+        raise ValueError(message)
+    return solution
 
 
 def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
@@ -202,169 +308,3 @@ def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
     result = CubicHermiteSpline(curve.deflection, values, rises, axis=1)(size)
     result *= np.sign(deflection)
     return result[0], result[1:]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rule:
-    """Quadrature of all points in one array: the nodes from zero to each point's moment.
-
-    Parameters
-    ----------
-    moment, energy : shape (points,), N m, N, at the clamp
-    starts, counts : shape (points,), first node and number of nodes of a point
-    nodes : shape (all,), indices into the law's nodes
-    weight : shape (all,), N m
-    rise : shape (all,), N, energy at the clamp less that at the node
-    """
-
-    moment: Floats
-    energy: Floats
-    starts: Ints
-    counts: Ints
-    nodes: Ints
-    weight: Floats
-    rise: Floats
-
-    def total(self, values: Floats) -> Floats:
-        """Return the sum over the nodes of each point, to shape (..., points)."""
-        return np.asarray(np.add.reduceat(values, self.starts, axis=-1))
-
-    def spread(self, values: Floats) -> Floats:
-        """Repeat each point's value at its nodes, to shape (..., all)."""
-        return np.repeat(values, self.counts, axis=-1)
-
-
-def rule_of(law: LoadingLaw) -> Rule:
-    """Lay out the nodes of all points of a law."""
-    counts = law.points * law.node_weight.shape[1]
-    starts = np.cumsum(counts) - counts
-    nodes = np.arange(counts.sum()) - np.repeat(starts, counts)
-    energy = law.energy[law.points]
-    rise = np.repeat(energy, counts) - law.node_energy.ravel()[nodes]
-    weight = law.node_weight.ravel()[nodes]
-    return Rule(law.moment[law.points], energy, starts, counts, nodes, weight, rise)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Balance:
-    """Integrals of each point for given forces and leans.
-
-    Parameters
-    ----------
-    force, lean : shape (points,), P, N, and beta, rad
-    sine, cosine : shape (points,), of the lean
-    arm, across : shape (points,), A and B, m
-    x, y : shape (points,), m, position of the tip along and across the undeformed axis
-    arc_length : shape (points,), m
-    cube, cube_q : shape (points,), integrals of 1 / R^3 and Q / R^3
-    cubes, cubes_q : shape (all nodes,), their summands
-    """
-
-    force: Floats
-    lean: Floats
-    sine: Floats
-    cosine: Floats
-    arm: Floats
-    across: Floats
-    x: Floats
-    y: Floats
-    arc_length: Floats
-    cube: Floats
-    cube_q: Floats
-    cubes: Floats
-    cubes_q: Floats
-
-
-def balance_of(rule: Rule, force: Floats, lean: Floats) -> Balance:
-    """Compute the integrals at given forces, N, and leans, rad, shape (points,) each."""
-    sine, cosine = np.sin(lean), np.cos(lean)
-    q = rule.rise - rule.spread(force * sine)
-    square = rule.spread(force * force) - q * q
-    plain = rule.weight / np.sqrt(square)
-    cubes = plain / square
-    cubes_q = cubes * q
-    across, arm = rule.total(plain * q) / force, rule.moment / force
-    x, y = arm * cosine - across * sine, arm * sine + across * cosine
-    sums = rule.total(plain), rule.total(cubes), rule.total(cubes_q)
-    return Balance(force, lean, sine, cosine, arm, across, x, y, *sums, cubes, cubes_q)
-
-
-Pair: TypeAlias = tuple[Floats, Floats]
-"""Two numbers for each point, shape (points,)."""
-
-
-def _across_slopes(state: Balance) -> Pair:
-    """Return the derivatives of B by force and lean."""
-    pressed = state.force * state.cube
-    by_force = -state.across / state.force - state.sine * pressed - state.cube_q
-    return by_force, -state.force * state.cosine * pressed
-
-
-def misfit(state: Balance, rig: StringRig | None) -> Floats:
-    """Return the force across the string that remains unbalanced, N; the lean without a string."""
-    if rig is None:
-        return state.lean
-    slant = (rig.anchor_x - state.x) / rig.string_length
-    pull = state.force * state.cosine + rig.weight
-    return state.force * state.sine * np.sqrt(1.0 - slant**2) + pull * slant
-
-
-def _misfit_slope(state: Balance, rig: StringRig) -> Floats:
-    slant = (rig.anchor_x - state.x) / rig.string_length
-    pull = state.force * state.cosine + rig.weight
-    return (state.force * state.sine * slant / np.sqrt(1.0 - slant**2) - pull) / rig.string_length
-
-
-def slopes(state: Balance, rig: StringRig | None) -> tuple[Pair, Pair]:
-    """Return the derivatives of arc length and misfit by force and lean."""
-    arc = (
-        -state.force * state.cube - state.sine * state.cube_q,
-        -state.force * state.cosine * state.cube_q,
-    )
-    if rig is None:
-        return arc, (np.zeros_like(state.lean), np.ones_like(state.lean))
-    slant = (rig.anchor_x - state.x) / rig.string_length
-    rise = np.sqrt(1.0 - slant**2)
-    across_by_force, across_by_lean = _across_slopes(state)
-    x_by_force = -state.arm / state.force * state.cosine - across_by_force * state.sine
-    x_by_lean = -state.y - across_by_lean * state.sine
-    by_x = _misfit_slope(state, rig)
-    by_force = state.sine * rise + state.cosine * slant + by_x * x_by_force
-    by_lean = state.force * (state.cosine * rise - state.sine * slant) + by_x * x_by_lean
-    return arc, (by_force, by_lean)
-
-
-def solve_pair(matrix: tuple[Pair, Pair], first: Floats, second: Floats) -> Pair:
-    """Solve two equations for two unknowns at every point."""
-    (a, b), (c, d) = matrix
-    determinant = a * d - b * c
-    return (d * first - b * second) / determinant, (a * second - c * first) / determinant
-
-
-def respond_to(
-    state: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
-) -> Pair:
-    """Compute the changes of deflection, m, and tension, N, shape (..., points).
-
-    They respond to changes of arc length, B and A at constant force and lean.
-    """
-    by_x = 0.0 if rig is None else _misfit_slope(state, rig)
-    misfit = by_x * (arm * state.cosine - across * state.sine)
-    force, lean = solve_pair(slopes(state, rig), -arc, -misfit)
-    across_by_force, across_by_lean = _across_slopes(state)
-    by_force = -state.arm / state.force * state.sine + across_by_force * state.cosine
-    by_lean = state.x + across_by_lean * state.cosine
-    weight = weight_of(rig)
-    pull = (state.force + weight * state.cosine) * force - state.force * weight * state.sine * lean
-    rise = arm * state.sine + across * state.cosine
-    return rise + by_force * force + by_lean * lean, pull / tension_of(state, rig)
-
-
-def weight_of(rig: StringRig | None) -> float:
-    """Weight at the tip, N; 0 without a string."""
-    return 0.0 if rig is None else rig.weight
-
-
-def tension_of(state: Balance, rig: StringRig | None) -> Floats:
-    """Return the tension of the string, N; the end load without a string."""
-    return np.hypot(state.force * state.sine, state.force * state.cosine + weight_of(rig))

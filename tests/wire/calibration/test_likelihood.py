@@ -13,15 +13,15 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
 from labpipe.mechanics.wire.calibration.fit import CalibrationFit, Settings, find
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.local_minima import _differences, find_minima, tube_quantile
-from labpipe.mechanics.wire.calibration.parameter_search import (
+from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     Point,
     Problem,
     normal_matrix,
-    search,
 )
 from labpipe.mechanics.wire.calibration.profile_likelihood import Trace, reach, traces, union
+from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import quantile, quantiles
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (

@@ -7,9 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.calibration.law_components import ModelForce, split_wire
+from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.parameter_search import Fit, Point, Problem
+from labpipe.mechanics.wire.calibration.objective import (
+    Fit,
+    ModelForce,
+    Point,
+    Problem,
+)
 from labpipe.mechanics.wire.calibration.variances import (
     correlation_of,
     estimate_levels,

@@ -11,14 +11,12 @@ import pytest
 from labpipe.mechanics.wire.bending_law import moment_curvature
 from labpipe.mechanics.wire.calibration.law_components import (
     WireParts,
-    gram,
     loading_curve,
-    loading_law,
     loading_table,
-    model_forces,
     split_wire,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import shared_errors
+from labpipe.mechanics.wire.calibration.objective import gram, model_forces
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Layer, compressed, concentric
 from labpipe.mechanics.wire.first_loading import force_at
@@ -54,13 +52,10 @@ def test_the_law_at_other_parameters_is_that_of_another_wire(
 ) -> None:
     """Scaled tables against the wire made anew with those numbers."""
     phi, modulus, scale = TRUTH * factors
-    law = loading_law(parts_of(name), TRUTH * factors, LARGEST)
+    law = loading_table(parts_of(name), TRUTH * factors, LARGEST)
     other = wire_of(name, phi, modulus, scale)
     whole = moment_curvature(other.section, other.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
-    steps = 0.5 * (law.curvature[1:] + law.curvature[:-1]) * np.diff(law.moment)
-    assert law.energy[-1] == pytest.approx(steps.sum(), rel=2e-3)
-    assert law.node_weight.sum() == pytest.approx(law.moment[-1], rel=1e-6)
 
 
 @pytest.mark.parametrize(("name", "weight"), [("A2", 0.0), ("C4", 0.0), ("A2", 0.05)])
@@ -77,8 +72,7 @@ def test_derivatives_by_the_logarithms(name: str, weight: float, *, has_string: 
     for number in range(3):
         step = np.exp(1e-3 * np.eye(3)[number])
         expected = (force(TRUTH * step)[0] - force(TRUTH / step)[0]) / 2e-3
-        close = 5e-3 if weight else 3e-3
-        assert change[number] == pytest.approx(expected, abs=close * np.abs(expected).max())
+        assert change[number] == pytest.approx(expected, abs=7e-3 * np.abs(expected).max())
 
 
 SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
@@ -87,17 +81,15 @@ SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
 def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
     """The law of a wire whose insulation is half as stiff throughout, and its derivatives."""
     parts, values = split_wire(soft_wire(1.0), WIRE.contacts), TRUTH * (1.0, 0.5, 1.0)
-    law = loading_law(parts, values, LARGEST)
+    law = loading_table(parts, values, LARGEST)
     wanted = moment_curvature(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(wanted.moment, rel=5e-5)
-    table = loading_table(parts, values, LARGEST)
-    assert table.bend(law.moment)[0] == pytest.approx(law.curvature, rel=1e-4, abs=1e-9)
-    step, at = 1e-4, law.moment[20:]
+    step, at = 1e-4, law.moment[20:-1] + 0.3 * np.diff(law.moment[20:])
     ahead, behind = (
         loading_table(parts, values * (1.0, np.exp(change), 1.0), LARGEST).bend(at)[0]
         for change in (step, -step)
     )
-    assert table.changes(at)[1] == pytest.approx((ahead - behind) / (2.0 * step), rel=2e-3)
+    assert law.changes(at)[1] == pytest.approx((ahead - behind) / (2.0 * step), rel=3e-3)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.4])
@@ -190,13 +182,10 @@ def test_what_a_wire_has(
     assert np.isnan(parts.given).tolist() == [not acts for acts in has]
     if parts.given[0] == 0.0:
         return
-    law = loading_law(parts, parts.given, LARGEST)
+    law = loading_table(parts, parts.given, LARGEST)
     whole = moment_curvature(section, contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
-    assert not law.energy_change[~np.array(has)].any()
-    for part in parts.copper:  # elastic where its table begins: half of M kappa is stored
-        stiffness, energy = part.table(np.log(part.first))
-        assert energy == pytest.approx(0.5 * stiffness, rel=1e-6)
+    assert not law.first_change[~np.array(has)].any()
 
 
 def test_copper_and_first_loading_end() -> None:
@@ -207,7 +196,7 @@ def test_copper_and_first_loading_end() -> None:
         reached = loading_curve(PARTS, values, 0.085, rig_of(0.085), 0.65 * 0.085).deflection[-1]
         assert reached >= 0.65 * 0.085
     with pytest.raises(ValueError, match=r"curvature=50 1/m: .* is known up to 0\.04\d+ 1/m"):
-        loading_law(PARTS, TRUTH * [1.0, 1.0, 1e-4], 50.0)
+        loading_table(PARTS, TRUTH * [1.0, 1.0, 1e-4], 50.0)
     curve = replace(measured(samples=1, n=10)[0], length=0.06, rig=None)
     with pytest.raises(ValueError, match=r"deflection=0.05 m: the curve ends at 0.04\d+ m"):
         model_forces(PARTS, TRUTH, (curve,))

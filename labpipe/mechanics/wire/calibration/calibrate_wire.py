@@ -2,8 +2,8 @@
 
 Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
 insulation and the strength of the copper. Intervals come from the profile likelihood with t
-quantiles; notes state what the tests do not determine. The objective is that of `parameter_search`,
-the law that of `law_components`, the loading curve the exact one of `first_loading`.
+quantiles; notes state what the tests do not determine. The objective is that of `objective`,
+the law that of `law_components`, the loading curve that of `first_loading`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from labpipe.mechanics.wire.calibration.fit import (
 )
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, agreement, whiten
-from labpipe.mechanics.wire.calibration.parameter_search import P, pull_of, search
+from labpipe.mechanics.wire.calibration.objective import P, pull_of
 from labpipe.mechanics.wire.calibration.profile_likelihood import (
     Trace,
     limit_of,
@@ -39,6 +39,7 @@ from labpipe.mechanics.wire.calibration.profile_likelihood import (
     traces,
     union,
 )
+from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import uncertainty
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Interval

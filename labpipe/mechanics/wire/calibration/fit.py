@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labpipe.mechanics.law.plays import require, require_positive
-from labpipe.mechanics.wire.calibration.law_components import WireParts, model_forces, split_wire
+from labpipe.mechanics.wire.calibration.law_components import WireParts, split_wire
 from labpipe.mechanics.wire.calibration.local_minima import (
     Line,
     LocalMinimum,
@@ -16,7 +16,12 @@ from labpipe.mechanics.wire.calibration.local_minima import (
     local_minimum_of,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, usable, whiten
-from labpipe.mechanics.wire.calibration.parameter_search import Fit, Levels, Problem
+from labpipe.mechanics.wire.calibration.objective import (
+    Fit,
+    Levels,
+    Problem,
+    model_forces,
+)
 from labpipe.mechanics.wire.calibration.variances import Uncertainty, quantile
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.friction import Contacts

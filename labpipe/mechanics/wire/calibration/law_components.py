@@ -1,13 +1,12 @@
-"""The law of a wire as a sum of scalable parts, and the forces that follow from it.
+"""The law of a wire as a sum of scalable parts, and the loading curve that follows from it.
 
-First loading without tension in the wire is additive in the strain energy per length W(kappa),
+First loading without tension in the wire is additive,
 
-    W = F^2 w_f(kappa / F) + sum of l^2 w_c(kappa / l) + E_ins I kappa^2 / 2,
+    M = F m_f(kappa / F) + sum of l m_c(kappa / l) + E_ins I kappa,
 
 exactly: friction is homogeneous in curvature and radial force F; a Ramberg-Osgood curve of
 strength c K is that of K with strain and stress stretched by l = c^(1 / (1 - n)), n its exponent.
-So w_f and w_c are tabulated once, and a new set of parameters costs a look-up. The change of the
-complementary energy at constant moment is minus that of W at constant curvature.
+So m_f and m_c are tabulated once, and a new set of parameters costs a look-up.
 
 Friction acts through phi = F (mu_s + mu_p) of the outermost ring. For a wire of one ring the law
 depends on the three numbers only through phi, apart from mu_s sin(alpha), which changes the
@@ -17,21 +16,23 @@ friction angle by less than 0.1 %. For more rings their ratios are kept, and F s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import groupby
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.mechanics.law.loading_table import NODES, LoadingLaw, LoadingTable, panel_rule
+from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.wire.bending_law import moment_curvature
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, tube_moment
-from labpipe.mechanics.wire.first_loading import LoadingCurve, force_at, load_cantilever
+from labpipe.mechanics.wire.first_loading import (
+    LoadingCurve,
+    LoadingStates,
+    load_cantilever,
+)
 from labpipe.mechanics.wire.friction import Contacts, slip_onsets
-from labpipe.mechanics.wire.heavy_loading import load_heavy
 from labpipe.mechanics.wire.materials import RambergOsgood, elastic_share, helix_factor
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import PARAMETERS
 
 _TABLE_STRAINS = (1e-9, 100.0, 32)
@@ -49,13 +50,11 @@ class FrictionPart:
     ----------
     curvature : shape (knots,), 1/m per N, from 0
     moment : shape (knots,), N m per N; constant beyond the last
-    energy : shape (knots,), N per N^2, integral of the moment
     coefficients : mu_s + mu_p of the outermost ring: phi for 1 N
     """
 
     curvature: Floats
     moment: Floats
-    energy: Floats
     coefficients: float
 
 
@@ -67,7 +66,7 @@ class CopperPart:
     ----------
     exponent : n of the Ramberg-Osgood curve; 0 for a material that has no strength to scale
     first, last : 1/m, ends of the table; below the first the strands are elastic
-    table : moment / curvature and energy / curvature^2 against the curvature's logarithm
+    table : moment / curvature against the curvature's logarithm
     """
 
     exponent: float
@@ -89,7 +88,7 @@ class WireParts:
     friction : None without rings or friction coefficients
     copper : one part for each exponent
     inertia : m^4, of the insulation: E_ins times it is its stiffness
-    tube : shares of the linear moment and energy, against the logarithm of the curvature; None for
+    tube : share of the linear moment, against the logarithm of the curvature; None for
         a linear insulation
     given : shape (3,), nominal values of `PARAMETERS`; NaN where the wire has none
     """
@@ -130,16 +129,18 @@ class _Bent:
 
     Parameters
     ----------
-    moment, slope, energy : shape (n,), N m, N m^2, N
-    moment_change, energy_change : shape (3, n), N m, N, their derivatives at constant curvature by
-        the logarithms of the parameters
+    moment, slope : shape (n,), N m, N m^2
+    change : shape (3, n), N m, derivatives of the moment at constant curvature by the logarithms of
+        the parameters
     """
 
     moment: Floats
     slope: Floats
-    energy: Floats
-    moment_change: Floats
-    energy_change: Floats
+    change: Floats
+
+
+Pair: TypeAlias = tuple[Floats, Floats]
+"""Moment, N m, and its slope, N m^2."""
 
 
 def split_wire(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireParts:
@@ -181,9 +182,7 @@ def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> 
     bends = np.abs(np.diff(slopes)) > corner_tolerance * slopes[0]
     is_corner = np.concatenate([[True], bends, [False]])
     curvature, moment = curvature[is_corner], moment[is_corner]
-    steps = 0.5 * (moment[1:] + moment[:-1]) * np.diff(curvature)
-    energy = np.concatenate([[0.0], np.cumsum(steps)])
-    return FrictionPart(curvature, moment, energy, contacts.inner[-1] + contacts.outer[-1])
+    return FrictionPart(curvature, moment, contacts.inner[-1] + contacts.outer[-1])
 
 
 def _tube(tube: Insulation | None) -> CubicSpline | None:
@@ -191,8 +190,8 @@ def _tube(tube: Insulation | None) -> CubicSpline | None:
     if tube is None or tube.curve is None:
         return None
     curvature = _table_curvatures(tube.curve.largest_strain, tube.outer_radius)
-    table = _secant_and_energy(curvature, tube_moment(tube, curvature).moment)
-    return CubicSpline(np.log(curvature), table * [1.0, 2.0] / tube.bending_stiffness)
+    secant = tube_moment(tube, curvature).moment / curvature
+    return CubicSpline(np.log(curvature), secant / tube.bending_stiffness)
 
 
 def _table_curvatures(largest_strain: float, rim: float) -> Floats:
@@ -200,14 +199,6 @@ def _table_curvatures(largest_strain: float, rim: float) -> Floats:
     least, _, per_decade = _TABLE_STRAINS
     count = round(np.log10(largest_strain / least) * per_decade)
     return np.asarray(np.geomspace(least, largest_strain, count) / rim * (1.0 - 1e-12))
-
-
-def _secant_and_energy(curvature: Floats, moment: Floats) -> Floats:
-    """Return moment / curvature and energy / curvature^2, shape (n, 2), N m^2."""
-    level = np.log(curvature)
-    work = CubicSpline(level, moment * curvature).antiderivative()
-    energy = work(level) + 0.5 * moment[0] * curvature[0]
-    return np.column_stack([moment / curvature, energy / curvature**2])
 
 
 def _exponent(material: object) -> float:
@@ -225,50 +216,17 @@ def _copper(section: CrossSection, exponent: float) -> CopperPart:
         stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
         lay = helix_factor(layer.lay_angle, layer.poisson)
         moment += layer.count * lay * stiffness * curvature * share
-    table = CubicSpline(np.log(curvature), _secant_and_energy(curvature, moment))
+    table = CubicSpline(np.log(curvature), moment / curvature)
     return CopperPart(exponent, float(curvature[0]), float(curvature[-1]), table)
 
 
-def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingLaw:
+def loading_table(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingTable:
     """Return the law of first loading at given parameters, with derivatives by their logarithms.
 
     Parameters
     ----------
     parts : the wire
     values : shape (3,), of `PARAMETERS`; those that do not act are ignored
-    largest_curvature : 1/m, at the clamp
-
-    Raises
-    ------
-    ValueError
-        If a strand or the insulation is bent beyond the known part of its material's curve.
-    """
-    _require_known(parts, values, largest_curvature)
-    edges, points = _edges(parts, values, largest_curvature)
-    places, weights = panel_rule(NODES)
-    width = np.diff(edges)[:, None]
-    nodes = edges[:-1, None] + width * places
-    at_edges = _bend(parts, values, edges[1:])
-    inside = _bend(parts, values, nodes.ravel())
-    complementary = edges[1:] * at_edges.moment - at_edges.energy
-    return LoadingLaw(
-        edges,
-        np.append(0.0, at_edges.moment),
-        np.append(0.0, complementary),
-        width * weights * inside.slope.reshape(nodes.shape),
-        nodes * inside.moment.reshape(nodes.shape) - inside.energy.reshape(nodes.shape),
-        points,
-        np.hstack([np.zeros((len(PARAMETERS), 1)), -at_edges.energy_change]),
-        -inside.energy_change.reshape(-1, *nodes.shape),
-    )
-
-
-def loading_table(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingTable:
-    """Return the same law as curvature over moment, for a wire with weight.
-
-    Parameters
-    ----------
-    parts, values : as for `loading_law`
     largest_curvature : 1/m, end of the table
 
     Raises
@@ -279,7 +237,7 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
     knots_per_panel = 4
     corner_offset = 1e-9  # relative distance of a knot from its corner
     _require_known(parts, values, largest_curvature)
-    edges, _ = _edges(parts, values, largest_curvature)
+    edges = _edges(parts, values, largest_curvature)
     shares = np.arange(knots_per_panel) / knots_per_panel
     fine = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
     curvature = np.append(fine, edges[-1])
@@ -287,7 +245,7 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
     for side in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
         bent = _bend(parts, values, side)
         slopes.append(1.0 / bent.slope)  # strands begin to slip at edges
-        changes.append(-bent.moment_change * slopes[-1])
+        changes.append(-bent.change * slopes[-1])
     moment = _bend(parts, values, curvature).moment
     return LoadingTable(moment, curvature, *slopes, *changes)
 
@@ -300,8 +258,8 @@ def _require_known(parts: WireParts, values: Floats, curvature: float) -> None:
         raise ValueError(message)
 
 
-def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, Ints]:
-    """Return panel edges, corners of friction and even points, and the indices of the points."""
+def _edges(parts: WireParts, values: Floats, largest: float) -> Floats:
+    """Return the edges of the table's panels: even in the logarithm, and corners of friction."""
     log_range = 8.0  # logarithm of the last over the first curvature
     spacing_power = 1.5  # knots are denser towards the last
     even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, _LOADING_POINTS) ** spacing_power)
@@ -313,25 +271,22 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, In
     near = even[np.minimum(np.searchsorted(even, corners), len(even) - 1)]
     below = even[np.maximum(np.searchsorted(even, corners) - 1, 0)]
     is_apart = np.minimum(np.abs(near - corners), np.abs(below - corners)) > _MIN_GAP * corners
-    edges = np.concatenate([[0.0], np.sort(np.concatenate([even, corners[is_apart]]))])
-    return edges, np.searchsorted(edges, even)
+    return np.concatenate([[0.0], np.sort(np.concatenate([even, corners[is_apart]]))])
 
 
 def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _Bent:
     """Sum all parts.
 
-    With the stretch a of a part, W = a^2 w(kappa / a) changes by 2 W - kappa M per logarithm of a,
-    and M by M - kappa M'; those of the insulation are proportional to its modulus.
+    With the stretch a of a part, M = a m(kappa / a) changes by M - kappa M' per logarithm of a;
+    that of the insulation is proportional to its modulus.
     """
-    moment, slope, energy = np.zeros((3, len(curvature)))
-    moment_change, energy_change = np.zeros((2, len(PARAMETERS), len(curvature)))
+    moment, slope = np.zeros((2, len(curvature)))
+    change = np.zeros((len(PARAMETERS), len(curvature)))
 
-    def add(number: int, part: tuple[Floats, Floats, Floats], stretches: float) -> None:
-        nonlocal moment, slope, energy
-        own_moment, own_slope, own_energy = part
-        moment, slope, energy = moment + own_moment, slope + own_slope, energy + own_energy
-        moment_change[number] += stretches * (own_moment - curvature * own_slope)
-        energy_change[number] += stretches * (2.0 * own_energy - curvature * own_moment)
+    def add(number: int, part: Pair, stretches: float) -> None:
+        nonlocal moment, slope
+        moment, slope = moment + part[0], slope + part[1]
+        change[number] += stretches * (part[0] - curvature * part[1])
 
     if parts.friction is not None:
         force = values[0] / parts.friction.coefficients
@@ -339,65 +294,40 @@ def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _Bent:
     if parts.inertia > 0.0:
         insulation = _insulation_moment(parts, values[1], curvature)
         add(1, insulation, 0.0)
-        moment_change[1], energy_change[1] = insulation[0], insulation[2]
+        change[1] = insulation[0]
     for copper in parts.copper:
         stretches = 1.0 / (1.0 - copper.exponent) if copper.exponent > 0.0 else 0.0
         add(2, _copper_moment(copper, values[2], curvature), stretches)
-    return _Bent(moment, slope, energy, moment_change, energy_change)
+    return _Bent(moment, slope, change)
 
 
-def _insulation_moment(
-    parts: WireParts, modulus: float, curvature: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return moment, slope and energy of the insulation at a modulus."""
+def _insulation_moment(parts: WireParts, modulus: float, curvature: Floats) -> Pair:
+    """Return moment and slope of the insulation at a modulus."""
     stiffness = modulus * parts.inertia
-    energy = 0.5 * stiffness * curvature**2
     if parts.tube is None:
-        return stiffness * curvature, np.full_like(curvature, stiffness), energy
+        return stiffness * curvature, np.full_like(curvature, stiffness)
     first, last = np.exp(parts.tube.x[[0, -1]])
     level = np.log(np.clip(curvature, first, last))
-    share, work = parts.tube(level).T
-    bend = np.where(curvature > first, parts.tube(level, 1)[:, 0], 0.0)
-    return stiffness * share * curvature, stiffness * (share + bend), energy * work
+    share = parts.tube(level)
+    bend = np.where(curvature > first, parts.tube(level, 1), 0.0)
+    return stiffness * share * curvature, stiffness * (share + bend)
 
 
-def _friction_moment(
-    part: FrictionPart, force: float, curvature: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return moment, slope and energy of friction at a radial force, N."""
+def _friction_moment(part: FrictionPart, force: float, curvature: Floats) -> Pair:
+    """Return moment and slope of friction at a radial force, N."""
     stretched = curvature / force
     panel = np.searchsorted(part.curvature, stretched, side="right") - 1
-    slopes = np.append(np.diff(part.moment) / np.diff(part.curvature), 0.0)
-    ahead = stretched - part.curvature[panel]
-    slope = slopes[panel]
-    moment = part.moment[panel] + slope * ahead
-    energy = part.energy[panel] + (part.moment[panel] + 0.5 * slope * ahead) * ahead
-    return force * moment, slope, force**2 * energy
+    slope = np.append(np.diff(part.moment) / np.diff(part.curvature), 0.0)[panel]
+    return force * (part.moment[panel] + slope * (stretched - part.curvature[panel])), slope
 
 
-def _copper_moment(
-    part: CopperPart, scale: float, curvature: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return moment, slope and energy of the strands' own bending at a copper scale."""
+def _copper_moment(part: CopperPart, scale: float, curvature: Floats) -> Pair:
+    """Return moment and slope of the strands' own bending at a copper scale."""
     stretch = part.stretch(scale)
     level = np.log(np.maximum(curvature / stretch, part.first))
-    secant, energy = part.table(level).T
-    bend = part.table(level, 1)[:, 0]
-    slope = secant + np.where(curvature > part.first * stretch, bend, 0.0)
-    return secant * curvature, slope, energy * curvature**2
-
-
-COLUMNS = len(PARAMETERS) + 2
-"""Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelForce:
-    """Forces of one curve, shape (n,), N, their derivatives, shape (3, n), N, and slope, N/m."""
-
-    force: Floats
-    change: Floats
-    slope: Floats
+    secant = part.table(level)
+    bend = np.where(curvature > part.first * stretch, part.table(level, 1), 0.0)
+    return secant * curvature, secant + bend
 
 
 def loading_curve(
@@ -408,6 +338,7 @@ def loading_curve(
     deflection: float,
     *,
     self_weight: float = 0.0,
+    near: LoadingStates | None = None,
 ) -> LoadingCurve:
     """Compute a loading curve that reaches a deflection.
 
@@ -418,106 +349,18 @@ def loading_curve(
     length, deflection : m
     rig : as for `load_cantilever`
     self_weight : N/m, of the wire; the deflection is then from rest
+    near : as for `load_cantilever`
 
     Raises
     ------
     ValueError
         If a material's curve ends before.
     """
-    curvature_margin = 1.5
-    widening = 1.5
-    end_factor = 2.0
+    curvature_margin = 3.0  # over a wire whose curvature falls linearly to its tip
     share = min(deflection / length, 0.9)
-    reach, statement = parts.reach(values)
-    largest = min(reach, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
-    if self_weight > 0.0:
-        end = min(reach, end_factor * largest)
-        curve = load_heavy(loading_table(parts, values, end), length, rig, self_weight, deflection)
-        _require_known(parts, values, float(curve.clamp_curvature.max()))
-        return curve
-    curve = load_cantilever(loading_law(parts, values, largest), length, rig)
-    while curve.deflection[-1] < deflection and curve.clamp_curvature[-1] >= largest:
-        if largest >= reach:
-            missing = deflection - curve.deflection[-1]
-            rise = np.gradient(curve.clamp_curvature, curve.deflection)[-1]
-            message = f"curvature={reach + rise * missing:.6g} 1/m: {statement}"
-            raise ValueError(message)
-        largest = min(reach, widening * largest)
-        curve = load_cantilever(loading_law(parts, values, largest), length, rig)
+    reach, _ = parts.reach(values)
+    end = min(reach, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
+    table = loading_table(parts, values, end)
+    curve = load_cantilever(table, length, rig, self_weight, deflection, near=near)
+    _require_known(parts, values, float(curve.clamp_curvature.max()))
     return curve
-
-
-def model_forces(
-    parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...]
-) -> list[ModelForce]:
-    """Compute the force of the model at every point of the curves, without the samples' factors.
-
-    Raises
-    ------
-    ValueError
-        If a curve goes beyond first loading.
-    """
-    forces: list[ModelForce | None] = [None] * len(curves)
-    order = sorted(range(len(curves)), key=lambda i: _setup_key(curves[i]))
-    for _, members in groupby(order, key=lambda i: _setup_key(curves[i])):
-        numbers = list(members)
-        deflections = np.concatenate([curves[i].deflection for i in numbers])
-        first = curves[numbers[0]]
-        deepest = float(np.max(np.abs(deflections)))
-        weight = first.self_weight
-        curve = loading_curve(parts, values, first.length, first.rig, deepest, self_weight=weight)
-        force, change = force_at(curve, deflections)
-        ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
-        rise = np.interp(np.abs(deflections), curve.deflection, curve.stiffness)
-        parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
-        for number, *part in zip(numbers, *parts_of, strict=True):
-            forces[number] = ModelForce(*part)
-    return [force for force in forces if force is not None]
-
-
-def _setup_key(curve: MeasuredCurve) -> tuple[float, ...]:
-    rig, place = curve.rig, (curve.length, curve.self_weight)
-    if rig is None:
-        return place
-    return (*place, rig.string_length, rig.weight, rig.anchor_x, rig.anchor_height)
-
-
-def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float) -> Floats:
-    """Return the whitened Gram matrix of derivatives, model and residual, shape (5, 5).
-
-    Parameters
-    ----------
-    curve, model : measured and modelled
-    factor : of the sample and the load cell on the model's force
-    correlation : of neighbouring points
-
-    Notes
-    -----
-    Errors N that the points share make the covariance R + N N', R being that of the noise. With
-    whitened columns W, N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury), as if each error
-    were fitted with its standard deviation as prior. They are in units of the stated noise: where
-    residuals show more noise, the shared errors grow alike.
-    """
-    force = factor * model.force
-    columns = np.column_stack([factor * model.change.T, force, curve.force - force])
-    return whitened_products(curve, columns, model.slope, correlation)
-
-
-def whitened_products(
-    curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
-) -> Floats:
-    """Return the Gram matrix of columns of forces in units of the stated noise, see `gram`.
-
-    Parameters
-    ----------
-    curve : measured
-    columns : shape (points, n), N
-    slope : shape (points,), N/m, of the curve
-    correlation : of neighbouring points
-    """
-    noise = np.asarray(curve.noise)[:, None]
-    white = whiten(columns / noise, correlation)
-    shared = whiten(shared_errors(curve, slope).T / noise, correlation)
-    seen = shared.T @ white
-    held = np.eye(shared.shape[1]) + shared.T @ shared
-    return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))

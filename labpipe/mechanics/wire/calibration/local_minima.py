@@ -29,15 +29,16 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from labpipe.mechanics.wire.calibration.law_components import model_forces, whitened_products
-from labpipe.mechanics.wire.calibration.parameter_search import (
+from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     Point,
     Problem,
+    model_forces,
     products,
-    search,
+    whitened_products,
 )
+from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import (
     Uncertainty,
     correlation_of,
@@ -211,7 +212,7 @@ def _first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats], free:
 def _without_offsets(point: Point, levels: Levels) -> Point:
     """Return the point, without offsets where samples do not scatter."""
     offsets = point.offsets if levels.scatter > 0.0 else np.zeros_like(point.offsets)
-    return Point(point.logs, point.gain, offsets)
+    return replace(point, offsets=offsets)
 
 
 def _are_close(one: Levels, other: Levels) -> bool:

@@ -12,13 +12,13 @@ above the lowest counts, and the interval is the union.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.mechanics.wire.calibration.fit import CalibrationFit
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum
-from labpipe.mechanics.wire.calibration.parameter_search import (
+from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     P,
@@ -26,8 +26,8 @@ from labpipe.mechanics.wire.calibration.parameter_search import (
     Problem,
     normal_matrix,
     scaled,
-    search,
 )
+from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import quantiles
 from labpipe.records.arrays import Flags, Floats
 
@@ -252,7 +252,8 @@ class _Profile:
         point, size = start.point, len(start.point.logs)
         logs = np.clip(point.logs + move[:size], self.problem.lower, self.problem.upper)
         logs[self.number] = target
-        return Point(logs, point.gain + float(move[size]), point.offsets + move[size + 1 :])
+        offsets = point.offsets + move[size + 1 :]
+        return replace(point, logs=logs, gain=point.gain + float(move[size]), offsets=offsets)
 
 
 def _find_end(walk: _Profile, root: float, error: float) -> _Side:

@@ -25,9 +25,15 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtr, stdtrit
 
-from labpipe.mechanics.wire.calibration.law_components import ModelForce
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors
-from labpipe.mechanics.wire.calibration.parameter_search import Fit, Levels, P, Problem, scaled
+from labpipe.mechanics.wire.calibration.objective import (
+    Fit,
+    Levels,
+    ModelForce,
+    P,
+    Problem,
+    scaled,
+)
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.wire_calibration import ScatterMixture
 

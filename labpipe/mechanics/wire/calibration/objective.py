@@ -1,4 +1,4 @@
-"""The search for the parameters: least squares with levels, by damped Gauss-Newton steps.
+"""The objective of a calibration: least squares of the force, with levels of noise and samples.
 
     objective = sum |W (F - exp(g + b_s) f(p))|^2 / v + sum b_s^2 / tau^2 + g^2 / gain^2
                 + sum (ln p - ln prior)^2 / prior^2
@@ -12,24 +12,120 @@ scatter does not bias the model to small forces, as a covariance made from measu
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
-from labpipe.mechanics.wire.calibration.law_components import (
-    COLUMNS,
-    ModelForce,
-    WireParts,
-    gram,
-    model_forces,
-)
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.law_components import WireParts, loading_curve
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
+from labpipe.mechanics.wire.first_loading import LoadingStates, force_at
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
 
 P = len(PARAMETERS)
-_MAX_STEPS = 60
-_OBJECTIVE_TOLERANCE = 1e-5
-"""Change of the objective predicted by a full step; intervals depend on changes of 1."""
+COLUMNS = len(PARAMETERS) + 2
+"""Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelForce:
+    """Forces of one curve, shape (n,), N, their derivatives, shape (3, n), N, and slope, N/m.
+
+    `states` are those of the wire, from which other parameters are solved faster.
+    """
+
+    force: Floats
+    change: Floats
+    slope: Floats
+    states: LoadingStates | None = None
+
+
+def model_forces(
+    parts: WireParts,
+    values: Floats,
+    curves: tuple[MeasuredCurve, ...],
+    near: list[ModelForce] | None = None,
+) -> list[ModelForce]:
+    """Compute the force of the model at every point of the curves, without the samples' factors.
+
+    Parameters
+    ----------
+    parts, values : as for `loading_curve`
+    curves : measured
+    near : forces at similar values, to start from
+
+    Raises
+    ------
+    ValueError
+        If a curve goes beyond first loading.
+    """
+    forces: list[ModelForce | None] = [None] * len(curves)
+    order = sorted(range(len(curves)), key=lambda i: _setup_key(curves[i]))
+    for _, members in groupby(order, key=lambda i: _setup_key(curves[i])):
+        numbers = list(members)
+        deflections = np.concatenate([curves[i].deflection for i in numbers])
+        first = curves[numbers[0]]
+        deepest = float(np.max(np.abs(deflections)))
+        curve = loading_curve(
+            *(parts, values, first.length, first.rig, deepest),
+            self_weight=first.self_weight,
+            near=near[numbers[0]].states if near else None,
+        )
+        force, change = force_at(curve, deflections)
+        ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
+        rise = np.interp(np.abs(deflections), curve.deflection, curve.stiffness)
+        parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
+        for number, *part in zip(numbers, *parts_of, strict=True):
+            forces[number] = ModelForce(part[0], part[1], part[2], curve.states)
+    return [force for force in forces if force is not None]
+
+
+def _setup_key(curve: MeasuredCurve) -> tuple[float, ...]:
+    rig, place = curve.rig, (curve.length, curve.self_weight)
+    if rig is None:
+        return place
+    return (*place, rig.string_length, rig.weight, rig.anchor_x, rig.anchor_height)
+
+
+def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float) -> Floats:
+    """Return the whitened Gram matrix of derivatives, model and residual, shape (5, 5).
+
+    Parameters
+    ----------
+    curve, model : measured and modelled
+    factor : of the sample and the load cell on the model's force
+    correlation : of neighbouring points
+
+    Notes
+    -----
+    Errors N that the points share make the covariance R + N N', R being that of the noise. With
+    whitened columns W, N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury), as if each error
+    were fitted with its standard deviation as prior. They are in units of the stated noise: where
+    residuals show more noise, the shared errors grow alike.
+    """
+    force = factor * model.force
+    columns = np.column_stack([factor * model.change.T, force, curve.force - force])
+    return whitened_products(curve, columns, model.slope, correlation)
+
+
+def whitened_products(
+    curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
+) -> Floats:
+    """Return the Gram matrix of columns of forces in units of the stated noise, see `gram`.
+
+    Parameters
+    ----------
+    curve : measured
+    columns : shape (points, n), N
+    slope : shape (points,), N/m, of the curve
+    correlation : of neighbouring points
+    """
+    noise = np.asarray(curve.noise)[:, None]
+    white = whiten(columns / noise, correlation)
+    shared = whiten(shared_errors(curve, slope).T / noise, correlation)
+    seen = shared.T @ white
+    held = np.eye(shared.shape[1]) + shared.T @ shared
+    return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,11 +180,13 @@ class Point:
     logs : shape (3,), of the parameters
     gain : of the load cell, in logarithms
     offsets : shape (samples,), of the samples, in logarithms
+    near : forces of the model nearby, from which it is solved faster
     """
 
     logs: Floats
     gain: float
     offsets: Floats
+    near: list[ModelForce] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,63 +211,10 @@ class Fit:
     settled: bool
 
 
-def search(
-    problem: Problem,
-    levels: Levels,
-    start: Point,
-    free: Flags,
-    *,
-    enough: float = _OBJECTIVE_TOLERANCE,
-    lowest: float = np.inf,
-) -> Fit:
-    """Search the minimum of the objective from a start.
-
-    Parameters
-    ----------
-    problem, levels : what is fitted
-    start : first guess; parameters that are not free stay there
-    free : shape (3,)
-    enough : tolerance of the objective
-    lowest : objective of a better fit: the tolerance grows with the rise above it
-
-    Raises
-    ------
-    ValueError
-        If the model cannot follow at the start.
-    """
-    idle_gain = 1e-3  # of the objective
-    max_idle_steps = 3  # in a row, which end a search along a flat valley
-    rise_share = 1e-3  # of the distance above another fit
-    jitter = 1e-2  # gain below which a failed step is due to the tabulated curves
-    damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
-    fit = _evaluate(problem, levels, start)
-    damping, steps, idle = damping_range[0], 0, 0
-    while steps < _max_steps(fit, lowest) and damping <= damping_range[2] and idle < max_idle_steps:
-        step, pull = _step_inside(problem, levels, fit, free, damping)
-        if float(step @ pull) <= max(enough, rise_share * (fit.objective - lowest)):
-            return replace(fit, steps=steps, settled=True)
-        steps += 1
-        next_fit = _advance(problem, levels, fit, step, float(step @ pull))
-        if next_fit is not None and next_fit.objective <= fit.objective:
-            slow = max(idle_gain, (fit.objective - lowest) / _MAX_STEPS)
-            idle = idle + 1 if fit.objective - next_fit.objective <= slow else 0
-            fit, damping = next_fit, max(damping / damping_range[1] ** 2, damping_range[0])
-        elif float(step @ pull) <= jitter:
-            return replace(fit, steps=steps, settled=True)
-        else:
-            damping *= damping_range[1]
-    return replace(fit, steps=steps, settled=steps < _MAX_STEPS)
-
-
-def _max_steps(fit: Fit, lowest: float) -> int:
-    """Return the number of steps allowed: few while far above a better fit."""
-    max_far_steps = 8
-    far_rise = 200.0  # above another fit: no quantile of so few samples is as large
-    return max_far_steps if fit.objective - lowest > far_rise else _MAX_STEPS
-
-
-def _evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
-    models = model_forces(problem.parts, np.exp(point.logs), problem.curves)
+def evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
+    """Evaluate the objective at a point."""
+    models = model_forces(problem.parts, np.exp(point.logs), problem.curves, point.near)
+    point = replace(point, near=models)
     grams = products(problem, levels.correlation, point, models)
     data = float(grams[:, -1, -1].sum()) / levels.noise
     prior = float(problem.precision @ (point.logs - problem.centre) ** 2)
@@ -190,37 +235,7 @@ def products(
     return grams
 
 
-def _advance(problem: Problem, levels: Levels, fit: Fit, step: Floats, gain: float) -> Fit | None:
-    """Evaluate a step, or part of it if a parabola has its minimum well before.
-
-    In a narrow curved valley whole steps oscillate between its sides.
-    """
-    whole_share = 0.75  # of a step, from which the whole step is taken
-    shortest_share = 0.1
-    full_step = _try(problem, levels, _move(problem, fit.point, step))
-    if full_step is None:
-        return None
-    share = gain / max(full_step.objective - fit.objective + 2.0 * gain, gain)
-    if share > whole_share:
-        return full_step
-    part = _try(problem, levels, _move(problem, fit.point, max(share, shortest_share) * step))
-    return part if part is not None and part.objective < full_step.objective else full_step
-
-
-def _try(problem: Problem, levels: Levels, point: Point) -> Fit | None:
-    """Evaluate a point; None where the model cannot follow, so that the step is shortened."""
-    try:
-        return _evaluate(problem, levels, point)
-    except ValueError:
-        return None
-
-
-def _move(problem: Problem, point: Point, step: Floats) -> Point:
-    logs = np.clip(point.logs + step[:P], problem.lower, problem.upper)
-    return Point(logs, point.gain + float(step[P]), point.offsets + step[P + 1 :])
-
-
-def _normal_equations(
+def normal_equations(
     problem: Problem, levels: Levels, fit: Fit, free: Flags
 ) -> tuple[Floats, Floats, Flags]:
     """Return matrix and right side of the normal equations, and which unknowns may move."""
@@ -251,49 +266,18 @@ def _normal_equations(
 
 def normal_matrix(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> tuple[Floats, Flags]:
     """Return half the Hessian by parameters, gain and samples, and which of them may move."""
-    matrix, _, moves = _normal_equations(problem, levels, fit, free)
+    matrix, _, moves = normal_equations(problem, levels, fit, free)
     return matrix, moves
 
 
 def pull_of(problem: Problem, levels: Levels, fit: Fit) -> Floats:
     """Return minus half the gradient by the logarithms of the parameters, shape (3,)."""
-    _, pull, _ = _normal_equations(problem, levels, fit, np.zeros(P, dtype=np.bool_))
+    _, pull, _ = normal_equations(problem, levels, fit, np.zeros(P, dtype=np.bool_))
     return pull[:P]
 
 
 def _precision(deviation: float) -> float:
     return 1.0 / deviation**2 if deviation > 0.0 else np.inf
-
-
-def _step_inside(
-    problem: Problem, levels: Levels, fit: Fit, free: Flags, damping: float
-) -> tuple[Floats, Floats]:
-    """Return a step within the bounds, and the pull; parameters that cross a bound stop there.
-
-    The others are solved again, because a clipped step need not lead downhill.
-    """
-    matrix, pull, moves = _normal_equations(problem, levels, fit, free)
-    fixed = np.zeros(len(pull))
-    while True:  # each round fixes at least one of the parameters
-        step = fixed + _step(matrix, pull - matrix @ fixed, moves, damping)
-        ahead = fit.point.logs + step[:P]
-        beyond = moves[:P] & ((ahead < problem.lower) | (ahead > problem.upper))
-        if not beyond.any():
-            return step, pull
-        inside = np.clip(ahead, problem.lower, problem.upper) - fit.point.logs
-        fixed[:P] = np.where(beyond, inside, fixed[:P])
-        moves = moves & ~np.concatenate([beyond, np.zeros(len(pull) - P, dtype=np.bool_)])
-
-
-def _step(matrix: Floats, pull: Floats, moves: Flags, damping: float) -> Floats:
-    longest_step = 1.5
-    step = np.zeros(len(pull))
-    if not moves.any():
-        return step
-    unit, scale = scaled(matrix[np.ix_(moves, moves)], damping)
-    step[moves] = np.linalg.solve(unit, pull[moves] / scale) / scale
-    longest = float(np.max(np.abs(step)))
-    return step * min(1.0, longest_step / longest) if longest > 0.0 else step
 
 
 def scaled(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
