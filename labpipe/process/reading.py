@@ -21,7 +21,7 @@ from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
 from labpipe.readers.load_frame.cards import lab_card_files
-from labpipe.readers.text_cells import is_unit
+from labpipe.readers.text_cells import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
@@ -56,8 +56,11 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
             place,
             stated=stated,
             key=f"{key}.unit: {source.unit}",
-            likely=likely,
-            another=another,
+            likely=(
+                f"Write {likely} there"
+                if _same_unit(likely, likely, si_unit)
+                else f"Name another channel with {another}"
+            ),
             wrong=in_test_sheet(f"{key}.wrong_unit_in_file", stated),
         )
     elif not stated:
@@ -65,18 +68,31 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
         error = ReadError.about("process.no_unit", path, place, unit=unit)
     elif _same_unit(stated, stated, si_unit):
         return []
-    else:
-        target = source.target_unit
-        unit = in_test_sheet(f"{key}.unit", likely if _same_unit(likely, likely, target) else "...")
+    elif source.target_unit == "N" and has_dimension_of(stated, "kg"):
         error = ReadError.about(
-            "process.unit_unusable",
+            "process.unit_of_mass",
             path,
             place,
             si_unit=si_unit,
             stated=stated,
-            unit=unit,
+            unit=in_test_sheet(f"{key}.unit", stated),
+            calibration=f"{key}.calibration",
+        )
+    elif stated not in _NO_UNIT and is_unit(stated):
+        error = ReadError.about(
+            "process.unit_of_another_quantity",
+            path,
+            place,
+            si_unit=si_unit,
+            stated=stated,
             another=another,
             calibration=f"{key}.calibration",
+        )
+    else:
+        is_spelt_otherwise = _same_unit(likely, likely, source.target_unit)
+        unit = in_test_sheet(f"{key}.unit", likely if is_spelt_otherwise else "...")
+        error = ReadError.about(
+            "process.unit_unknown", path, place, si_unit=si_unit, stated=stated, unit=unit
         )
     return [str(error)]
 

@@ -45,7 +45,7 @@ def test_new_then_check(run: Run, lab: Lab) -> None:
     ran = run("new", lab.raw, *options, "--set", "rig.stroke=12 mm", "--because", "a short stroke")
     assert ran.status == DONE
     assert ran.out.splitlines()[0] == f"wrote {lab.sheet}"
-    assert "  not used: truth.json: JSON" in ran.out.splitlines()
+    assert "  not used: truth.json (JSON)" in ran.out.splitlines()
     ran = run("check", lab.raw)
     assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: no faults found\n")
     before = lab.sheet.read_bytes()
