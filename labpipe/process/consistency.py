@@ -244,6 +244,8 @@ def _check_cycles(
         if change is None:
             continue
         kind, size = change
+        # An offset of the travel looks like one of the force, but its turns are elsewhere, too.
+        is_force_alone = kind == "level" and not _turns_elsewhere(before, after, least)
         yield Finding.of(
             "process.cycle_level"
             if kind == "level"
@@ -251,12 +253,18 @@ def _check_cycles(
             if kind == "scale"
             else "process.cycle_travel",
             where,
-            *(("force",) if kind == "level" else ("force", "displacement")),
+            *(("force",) if is_force_alone else ("force", "displacement")),
             during=(float(curve.time[before.unloading.stop - 1]), float(curve.time[-1])),
             cycle=after.loading.cycle,
             at=_at(curve, after.loading.start),
             size=size,
         )
+
+
+def _turns_elsewhere(before: Cycle, after: Cycle, least: float) -> bool:
+    """Return whether the largest displacements of two cycles differ by a share of the travel."""
+    (old, _), (new, _) = before.paths[1], after.paths[1]
+    return bool(abs(new[-1] - old[-1]) > least * (old[-1] - old[0]))
 
 
 def _instrument_change(
