@@ -1,7 +1,7 @@
 """Check a record for contradictions: cycle against cycle, rest against rest, force against travel.
 
 Each check compares one statistic with one threshold. The thresholds are multiples of the maxima
-in real and simulated cyclic tests (docs/explanations/consistency.md), so that a clean record fails
+in real and simulated cyclic tests (docs/explanations/intervals.md), so that a clean record fails
 a check in fewer than one case in fifty.
 """
 
