@@ -33,6 +33,7 @@ from functools import lru_cache
 from typing import ClassVar, TypeAlias
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
@@ -359,7 +360,8 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     ValueError
         If an equilibrium does not exist, or the bundle slides off its rollers.
     """
-    half = half_bundle(test)
+    arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
+    half = HalfBundle(test, test.bundle.law(), arc_length)
     rest = half.free(unbent_plays(half.law, test.n_stations))
     loading = [rest, *_branch(half, rest, test.stroke, turns=False)]
     unloading = [loading[-1], *_branch(half, loading[-1], 0.0, turns=True)]
@@ -427,36 +429,22 @@ class BentHalf:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Touch:
-    """Contact with the roller: weights of the stations, and the interpolated position."""
-
-    weight: Floats
-    x: float
-    y: float
-    angle: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class HalfBundle:
     """Half a bundle on its roller: stations and equations.
+
+    The Jacobian is found by complex steps: the imaginary part of the equations at unknowns with a
+    tiny imaginary step is their exact derivative (Squire and Trapp 1998).
 
     Parameters
     ----------
     test : bundle and rig
     law : of every station
     arc_length : shape (stations,), m, from mid-span
-    along : shape (stations, stations), values at the stations -> integral from mid-span to each
     """
 
     test: ThreePointTest
     law: MomentLaw
     arc_length: Floats
-    along: Floats
-
-    @property
-    def step(self) -> float:
-        """Return the distance of the stations, m."""
-        return float(self.arc_length[1])
 
     def friction(self, travel: float, turns: bool) -> float:
         """Return the signed coefficient at a `travel` after the start or the reversal."""
@@ -467,15 +455,15 @@ class HalfBundle:
         """Return the bundle with its history on its rollers without force."""
         nothing = np.zeros(self.test.n_stations)
         answer = respond(self.law, nothing, plays)
-        x, y, angle = self._shape(answer.curvature)
+        shape = self._shape(answer.curvature)
 
-        def gap(contact: float) -> float:
-            touch = self._touch(contact, x, y, angle)
-            return touch.x + self.test.reach * float(np.sin(touch.angle)) - 0.5 * self.test.span
+        def gaps(contact: float) -> Floats:
+            return self._gaps(self._at(shape, np.float64(contact)))
 
-        contact = float(brentq(gap, 0.0, float(self.arc_length[-1]), xtol=1e-14))
-        touch = self._touch(contact, x, y, angle)
-        travel = touch.y + self.test.reach * (1.0 - float(np.cos(touch.angle)))
+        last = float(self.arc_length[-1])
+        contact = float(brentq(lambda length: gaps(length)[0], 0.0, last, xtol=1e-14))
+        travel = float(gaps(contact)[1])
+        x, y, angle = shape
         return BentHalf(travel, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
 
     def settle(self, state: BentHalf, wanted: float, friction: float) -> BentHalf | None:
@@ -483,12 +471,14 @@ class HalfBundle:
         max_iterations = 40
         tolerance = 1e-9
         max_turn = 0.3
-        _, fy = _direction(self._touch_of(state).angle, friction)
-        unknowns = np.concatenate([state.moment, [0.5 * state.force / fy, state.contact]])
+        unknowns = np.append(state.moment, [0.5 * state.force, state.contact])
+        steps = 1e-30j * np.eye(len(unknowns))
         for _ in range(max_iterations):
-            residual, jacobian, turns = self._linearise(unknowns, state.plays, wanted, friction)
-            change = -np.linalg.solve(jacobian, residual)
-            largest = float(np.max(np.abs(turns @ change[:-2])))
+            answer = respond(self.law, unknowns[:-2], state.plays)
+            bent = answer.curvature + answer.compliance * steps[:, :-2]
+            equations = self._equations(unknowns + steps, bent, wanted, friction)
+            change = -np.linalg.solve(equations.imag.T / 1e-30, equations[-1].real)
+            largest = float(np.max(np.abs(self._along(answer.compliance * change[:-2]))))
             change *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
             unknowns = unknowns + change
             if not (0.0 < unknowns[-1] < self.arc_length[-1]) or not np.isfinite(largest):
@@ -501,113 +491,69 @@ class HalfBundle:
     def _bent(self, unknowns: Floats, plays: Floats, wanted: float, friction: float) -> BentHalf:
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
         answer = respond(self.law, moment, plays)
-        x, y, angle = self._shape(answer.curvature)
-        _, fy = _direction(self._touch(contact, x, y, angle).angle, friction)
-        return BentHalf(
-            displacement=wanted,
-            force=2.0 * normal * fy,
-            contact=contact,
-            x=x,
-            y=y,
-            angle=angle,
-            moment=moment,
-            curvature=answer.curvature,
-            plays=answer.plays,
+        shape = self._shape(answer.curvature)
+        x, y, angle = shape
+        _, fy = _direction(self._at(shape, unknowns[-1])[2], friction)
+        force = 2.0 * normal * float(fy)
+        curvature, after = answer.curvature, answer.plays
+        return BentHalf(wanted, force, contact, x, y, angle, moment, curvature, after)
+
+    def _along(self, values: Floats) -> Floats:
+        """Integrate values at the stations from mid-span to each, by the trapezoidal rule."""
+        step = float(self.arc_length[1])
+        integral: Floats = cumulative_trapezoid(values, dx=step, axis=-1, initial=0)
+        return integral
+
+    def _shape(self, curvature: Floats) -> Floats:
+        """Return x, y and angle, shape (3, ..., stations)."""
+        angle = self._along(curvature)
+        return np.stack([self._along(np.cos(angle)), self._along(np.sin(angle)), angle])
+
+    def _at(self, shape: Floats, contact: Floats | np.float64) -> Floats:
+        """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
+        stations = contact / self.arc_length[1]
+        below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
+        here: Floats = shape[..., below] + (stations - below) * (
+            shape[..., below + 1] - shape[..., below]
         )
+        return here
 
-    def _shape(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        angle = self.along @ curvature
-        return self.along @ np.cos(angle), self.along @ np.sin(angle), angle
-
-    def _touch_of(self, half: BentHalf) -> _Touch:
-        return self._touch(half.contact, half.x, half.y, half.angle)
-
-    def _touch(self, contact: float, x: Floats, y: Floats, angle: Floats) -> _Touch:
-        """Interpolate between the two stations next to the contact."""
-        below = min(int(contact / self.step), self.test.n_stations - 2)
-        weight = np.zeros(self.test.n_stations)
-        beyond = contact / self.step - below
-        weight[below : below + 2] = 1.0 - beyond, beyond
-        return _Touch(weight, float(weight @ x), float(weight @ y), float(weight @ angle))
-
-    def _gaps(
-        self, touch: _Touch, x: Floats, y: Floats, contact: float, *, wanted: float, friction: float
-    ) -> tuple[Floats, Floats]:
-        """Return the moments per unit of normal force, and the residuals of both conditions, m."""
-        fx, fy = _direction(touch.angle, friction)
-        inside = self.arc_length < contact
-        lever = (touch.x - x) * fy - (touch.y - y) * fx
-        ramp = np.clip((contact - self.arc_length) / self.step, 0.0, 1.0)
-        unit = np.where(inside, lever, 0.0) + self.test.outer_radius * friction * ramp
+    def _gaps(self, touch: Floats) -> Floats:
+        """Return how far the roller is from its place, and the displacement, m, shape (2, ...)."""
+        x, y, angle = touch
         reach = self.test.reach
-        lacks = [
-            touch.x + reach * np.sin(touch.angle) - 0.5 * self.test.span,
-            touch.y + reach * (1.0 - np.cos(touch.angle)) - wanted,
-        ]
-        return unit, np.array(lacks)
+        gap = x + reach * np.sin(angle) - 0.5 * self.test.span
+        return np.stack([gap, y + reach * (1.0 - np.cos(angle))])
 
-    def _linearise(
-        self, unknowns: Floats, plays: Floats, wanted: float, friction: float
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return residual, Jacobian by moments, normal force and contact, and angle by moment."""
-        contact_step = 1e-7
-        moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
-        answer = respond(self.law, moment, plays)
-        x, y, angle = self._shape(answer.curvature)
-        touch = self._touch(contact, x, y, angle)
-        unit, lacks = self._gaps(touch, x, y, contact, wanted=wanted, friction=friction)
-        residual = np.concatenate([moment - normal * unit, lacks])
-        turns = self.along * answer.compliance
-        dx = -(self.along * np.sin(angle)) @ turns
-        dy = (self.along * np.cos(angle)) @ turns
-        jacobian = np.zeros((len(unknowns), len(unknowns)))
-        n = len(moment)
-        jacobian[:n, :n] = np.eye(n) - normal * self._levers(
-            touch, (x, y), (dx, dy, turns), contact, friction
-        )
-        jacobian[:n, n] = -unit
-        tx, ty, tt = (touch.weight @ slope for slope in (dx, dy, turns))
-        reach = self.test.reach
-        jacobian[n, :n] = tx + reach * np.cos(touch.angle) * tt
-        jacobian[n + 1, :n] = ty + reach * np.sin(touch.angle) * tt
-        ahead = contact + contact_step
-        moved = self._gaps(
-            self._touch(ahead, x, y, angle), x, y, ahead, wanted=wanted, friction=friction
-        )
-        jacobian[:n, n + 1] = -normal * (moved[0] - unit) / contact_step
-        jacobian[n:, n + 1] = (moved[1] - lacks) / contact_step
-        return residual, jacobian, turns
-
-    def _levers(
-        self,
-        touch: _Touch,
-        place: tuple[Floats, Floats],
-        slopes: tuple[Floats, Floats, Floats],
-        contact: float,
-        friction: float,
+    def _equations(
+        self, unknowns: Floats, curvature: Floats, wanted: float, friction: float
     ) -> Floats:
-        """Return the derivative of the moments per unit of normal force by the moments."""
-        (x, y), (dx, dy, turns) = place, slopes
-        fx, fy = _direction(touch.angle, friction)
-        tt = touch.weight @ turns
-        by_place = (touch.weight @ dx - dx) * fy - (touch.weight @ dy - dy) * fx
-        by_turn = np.outer((touch.x - x) * fx + (touch.y - y) * fy, tt)
-        inside = (self.arc_length < contact)[:, None]
-        slope: Floats = np.where(inside, by_place + by_turn, 0.0)
-        return slope
+        """Return what lacks to equilibrium.
+
+        Parameters
+        ----------
+        unknowns : shape (n, stations + 2), complex: moments, normal force, contact
+        curvature : shape (n, stations), 1/m, complex, of these moments
+        wanted, friction : displacement, m, and signed coefficient
+
+        Returns
+        -------
+        shape (n, stations + 2), complex: moments, N m, and both conditions, m.
+        """
+        moment, normal, contact = unknowns[:, :-2], unknowns[:, -2], unknowns[:, -1]
+        shape = self._shape(curvature)
+        touch = self._at(shape, contact)
+        fx, fy = _direction(touch[2], friction)
+        lever_x, lever_y, _ = touch[:, :, None] - shape
+        lever = lever_x * fy[:, None] - lever_y * fx[:, None]
+        inside = (contact[:, None] - self.arc_length) / self.arc_length[1]
+        unit = np.where(inside.real > 0.0, lever, 0.0)
+        unit += self.test.outer_radius * friction * np.clip(inside, 0.0, 1.0)
+        gap, displacement = self._gaps(touch)
+        lacks = [moment - normal[:, None] * unit, gap[:, None], displacement[:, None] - wanted]
+        return np.concatenate(lacks, axis=1)
 
 
-def half_bundle(test: ThreePointTest) -> HalfBundle:
-    """Return half an unbent bundle with the trapezoidal rule along it."""
-    arc_length: Floats = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
-    along = np.tri(test.n_stations)
-    along[:, 0] = 0.5
-    np.fill_diagonal(along, 0.5)
-    along[0, 0] = 0.0
-    return HalfBundle(test, test.bundle.law(), arc_length, arc_length[1] * along)
-
-
-def _direction(angle: float, friction: float) -> tuple[float, float]:
+def _direction(angle: Floats, friction: float) -> tuple[Floats, Floats]:
     """Return the roller's force per unit of normal force, along the normal and the tangent."""
-    cos, sin = float(np.cos(angle)), float(np.sin(angle))
-    return friction * cos - sin, cos + friction * sin
+    return friction * np.cos(angle) - np.sin(angle), np.cos(angle) + friction * np.sin(angle)
