@@ -17,7 +17,7 @@ from labpipe.mechanics.rod.statics import RodSettings, follow
 from labpipe.records.arrays import Floats
 
 STEPS = 10
-SOFT = RodSettings(most_stretch=0.5)
+SOFT = RodSettings(max_strain=0.5)
 RAMP = np.linspace(0.0, 1.0, STEPS + 1)[:, None]
 
 

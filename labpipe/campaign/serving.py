@@ -35,8 +35,8 @@ from labpipe.units import whole_number
 
 LOOPBACK: Final = "127.0.0.1"
 REPORT: Final = "report"
-_TESTS: Final = page_file("").partition("/")[0]
-_TYPES: Final = {
+_TEST_PAGES_FOLDER: Final = page_file("").partition("/")[0]
+_INLINE_CONTENT_TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".svg": "image/svg+xml",
     ".png": "image/png",
@@ -46,14 +46,16 @@ _TYPES: Final = {
     ".csv": "text/plain; charset=utf-8",
 }
 """Types that a browser may display; all others are downloads."""
-_HEADERS: Final = {
+_COMMON_HEADERS: Final = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",  # the address holds the token
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-_NO_SCRIPT: Final = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
+_NO_SCRIPT_POLICY: Final = (
+    "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
+)
 """Policy of all files except labpipe's own pages: other files must not run scripts."""
 
 
@@ -120,7 +122,7 @@ class ReportServer(ThreadingHTTPServer):
         self.server_name, self.server_port = LOOPBACK, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print errors, except for closed connections."""
+        """Print errors, except lost and timed-out connections."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
@@ -135,14 +137,14 @@ class _Reply:
     """Content of a reply, and what its headers say."""
 
     content: bytes = b""
-    content_type: str = _TYPES[".json"]
-    policy: str = _NO_SCRIPT
+    content_type: str = _INLINE_CONTENT_TYPES[".json"]
+    policy: str = _NO_SCRIPT_POLICY
     status: HTTPStatus = HTTPStatus.OK
     more: tuple[tuple[str, str], ...] = ()
 
 
 def _page(text: str) -> _Reply:
-    return _Reply(text.encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
+    return _Reply(text.encode(), _INLINE_CONTENT_TYPES[".html"], policy="frame-ancestors 'none'")
 
 
 def _json(content: object, status: HTTPStatus = HTTPStatus.OK) -> _Reply:
@@ -167,7 +169,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, make: Callable[[list[str]], _Reply]) -> None:
         try:
-            reply = make(self._parts())
+            reply = make(self._authorised_path())
         except RefusedError as error:
             reply = _json({"error": str(error)}, error.status)
         except LabpipeError as error:
@@ -180,12 +182,12 @@ class _Handler(BaseHTTPRequestHandler):
         length = str(len(reply.content))
         own = {"Content-Type": reply.content_type, "Content-Length": length}
         own["Content-Security-Policy"] = reply.policy
-        for name, value in (own | _HEADERS | dict(reply.more)).items():
+        for name, value in (own | _COMMON_HEADERS | dict(reply.more)).items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(reply.content)
 
-    def _parts(self) -> list[str]:
+    def _authorised_path(self) -> list[str]:
         """Check a request, and return the parts of its address after the token."""
         _check_sender(self.headers, self.server.server_port)
         try:
@@ -204,11 +206,11 @@ class _Handler(BaseHTTPRequestHandler):
             return _Reply(status=HTTPStatus.FOUND, more=(("Location", location),))
         if parts == [REPORT, PAGE_FILE]:
             return _page(allow_own_server((site.report / PAGE_FILE).read_text(encoding="utf-8")))
-        if len(parts) == 3 and parts[:2] == [REPORT, _TESTS]:
+        if len(parts) == 3 and parts[:2] == [REPORT, _TEST_PAGES_FOLDER]:
             with site.work:
                 return _page(site.make_test_page(_find_test("/".join(parts[1:]), site)))
         file = _find_file(parts, site)
-        content_type = _TYPES.get(file.suffix.lower(), "")
+        content_type = _INLINE_CONTENT_TYPES.get(file.suffix.lower(), "")
         more = () if content_type else (("Content-Disposition", "attachment"),)
         return _Reply(file.read_bytes(), content_type or "application/octet-stream", more=more)
 
@@ -222,7 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
                 return _json(_save(body, site))
             if parts == [REPORT, REPORT]:
                 site.make_report()
-                return _json({"said": "The report was made again."})
+                return _json({"said": "The report was rebuilt."})
         raise _not_found()
 
     def _body(self) -> bytes:

@@ -11,8 +11,8 @@ from labpipe.markers.rings import SIDES, Sections, axis_at_rest, section_centres
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 TERMS = 3
-_GRID = 161
-_STEEPEST = 0.97
+_GRID_POINTS = 161
+_MAX_SLOPE_SINE = 0.97
 """Sine of the largest slope of a shape."""
 
 
@@ -57,15 +57,15 @@ class BentAxis:
         """Return the sine of the slope at places of shape (frames, n), m from mid-span."""
         along = _integrals(x, self.span, self.curvature.shape[1])
         sine = self.tilt[:, None] - np.einsum("fnk,fk->fn", along, self.curvature)
-        return np.asarray(np.clip(sine, -_STEEPEST, _STEEPEST), dtype=np.float64)
+        return np.asarray(np.clip(sine, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE), dtype=np.float64)
 
     def y(self, x: Floats) -> Floats:
         """Return the height at places of shape (n,), m from mid-span, for every frame."""
         reach = float(np.abs(x).max()) + 1e-6
-        grid = np.linspace(-reach, reach, _GRID)
-        sine = self.sine(np.broadcast_to(grid, (len(self.tilt), _GRID)))
+        grid = np.linspace(-reach, reach, _GRID_POINTS)
+        sine = self.sine(np.broadcast_to(grid, (len(self.tilt), _GRID_POINTS)))
         rise = _integrate(sine / np.sqrt(1.0 - sine**2), grid)
-        cell = np.clip(((x + reach) / (grid[1] - grid[0])).astype(int), 0, _GRID - 2)
+        cell = np.clip(((x + reach) / (grid[1] - grid[0])).astype(int), 0, _GRID_POINTS - 2)
         share = (x - grid[cell]) / (grid[1] - grid[0])
         y = (1.0 - share) * rise[:, cell] + share * rise[:, cell + 1] + self.height[:, None]
         return np.asarray(y, dtype=np.float64)
@@ -163,7 +163,7 @@ def fit_span(
 
 
 def _check_span(sections: Sections, span: float) -> None:
-    """Require enough sections between the supports, for any of their positions."""
+    """Require enough sections within one span, at the best position of the supports."""
     x = np.sort(sections.x)
     n_inside = max(int(np.sum((x >= start) & (x <= start + span))) for start in x)
     if n_inside < TERMS + 2:
@@ -280,9 +280,9 @@ def _fit_chunk(points: Floats, span: float, unknown: Floats, steps: int) -> tupl
     x: Floats = np.where(seen, points[..., 0], 0.0)
     y: Floats = np.where(seen, points[..., 1], 0.0)
     reach = float(np.abs(x).max()) + 1e-3
-    grid = np.linspace(-reach, reach, _GRID)
+    grid = np.linspace(-reach, reach, _GRID_POINTS)
     along = _integrals(grid[None], span, terms)[0]
-    columns = np.concatenate([-along, np.ones((_GRID, 1))], axis=1)  # curvatures, tilt
+    columns = np.concatenate([-along, np.ones((_GRID_POINTS, 1))], axis=1)  # curvatures, tilt
     weight = seen.astype(np.float64)
     for _ in range(steps):
         design, model = _linearise(unknown, columns, grid, x)
@@ -305,7 +305,7 @@ def _fit_chunk(points: Floats, span: float, unknown: Floats, steps: int) -> tupl
 
 def _linearise(unknown: Floats, columns: Floats, grid: Floats, x: Floats) -> tuple[Floats, Floats]:
     """Return derivatives of y at places of shape (frames, n) by the unknowns, and y."""
-    sine = np.clip(unknown[:, :-1] @ columns.T, -_STEEPEST, _STEEPEST)
+    sine = np.clip(unknown[:, :-1] @ columns.T, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE)
     flat = np.sqrt(1.0 - sine**2)
     rise = _integrate(sine / flat, grid)
     steps = _integrate((columns.T[None] / flat[:, None] ** 3), grid)

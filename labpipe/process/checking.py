@@ -1,4 +1,4 @@
-"""Check protocols and tests against each other and against the exports, without processing."""
+"""Check protocols, tests, plans and harness files, and whether the exports fit them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from labpipe.records.recording import MarkerTracks, Recording
 from labpipe.results.beam import BendingStiffness
 from labpipe.results.shapes import MidSpan, Twist
 
-_YAML = (".yaml", ".yml")
+_YAML_SUFFIXES = (".yaml", ".yml")
 _T = TypeVar("_T")
 
 
@@ -54,7 +54,7 @@ class CheckReport:
     faults: list[str] = field(default_factory=list)
 
     def attempt(self, work: Callable[[], _T], *, place: str = "") -> _T | None:
-        """Return what a function returns, or None with its error among the faults."""
+        """Call a function; if it fails, record its error and return None."""
         try:
             return work()
         except ProcessingError as error:
@@ -94,15 +94,17 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
             report.plans.append(file)
             report.attempt(partial(load, file))
     sheets = {file: _check_test(file, report, follow_links=follow_links) for file in report.tests}
-    report.faults += _shared_names({file: sheet for file, sheet in sheets.items() if sheet})
+    report.faults += _duplicate_test_names({file: sheet for file, sheet in sheets.items() if sheet})
     report.faults = list(dict.fromkeys(report.faults))
     return report
 
 
 def _yaml_files(path: Path) -> list[Path]:
     if path.is_dir():
-        return [file for file in files_below(path) if file.suffix in _YAML and file.is_file()]
-    return [path] if path.suffix in _YAML and path.is_file() else []
+        return [
+            file for file in files_below(path) if file.suffix in _YAML_SUFFIXES and file.is_file()
+        ]
+    return [path] if path.suffix in _YAML_SUFFIXES and path.is_file() else []
 
 
 def _unusable(path: Path) -> str:
@@ -237,7 +239,7 @@ def _marker_faults(
         )
 
 
-def _shared_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
+def _duplicate_test_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
     """Find tests of one campaign with the same name: they would overwrite each other."""
     seen: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():

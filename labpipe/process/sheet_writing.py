@@ -22,17 +22,24 @@ from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Cell, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
 
-_PLAIN = ("date", "operator")
+_OPTIONAL_TOP_LEVEL_COLUMNS = ("date", "operator")
 _NEEDED = ("test", "protocol", "type", "spool", "sample")
 DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
 """Dimensions of a specimen that have a column of their own."""
-BUNDLE = {"bundle_wires": "wires", "bundle_number": "number"} | {
+BUNDLE_KEY_BY_COLUMN = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
 }
 """Columns of a harness bundle and their keys in its block."""
 LABELS = "labels."
 """Prefix of columns that are labels of the specimen."""
-COLUMNS = (*_NEEDED, *_PLAIN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
+COLUMNS = (
+    *_NEEDED,
+    *_OPTIONAL_TOP_LEVEL_COLUMNS,
+    *DIMENSIONS,
+    *BUNDLE_KEY_BY_COLUMN,
+    *ROLES,
+    "because",
+)
 """Columns of a campaign table, in addition to dotted keys of the protocol and labels."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
 
@@ -78,7 +85,7 @@ def write_inferred_sheets(
     StoreError
         If the file cannot be written.
     """
-    _raise_all(UsageError, (x for name in stated for x in _unknown(name, name, folder, name)))
+    _raise_if_any(UsageError, (x for name in stated for x in _unknown(name, name, folder, name)))
     below = folders_of_tests(folder)
     existing = [path for path in below or [folder] if (path / SHEET_NAME).exists()]
     if existing == [folder] and not overwrite:
@@ -107,12 +114,12 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
         If the file cannot be written.
     """
     path, data = test.folder / SHEET_NAME, _inferred_data(test)
-    _raise_all(UsageError, _faults(test.values, {}, data, path, left_open=test.open))
+    _raise_if_any(UsageError, _faults(test.values, {}, data, path, left_open=test.open))
     _write(path, data)
     return WrittenSheet(path, False, test.remarks, test.open)
 
 
-def _raise_all(error: type[UsageError | ReadError], faults: Iterator[str]) -> None:
+def _raise_if_any(error: type[UsageError | ReadError], faults: Iterator[str]) -> None:
     if texts := list(faults):
         raise error("\n".join(texts))
 
@@ -158,7 +165,7 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
     """
     table = read_campaign_sheet(sheet)
     columns = [_column(cell.text) for cell in table.heading]
-    _raise_all(ReadError, _heading_faults(table.heading, [name for name, _ in columns], sheet))
+    _raise_if_any(ReadError, _heading_faults(table.heading, [name for name, _ in columns], sheet))
     faults, tests, names = list[str](), [], set[str]()
     for row in table.rows:
         cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
@@ -173,7 +180,7 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
             )
         names.add(test.casefold())
         tests.append((folder / test / SHEET_NAME, data, files))
-    _raise_all(ReadError, iter(faults))
+    _raise_if_any(ReadError, iter(faults))
     sheets = []
     for path, data, files in tests:
         kept = path.exists() and not overwrite
@@ -248,7 +255,7 @@ def _column_of(fault: Fault) -> str:
     path = [str(part) for part in fault.path]
     if path[:2] == ["specimen", "bundle"]:
         key = fault.missing or path[2]
-        return next(column for column, filled in BUNDLE.items() if filled == key)
+        return next(column for column, filled in BUNDLE_KEY_BY_COLUMN.items() if filled == key)
     if fault.missing:
         return fault.missing
     if path[:2] == ["specimen", "labels"]:
@@ -268,10 +275,10 @@ def _sheet_data(
     because = block({"because": "because"})
     overridden = [key for key in values if "." in key and key not in labels]
     specimen = block({key: key for key in (*_NEEDED[2:], *DIMENSIONS)})
-    blocks = {"bundle": block(BUNDLE), "labels": block(labels)}
+    blocks = {"bundle": block(BUNDLE_KEY_BY_COLUMN), "labels": block(labels)}
     data = block({key: key for key in _NEEDED[:2]})
     data["specimen"] = specimen | {key: inner for key, inner in blocks.items() if inner}
-    data |= block({key: key for key in _PLAIN})
+    data |= block({key: key for key in _OPTIONAL_TOP_LEVEL_COLUMNS})
     data["files"] = {
         role: names[0] if names is not None and len(names) == 1 else names and list(names)
         for role, names in files.items()

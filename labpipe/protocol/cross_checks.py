@@ -44,13 +44,13 @@ _REMEDIES = {
     _CLOCKS: "Set 'align.method' to 'turning-points'.",
     _SHAPES: "Add the step 'fit-shape'.",
 }
-_OF_FIGURES = {
+_FIGURE_NEEDS = {
     **dict.fromkeys(("force-displacement", "stiffness-lines", "timeline"), _CURVE),
     "wire-shapes": _SHAPES,
     "moment-curvature": "a result 'moment-curvature'",
     "marker-quality": _TRACKS,
 }
-"""What a figure cannot do without."""
+"""What each figure requires."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +196,7 @@ def result_names(tag: str, entry: Values) -> tuple[str, ...]:
 
 
 def cross_faults(data: Values) -> Faults:
-    """Find what is wrong between the parts of a protocol.
+    """Find contradictions between the parts of a protocol.
 
     Parameters
     ----------
@@ -215,8 +215,8 @@ def cross_faults(data: Values) -> Faults:
         yield from check(outline)
 
 
-def _lacking(outline: Outline, path: KeyPath, user: str, *needs: str) -> Faults:
-    """Find what a step, result or figure cannot do without."""
+def _missing_needs(outline: Outline, path: KeyPath, user: str, *needs: str) -> Faults:
+    """Find needs of a step, result or figure that the protocol does not provide."""
     for need in needs:
         if need not in outline.has:
             remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
@@ -309,7 +309,7 @@ def _step_faults(outline: Outline) -> Faults:
         kind, path = STEPS.get(tag), ("steps", number)
         here: KeyPath = (*path, "step")
         if kind is not None and kind.on_markers:
-            yield from _lacking(outline, here, tag, _TRACKS, _MARKERS)
+            yield from _missing_needs(outline, here, tag, _TRACKS, _MARKERS)
             if tag in earlier:
                 yield Fault.of("protocol.step_again", here, step=tag)
             if kind.after and kind.after not in earlier:
@@ -354,7 +354,7 @@ def _align_faults(outline: Outline) -> Faults:
     if _CLOCKS in outline.has:
         yield from _no_channel(align.get("channel"), ("align", "channel"), outline.measured)
     if align.get("method") == "turning-points":
-        yield from _lacking(outline, ("align", "method"), "turning-points", _TRACKS, _CLAMP)
+        yield from _missing_needs(outline, ("align", "method"), "turning-points", _TRACKS, _CLAMP)
 
 
 def _curve_faults(outline: Outline) -> Faults:
@@ -372,10 +372,10 @@ def _curve_faults(outline: Outline) -> Faults:
     clocks = {outline.clock_of(str(curve.get(key))) for key in ("force", "displacement")} - {None}
     if len(clocks) > 1:
         place: KeyPath = ("align", "method") if outline.block("align") else ("curve",)
-        yield from _lacking(outline, place, "curve", _CLOCKS)
+        yield from _missing_needs(outline, place, "curve", _CLOCKS)
     yield from _no_channel(branches.get("channel"), ("branches", "channel"), outline.names)
     if branches:
-        yield from _lacking(outline, ("branches",), "branches", _CURVE)
+        yield from _missing_needs(outline, ("branches",), "branches", _CURVE)
 
 
 def _result_faults(outline: Outline) -> Faults:
@@ -392,7 +392,7 @@ def _result_faults(outline: Outline) -> Faults:
         for key in existing_in(kind, "stiffness"):
             yield from _no_stiffness(settings.get(key), (*path, key), stiffnesses)
         names = result_names(tag, entry)
-        yield from _repeated_faults(names, tag, seen, (*path, "result"))
+        yield from _duplicate_name_faults(names, tag, seen, (*path, "result"))
         seen |= dict.fromkeys(names, tag)
         stiffnesses += [
             name
@@ -402,17 +402,17 @@ def _result_faults(outline: Outline) -> Faults:
 
 
 def _no_stiffness(name: object, path: KeyPath, earlier: Sequence[str]) -> Faults:
-    """Find a result of a stiffness that is not above it in the list."""
+    """Find a result that refers to a stiffness not listed above it."""
     if isinstance(name, str) and earlier and name not in earlier:
         yield not_among(path, name, earlier, "one of the stiffnesses above,")
     elif isinstance(name, str) and not earlier:
         yield Fault.of("protocol.no_stiffness", path, name=name)
 
 
-def _repeated_faults(
+def _duplicate_name_faults(
     names: Iterable[str], tag: str, seen: Mapping[str, str], path: KeyPath
 ) -> Faults:
-    """Find a result whose name in the summary another one has."""
+    """Find a result whose name in the summary is used before."""
     name = next((name for name in names if name in seen), None)
     if name is None:
         return
@@ -428,9 +428,9 @@ def _need_faults(outline: Outline, kind: type[Kind], path: KeyPath) -> Faults:
     needs, tag = kind.needs, kind.result
     words = [*(_CURVE, _BRANCHES) * needs.branches, *[_CLOCKS] * needs.clocks]
     words += [f"the step {needs.shape!r}"] * bool(needs.shape) + [_CLAMP] * needs.clamp
-    yield from _lacking(outline, path, tag, *words)
+    yield from _missing_needs(outline, path, tag, *words)
     if needs.correction and outline.block("curve"):
-        for fault in _lacking(outline, path, tag, f"a block 'curve.{needs.correction}'"):
+        for fault in _missing_needs(outline, path, tag, f"a block 'curve.{needs.correction}'"):
             out = in_test_sheet(f"results.{tag}", "null")
             yield replace(fault, remedy=f"{fault.remedy[:-1]}, or take the result out: {out}.")
     displacement = str(outline.block("curve").get("displacement"))
@@ -442,8 +442,8 @@ def _figure_faults(outline: Outline) -> Faults:
     figures = list_in(outline.data, "report", "figures")
     for number, figure in enumerate(figures):
         path: KeyPath = ("report", "figures", number)
-        if isinstance(figure, str) and figure in _OF_FIGURES:
-            yield from _lacking(outline, path, figure, _OF_FIGURES[figure])
+        if isinstance(figure, str) and figure in _FIGURE_NEEDS:
+            yield from _missing_needs(outline, path, figure, _FIGURE_NEEDS[figure])
         if figure in figures[:number]:
             yield Fault.of("protocol.figure_again", path, figure=figure)
 

@@ -95,7 +95,7 @@ Place = Annotated[tuple[Offset, Offset], row_of(2, "[0 mm, 1.2 mm]")]
 
 
 class SheetBundle(Block):
-    """What a harness bundle is made of."""
+    """Composition of a harness bundle."""
 
     wires: StatedWires = Field(description="By type: how many, or number and diameter")
     number: Annotated[int, WholeNumber(1, 100_000)] | None = Field(
@@ -127,7 +127,7 @@ class SheetBundle(Block):
 
     @classmethod
     def between(cls, data: Values) -> Iterator[Fault]:
-        """Refuse a taping of no tape, a tape that is not wound, a bore of no conduit."""
+        """Find taping without tape, tape without taping, and a bore without a conduit."""
         tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
         if tape == NONE and taping != NONE:
             yield Fault.of("protocol.no_tape", ("taping",), found=shown(taping))
@@ -177,7 +177,7 @@ def _each(wires: Wires) -> list[tuple[str, float | None]]:
 
 
 def _position_faults(positions: Places, wires: Wires) -> Iterator[Fault]:
-    """Find what keeps positions from being those of the wires."""
+    """Find why the positions do not match the wires."""
     total = len(_each(wires))
     unknown = [kind for kind, of in wires.items() if of.diameter is None]
     if len(positions) != total:

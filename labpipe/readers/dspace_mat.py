@@ -11,7 +11,7 @@
 **Clock and frame**: ``X.Data`` exactly as written, one clock per raster. Never index / rate.
 
 **File structure**: one struct with the fields X (time axes) and Y (channels), in a MAT v5 file or
-in an HDF5 file with a 512-byte user block (v7.3). The content decides, not the suffix.
+in an HDF5 file with a 512-byte user block (v7.3). The format is recognised by its content.
 
 **Known versions**: file format revisions 2.0 (classic ControlDesk) and 2.1 (5.2 to 7.5).
 """
@@ -51,16 +51,16 @@ if TYPE_CHECKING:
 MatValue = Any
 """A struct array as a list of mappings, text, an array, or None for unused types."""
 
-_MATRIX, _COMPRESSED = 14, 15
-_NUMERIC = range(6, 16)
-_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
-_NUMBERS |= {12: "i8", 13: "u8"}
-_TEXT = {1: "latin-1", 2: "latin-1", 16: "utf-8"}
-_HDF5 = b"\x89HDF\r\n\x1a\n"
+_MI_MATRIX, _MI_COMPRESSED = 14, 15
+_NUMERIC_CLASSES = range(6, 16)
+_DTYPE_BY_MI_TYPE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
+_DTYPE_BY_MI_TYPE |= {12: "i8", 13: "u8"}
+_ENCODING_BY_MI_TYPE = {1: "latin-1", 2: "latin-1", 16: "utf-8"}
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _REVISION = re.compile(r"Revision (\d+\.\d+)")
-_QUOTED = re.compile(r'"([^"]*)"$')
+_QUOTED_NAME = re.compile(r'"([^"]*)"$')
 _KNOWN_REVISIONS = frozenset({"2.0", "2.1"})
-_MAX_EAGER = 64
+_MAX_EAGER_ELEMENTS = 64
 """Elements; larger arrays are read on demand."""
 
 
@@ -68,7 +68,7 @@ def recognise(path: Path) -> bool:
     """Return whether a file is a MAT file of version 5 or 7.3, by its first bytes."""
     head = read_head(path, 1024)
     headers = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
-    return head.startswith(headers) or head[512:520] == _HDF5
+    return head.startswith(headers) or head[512:520] == _HDF5_SIGNATURE
 
 
 def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
@@ -88,9 +88,9 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     ReadError
         If it is damaged, contains no struct with X and Y, or lacks a wanted channel.
     """
-    with _open_variables(path) as (variables, created):
+    with _open_variables(path) as (variables, header_text):
         name, tree = _find_recording(variables, path)
-        export = _parse(name, tree, created, path)
+        export = _parse(name, tree, header_text, path)
         return load_export(export, reader="dspace-mat", path=path, channels=channels)
 
 
@@ -98,11 +98,11 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
 def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
     """Open either container; yield its variables and the header text with the day of saving."""
     head = read_head(path, 1024)
-    created = head[:116].decode("latin-1").strip(" \0")
-    if head[512:520] != _HDF5:
-        with reading(path, "a whole MAT v5 file"):
+    header_text = head[:116].decode("latin-1").strip(" \0")
+    if head[512:520] != _HDF5_SIGNATURE:
+        with reading(path, "a complete MAT v5 file"):
             variables = parse_mat5(path.read_bytes())
-        yield variables, created
+        yield variables, header_text
         return
     import h5py
 
@@ -113,7 +113,7 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
             _refuse_links(file)
             size = path.stat().st_size
             nodes = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
-        yield nodes, created
+        yield nodes, header_text
 
 
 def _from_hdf5(node: Any, file: h5py.File, size: int) -> MatValue:
@@ -160,18 +160,18 @@ def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
     if item.is_virtual or item.external:
         message = f"{item.name} keeps its samples in another file"
         raise ValueError(message)
-    if item.nbytes > max_deflate_ratio * size or not _is_whole(item):
+    if item.nbytes > max_deflate_ratio * size or not _has_all_samples(item):
         message = f"{item.name} claims {item.nbytes} bytes in a file of {size}"
         raise ValueError(message)
     if is_text:
         units = np.asarray(item[()]).T.astype("<u2")
         return units.tobytes().decode("utf-16-le", errors="replace")
-    return item if item.size > _MAX_EAGER else np.asarray(item[()])
+    return item if item.size > _MAX_EAGER_ELEMENTS else np.asarray(item[()])
 
 
-def _is_whole(item: h5py.Dataset) -> bool:
+def _has_all_samples(item: h5py.Dataset) -> bool:
     """Return whether the file contains all samples of a data set; small ones are not checked."""
-    if item.size <= _MAX_EAGER:
+    if item.size <= _MAX_EAGER_ELEMENTS:
         return True
     if item.chunks is None:
         return bool(item.id.get_storage_size() >= item.nbytes)
@@ -191,7 +191,7 @@ def _find_recording(
     raise ReadError.about("readers.no_struct", path, count=len(structs), names=names)
 
 
-def _parse(name: str, tree: Mapping[str, MatValue], created: str, path: Path) -> Export:
+def _parse(name: str, tree: Mapping[str, MatValue], header_text: str, path: Path) -> Export:
     axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
     general = _nested(tree, "Description", "General")
     written = _text(general, "DateTime") or _text(_nested(tree, "Capture"), "DateTime")
@@ -204,9 +204,9 @@ def _parse(name: str, tree: Mapping[str, MatValue], created: str, path: Path) ->
         origin=_text(general, "Origin"),
         metadata={
             "variable": name,
-            "created": created,
+            "created": header_text,
             "revision": revision,
-            "date": written_date(written, day_of_saving(created)),
+            "date": written_date(written, day_of_saving(header_text)),
             **{key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}},
         },
         notes=() if is_known else (note,),
@@ -222,7 +222,7 @@ def _structs(tree: Mapping[str, MatValue], field: str, path: Path) -> list[dict[
 
 def _trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
     port, folder = _text(item, "Name"), _text(item, "Path")
-    quoted = _QUOTED.search(port)  # revision 2.0 has the whole quoted path in Name
+    quoted = _QUOTED_NAME.search(port)  # revision 2.0 has the whole quoted path in Name
     full = f"{folder}/{port}" if folder else port
     index = _number(item.get("XIndex", 1))
     if index is None or not 1 <= index <= n_axes or index != int(index):
@@ -299,7 +299,7 @@ class _Cursor:
             raise ValueError(message)
         kind, size = struct.unpack_from(self.order + "II", self.data, self.at)
         start = self.at + 8
-        padded = size if kind == _COMPRESSED else -(-size // 8) * 8
+        padded = size if kind == _MI_COMPRESSED else -(-size // 8) * 8
         if kind >> 16:  # small element: one word with size and type, then its data
             size, kind, start, padded = kind >> 16, kind & 0xFFFF, self.at + 4, 0
         if start + size > len(self.data):
@@ -311,10 +311,10 @@ class _Cursor:
     def numbers(self) -> np.ndarray:
         """Return the numbers of the next element, in the type in which they are stored."""
         kind, data = self.element()
-        if kind not in _NUMBERS:
+        if kind not in _DTYPE_BY_MI_TYPE:
             message = f"type {kind} instead of numbers"
             raise ValueError(message)
-        array: np.ndarray = np.frombuffer(data, dtype=self.order + _NUMBERS[kind])
+        array: np.ndarray = np.frombuffer(data, dtype=self.order + _DTYPE_BY_MI_TYPE[kind])
         return array
 
     def inside(self, data: memoryview) -> _Cursor:
@@ -349,9 +349,9 @@ def parse_mat5(content: bytes) -> dict[str, MatValue]:
     variables: dict[str, MatValue] = {}
     while cursor.at < len(content):
         kind, data = cursor.element()
-        if kind == _COMPRESSED:
+        if kind == _MI_COMPRESSED:
             kind, data = cursor.inside(memoryview(zlib.decompress(data))).element()
-        if kind == _MATRIX:
+        if kind == _MI_MATRIX:
             name, value = _matrix(cursor.inside(data))
             variables[name] = value
     return variables
@@ -376,14 +376,14 @@ def _matrix(cursor: _Cursor) -> tuple[str, MatValue]:
         value = [_part(cursor) for _ in range(_bounded(count, cursor))]
     elif kind == char:
         value = _mat5_text(cursor)
-    elif kind in _NUMERIC and not flags & complex_flag:
+    elif kind in _NUMERIC_CLASSES and not flags & complex_flag:
         value = _array(cursor, count)
     return bytes(name).decode("latin-1"), value
 
 
 def _part(cursor: _Cursor) -> MatValue:
     kind, data = cursor.element()
-    if kind != _MATRIX:
+    if kind != _MI_MATRIX:
         message = f"type {kind} instead of an array"
         raise ValueError(message)
     return _matrix(cursor.inside(data))[1]
@@ -414,7 +414,7 @@ def _mat5_text(cursor: _Cursor) -> str:
     if kind in {4, 17}:
         name = "utf-16-le" if cursor.order == "<" else "utf-16-be"
         return bytes(data).decode(name, errors="replace")
-    return bytes(data).decode(_TEXT[kind], errors="replace")
+    return bytes(data).decode(_ENCODING_BY_MI_TYPE[kind], errors="replace")
 
 
 def _array(cursor: _Cursor, count: int) -> np.ndarray:

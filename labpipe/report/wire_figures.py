@@ -1,4 +1,4 @@
-"""Figures of a sheet of wires: cross-sections, stiffness, moment, cantilever and comparison."""
+"""Figures of a wire sheet: cross-sections, stiffness, moment, cantilever and comparison."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def set_log_axes(axes: Axes, across: Floats) -> None:
 
 _MAX_SIZE_RATIO = 2.5
 """Largest over smallest wire of a page up to which all are drawn to the same scale."""
-_OUTLINE: dict[str, Any] = {"edgecolor": "black", "linewidth": 0.4}
+_OUTLINE_STYLE: dict[str, Any] = {"edgecolor": "black", "linewidth": 0.4}
 
 
 def section_figure(tables: Sequence[WireTable]) -> Figure:
@@ -185,13 +185,13 @@ def plot_section(
         axes.plot(x, y, ".", color="black", markersize=2.0)
     look: dict[str, Any] = {"color": "black", "linewidth": 0.5, "linestyle": (0, (8, 2, 1.5, 2))}
     axes.plot([-edge, edge], [0.0, 0.0], label="neutral axis", **look)
-    for label, style in _labels_of_layers(layout).items():
+    for label, style in _layer_styles(layout).items():
         add_key(axes, label, is_area=True, **style)
     axes.set_aspect("equal", anchor="S")  # free room is between key and titles
     axes.set(xlim=(-edge, edge), ylim=(-1.22 * edge, edge))
     axes.set_axis_off()
     axes.set_title(_section_title(table, unit or stiffness_scale([table])), linespacing=1.25)
-    _draw_bar(axes, edge)
+    _draw_scale_bar(axes, edge)
 
 
 def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
@@ -210,7 +210,9 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
     from matplotlib.patches import Circle, Wedge
 
     colours = style_colours()
-    looks = [{"facecolor": colours[layer % len(colours)], **_OUTLINE} for layer in layout.layer]
+    looks = [
+        {"facecolor": colours[layer % len(colours)], **_OUTLINE_STYLE} for layer in layout.layer
+    ]
     x, y = _rotated_centres(layout, orientation)
     if layout.kind != "compressed":
         radii = LENGTH.factor * layout.diameter / 2.0
@@ -268,7 +270,7 @@ def _section_title(table: WireTable, unit: Scale) -> str:
     )
 
 
-def _draw_bar(axes: Axes, edge: float) -> None:
+def _draw_scale_bar(axes: Axes, edge: float) -> None:
     """Draw a scale bar of a round length, with the length beside it."""
     bar_share = 0.5
     power = 10.0 ** math.floor(math.log10(bar_share * 2.0 * edge))
@@ -283,7 +285,7 @@ def _is_one_scale(tables: Sequence[WireTable]) -> bool:
     return max(radii) <= _MAX_SIZE_RATIO * min(radii)
 
 
-def _labels_of_layers(layout: WireLayout) -> dict[str, dict[str, Any]]:
+def _layer_styles(layout: WireLayout) -> dict[str, dict[str, Any]]:
     """Return the style of each layer of strands by its name."""
     has_core = np.sum(layout.layer == 0) == 1
     colours = style_colours()
@@ -291,13 +293,17 @@ def _labels_of_layers(layout: WireLayout) -> dict[str, dict[str, Any]]:
     if has_core:
         names[0] = "core"
     return {
-        name: {"facecolor": colours[number % len(colours)], **_OUTLINE}
+        name: {"facecolor": colours[number % len(colours)], **_OUTLINE_STYLE}
         for number, name in enumerate(names)
     }
 
 
-_LIMIT: dict[str, Any] = {"color": "black", "linewidth": 0.6, "linestyle": (0, (5, 1.5, 1.2, 1.5))}
-_PARTS = (
+_LIMIT_LINE_STYLE: dict[str, Any] = {
+    "color": "black",
+    "linewidth": 0.6,
+    "linestyle": (0, (5, 1.5, 1.2, 1.5)),
+}
+_MOMENT_PART_STYLES = (
     ("insulation", "#c8c8c8", ""),
     ("strands' own bending", "#E69F00", "\\\\\\\\"),
     ("slipping strands", "#56B4E9", "////"),
@@ -355,11 +361,11 @@ def stiffness_figure(table: WireTable) -> Figure:
 
 def _shade_doubtful(table: WireTable, axes: Axes) -> None:
     if table.is_doubtful.any():
-        _shade(axes, table.doubtful_curvature, float(table.curvature[-1]))
+        _fade_range(axes, table.doubtful_curvature, float(table.curvature[-1]))
 
 
-def _shade(axes: Axes, start: float, stop: float) -> None:
-    """Draw a doubtful range lighter, but not the frame."""
+def _fade_range(axes: Axes, start: float, stop: float) -> None:
+    """Fade a doubtful range of a panel, but not its frame."""
     zorder = 6
     axes.axvspan(start, stop, facecolor="white", alpha=0.6, linewidth=0, zorder=zorder)
     for spine in axes.spines.values():
@@ -372,17 +378,17 @@ def _mark_limits(table: WireTable, axes: Axes, unit: Scale) -> None:
     stick, slip = (unit.factor * value for value in (table.stick_stiffness, table.slip_stiffness))
     low, high = axes.get_ylim()
     axes.set_ylim(low, max(high, headroom * stick))
-    names = {stick: f"all stick\n{_digits(stick)}", slip: f"all slip\n{_digits(slip)}"}
+    names = {stick: f"all stick\n{_four_digits(stick)}", slip: f"all slip\n{_four_digits(slip)}"}
     for level in (stick, slip):
-        axes.axhline(level, label="limits without yielding", **_LIMIT)
+        axes.axhline(level, label="limits without yielding", **_LIMIT_LINE_STYLE)
     if stick < label_ratio * slip:
-        names = {slip: f"all stick\n{_digits(stick)}\nall slip\n{_digits(slip)}"}
+        names = {slip: f"all stick\n{_four_digits(stick)}\nall slip\n{_four_digits(slip)}"}
     beside = axes.get_yaxis_transform()
     for level, label in names.items():
         axes.text(1.01, level, label, transform=beside, va="center")
 
 
-def _digits(value: float) -> str:
+def _four_digits(value: float) -> str:
     return write_number(value, None, digits=4).value
 
 
@@ -437,7 +443,7 @@ def moment_parts(table: WireTable) -> tuple[Floats, Floats, Floats, Floats]:
 
 def _stack(axes: Axes, across: Floats, parts: Sequence[Floats]) -> None:
     floor = np.zeros(len(across))
-    for part, (label, colour, hatch) in zip(parts, _PARTS, strict=True):
+    for part, (label, colour, hatch) in zip(parts, _MOMENT_PART_STYLES, strict=True):
         look: dict[str, Any] = {"facecolor": colour, "hatch": hatch, "edgecolor": "white"}
         axes.fill_between(across, floor, floor + part, label=label, linewidth=0.0, **look)
         floor = floor + part
@@ -467,14 +473,14 @@ def cantilever_figure(table: WireTable) -> Figure:
     dotted: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": DOTTED}
     for stiffness, label, look in (
         (table.stick_stiffness, "straight line, all stick", dotted),
-        (table.slip_stiffness, "straight line, all slip", _LIMIT),
+        (table.slip_stiffness, "straight line, all slip", _LIMIT_LINE_STYLE),
     ):
         force = FORCE.factor * 3.0 * stiffness / table.spec.length**3 * ends
         axes.plot(LENGTH.factor * ends, force, label=label, **look)
     axes.set(xlim=(0.0, across[-1]), ylim=(0.0, margin_factor * float(np.max(up))))
     axes.set(xlabel=LENGTH.label("Tip deflection"), ylabel=FORCE.label("End load"))
     if table.doubtful_deflection < table.tip_deflection[-1]:
-        _shade(axes, LENGTH.factor * table.doubtful_deflection, float(across[-1]))
+        _fade_range(axes, LENGTH.factor * table.doubtful_deflection, float(across[-1]))
     return titled(page, wire_title(table), note)
 
 
@@ -490,7 +496,7 @@ def _setting_note(table: WireTable) -> str:
     )
 
 
-_RANGES = (
+_COMPARISON_NOTE = (
     "Each line ends with the range of its law, and is lighter where the strain at the rim of the"
     " insulation exceeds its assumed linear range."
 )
@@ -528,7 +534,7 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     right.set(xlabel=CURVATURE.label("Curvature"), ylabel=MOMENT.label("Bending moment"))
     left.set_title("secant stiffness", loc="left")
     right.set_title("moment", loc="left")
-    return titled(page, "Wires compared  ·  wire model", _RANGES)
+    return titled(page, "Wires compared  ·  wire model", _COMPARISON_NOTE)
 
 
 _INVALID_IN_FILE_NAME = re.compile(r'[\\/:*?"<>|\x00-\x1f]')

@@ -173,7 +173,7 @@ def test_decisions_are_saved_at_once(asked: Asked) -> None:
     )
     (kept,) = read_decisions(asked.site.folder).decisions
     assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)
-    assert asked.post("report/report").said == {"said": "The report was made again."}
+    assert asked.post("report/report").said == {"said": "The report was rebuilt."}
     assert asked.made == ["report"]
 
 

@@ -161,7 +161,9 @@ def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_c
     (folder / "force.mat").write_bytes(exports["force.mat"][:5000])
     assert bench.go(50, step=5) == ""
     said = bench.go(30, step=5)
-    assert said.startswith("A2-085-1: force.mat cannot be read yet (expected a whole MAT v5 file")
+    assert said.startswith(
+        "A2-085-1: force.mat cannot be read yet (expected a complete MAT v5 file"
+    )
     assert (
         bench.go(3600, step=30)
         == "A2-085-1: force.mat cannot be read after an hour; waiting for it"

@@ -56,7 +56,7 @@ def _group(campaign: str, entry: Entry) -> Iterator[Row]:
         return
     where = (f"{campaign} {entry['group']}", "group", entry["result"])
     yield _number(*where, entry, "mean", n=entry["n"])
-    yield from _more(*where, entry, {"standard deviation": "sd", "spools alike, p": "p"})
+    yield from _more(*where, entry, {"standard deviation": "sd", "spools equal, p": "p"})
 
 
 def _difference(campaign: str, entry: Entry) -> Iterator[Row]:

@@ -338,7 +338,7 @@ def test_all_but_the_first_are_copies() -> None:
 @pytest.mark.parametrize(
     ("name", "content", "why"),
     [
-        ("cut.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "expected a whole MAT v5 file"),
+        ("cut.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "expected a complete MAT v5 file"),
         ("empty.csv", b"", "expected a file with content"),
         ("a\nb.csv", mts_suite(), "its name has control characters; rename it"),
     ],

@@ -188,15 +188,15 @@ def test_what_is_let_go_springs_back_in_part(node: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("most_turn", [0.5, 0.02])
-def test_each_cell_of_what_falls_springs_back_by_what_it_carries(most_turn: float) -> None:
+@pytest.mark.parametrize("max_turn", [0.5, 0.02])
+def test_each_cell_of_what_falls_springs_back_by_what_it_carries(max_turn: float) -> None:
     """Without weight: by its own law, however long the way, and nothing bends the free end."""
     line = straight_line(LENGTH, 20, sliding_section())
     angle = np.linspace(0.0, 0.8, 41)[:, None]
     size = 0.6 * (1.0 - 0.2 * angle**2) * LENGTH
     way = size * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     grip = Held(12, np.concatenate([way, way[-1:]]), release=41)
-    settings = RodSettings(most_turn=most_turn)
+    settings = RodSettings(max_turn=max_turn)
     path = follow(line, [clamp(line), grip], steps=41, settings=settings)
     held, free = path.states[40:]
     kept = residual_curvature(held, line.section.law)

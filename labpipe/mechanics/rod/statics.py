@@ -49,20 +49,20 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True)
 class RodSettings:
-    """Settings of following a line.
+    """Settings of `follow`.
 
     Parameters
     ----------
-    smallest_part : of a step, smallest by halving
-    most_turn : rad, largest relative turn of two neighbouring elements, and half of that of any
+    min_step_fraction : of a step, smallest by halving
+    max_turn : rad, largest relative turn of two neighbouring elements, and half of that of any
         element in space, in a part of a step
-    most_stretch : strain beyond which the line counts as torn
+    max_strain : strain beyond which the line counts as torn
     checks_stability : whether equilibria are checked, and left where they are not stable
     """
 
-    smallest_part: float = 2.0**-14
-    most_turn: float = 0.5
-    most_stretch: float = 0.05
+    min_step_fraction: float = 2.0**-14
+    max_turn: float = 0.5
+    max_strain: float = 0.05
     checks_stability: bool = True
 
 
@@ -123,12 +123,12 @@ class _Walk:
         self.reasons: list[Reason] = []
         self.snapped: list[int] = []
         self.step = 0
-        self.work = self.lost = self.rubbed = self.jumped = self.lost_in_jumps = 0.0
+        self.work = self.lost = self.friction_loss = self.jumped = self.slider_loss_in_jumps = 0.0
         self.failed = False
         self.is_checked = self.settings.checks_stability
         memory = LineMemory(rests, contacts, _start_places(self.schedule, start))
         self._set_up(self.schedule.grips(0), -1.0, shape, memory)
-        self.work = self._stored()
+        self.work = self._stored_energy()
 
     # ---- grips --------------------------------------------------------------------------------
 
@@ -171,12 +171,12 @@ class _Walk:
         free, lost = self._unaccounted_energy(), self.lost
         rests = split_sides(self.assembly.supports, now.memory.rests)
         self._set_up(grips, now.time, now.shape, replace(now.memory, rests=rests))
-        jumped, lost_in_jumps = self.jumped, self.lost_in_jumps
+        jumped, slider_loss_in_jumps = self.jumped, self.slider_loss_in_jumps
         equilibrium = self._find_equilibrium(now.time)
-        is_lost = equilibrium is not None and not self._is_stable(equilibrium)
-        self._move_on(now.time, equilibrium, is_lost=is_lost)
+        is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
+        self._move_on(now.time, equilibrium, is_unstable=is_unstable)
         self.jumped = jumped + self._unaccounted_energy() - free
-        self.lost_in_jumps = lost_in_jumps + self.lost - lost
+        self.slider_loss_in_jumps = slider_loss_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
 
@@ -200,35 +200,35 @@ class _Walk:
 
     def _walk_to(self, goal: float) -> None:
         part = 1.0
-        smallest = self.settings.smallest_part
+        smallest = self.settings.min_step_fraction
         was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
             is_last = part <= smallest
             equilibrium = self._find_equilibrium(time, both=is_last or not was_refused)
-            is_lost = equilibrium is not None and not self._is_stable(equilibrium)
-            was_refused, before = equilibrium is None or is_lost, was_refused
-            if was_refused and not is_last and not (is_lost and self._is_doubtful):
+            is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
+            was_refused, before = equilibrium is None or is_unstable, was_refused
+            if was_refused and not is_last and not (is_unstable and self._accepted_unstable):
                 part *= 0.5
                 continue
-            self._move_on(time, equilibrium, is_lost=is_lost)
-            if equilibrium is not None and (self._is_doubtful if is_lost else not before):
+            self._move_on(time, equilibrium, is_unstable=is_unstable)
+            if equilibrium is not None and (self._accepted_unstable if is_unstable else not before):
                 part = min(1.0, 2.0 * part)
 
-    def _move_on(self, time: float, equilibrium: Equilibrium | None, *, is_lost: bool) -> None:
+    def _move_on(self, time: float, equilibrium: Equilibrium | None, *, is_unstable: bool) -> None:
         """Commit an equilibrium, and relax from it if unstable, or from here if there is none."""
         if equilibrium is None:
             self._relax(time, is_unstable=False)
             return
         self._commit(time, equilibrium)
-        if is_lost:
+        if is_unstable:
             self._leave_unstable(time)
 
     def _is_stable(self, equilibrium: Equilibrium) -> bool:
         return not self.is_checked or self.check.is_stable(equilibrium.balance, equilibrium.shape)
 
     @property
-    def _is_doubtful(self) -> bool:
+    def _accepted_unstable(self) -> bool:
         """Return whether an unstable equilibrium was accepted: smaller parts do not help."""
         return self._has_reason("unstable") or self._has_reason("whirls")
 
@@ -251,7 +251,7 @@ class _Walk:
         return None
 
     def _is_near_enough(self, equilibrium: Equilibrium) -> bool:
-        now, largest_turn = self.now, self.settings.most_turn
+        now, largest_turn = self.now, self.settings.max_turn
         turns = equilibrium.balance.cells.turns - now.balance.cells.turns
         if float(np.max(np.linalg.norm(turns, axis=1), initial=0.0)) > largest_turn:
             return False
@@ -267,23 +267,23 @@ class _Walk:
             self.assembly, (now.demands, goal), (now.shape, equilibrium.shape), (now.balance, new)
         )
         self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
-        self.rubbed += sum(touch.rubbed for touch in new.touches)
+        self.friction_loss += sum(touch.rubbed for touch in new.touches)
         self.now = WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
-        most = self.settings.most_stretch
-        check_line(self.assembly, equilibrium.shape, new, self.step, most_stretch=most)
+        most = self.settings.max_strain
+        check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=most)
         check_rings(self.schedule, new, self.step)
 
-    def _stored(self) -> float:
+    def _stored_energy(self) -> float:
         return stored_energy(self.assembly, self.now.balance, self.now.shape)
 
     def _unaccounted_energy(self) -> float:
         """Return the work that is not stored, lost in sliders or by friction, J."""
-        return self.work - self._stored() - self.lost - self.rubbed
+        return self.work - self._stored_energy() - self.lost - self.friction_loss
 
     # ---- relaxing -----------------------------------------------------------------------------
 
     def _leave_unstable(self, time: float) -> None:
-        """Leave an unstable equilibrium, unless it whirls."""
+        """Relax from an unstable equilibrium; accept it with a reason if the line whirls there."""
         if self._has_reason("whirls") or self.check.whirls(self.now.balance):
             self._doubt_stability(is_whirling=True)
         else:
@@ -295,14 +295,14 @@ class _Walk:
         kicks = (0.0, 1e-3, 1e-2)
         if self.step not in self.snapped:
             self.snapped.append(self.step)
-        saved = self.now, self.work, self.lost, self.rubbed
+        saved = self.now, self.work, self.lost, self.friction_loss
         free = self._unaccounted_energy()
         for kick in kicks[1:] if is_unstable else kicks:
             if self._relax_to_rest(time, kick):
                 self.jumped += self._unaccounted_energy() - free
-                self.lost_in_jumps += self.lost - saved[2]
+                self.slider_loss_in_jumps += self.lost - saved[2]
                 return
-            self.now, self.work, self.lost, self.rubbed = saved
+            self.now, self.work, self.lost, self.friction_loss = saved
         if not is_unstable:
             pulls = np.linalg.norm(self.now.shape.forces, axis=1)
             node = int(np.argmax(pulls))
@@ -389,7 +389,7 @@ class _Walk:
     # ---- results ------------------------------------------------------------------------------
 
     def _doubt_stability(self, *, is_whirling: bool) -> None:
-        """Accept an unstable equilibrium, with one reason."""
+        """Record once why an unstable equilibrium was accepted."""
         push = np.zeros(self.assembly.places.total)
         mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
         moves = split_unknowns(push if mode is None else mode)[0]
@@ -408,9 +408,9 @@ class _Walk:
     def _record_state(self, step: int) -> None:
         state = state_of(self.assembly, self.schedule, self.grips, self.now, step)
         self.states.append(state)
-        stored = self._stored()
-        jumps = self.jumped, self.lost_in_jumps
-        self.energies.append((self.work, stored, self.lost, self.rubbed, *jumps))
+        stored = self._stored_energy()
+        jumps = self.jumped, self.slider_loss_in_jumps
+        self.energies.append((self.work, stored, self.lost, self.friction_loss, *jumps))
         last = self.line.section.law.last
         node = int(np.argmax(state.bendings))
         if state.bendings[node] > last and not self._has_reason("beyond_law"):

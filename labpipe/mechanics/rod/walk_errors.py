@@ -91,7 +91,7 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
 
 
 def check_line(
-    assembly: Assembly, shape: Shape, balance: Balance, step: int, *, most_stretch: float
+    assembly: Assembly, shape: Shape, balance: Balance, step: int, *, max_strain: float
 ) -> None:
     """Refuse a line that is torn or folded.
 
@@ -99,13 +99,13 @@ def check_line(
     ----------
     assembly, shape, balance : of the line
     step : its number
-    most_stretch : strain beyond which it counts as torn
+    max_strain : strain beyond which it counts as torn
     """
     max_fold = 3.13  # rad, between two elements
     element = int(np.argmax(shape.stretches))
     stretch = 100.0 * shape.stretches[element]
-    if stretch > 100.0 * most_stretch:
-        most = 100.0 * most_stretch
+    if stretch > 100.0 * max_strain:
+        most = 100.0 * max_strain
         raise NoEquilibriumError(
             Reason.of("mechanics.rod.torn", step=step, place=element, stretch=stretch, most=most)
         )

@@ -1,4 +1,4 @@
-"""Numbers of a solved harness and their doubts: bend radii, forces, curvature after release.
+"""Results of a solved harness, and reasons to doubt them: bend radii, forces, residual curvature.
 
 They are computed from fields: vectors that respond smoothly to inputs. A norm, a minimum or a
 maximum is not smooth at zero or where its place changes. Therefore the response is linear in the
@@ -540,7 +540,7 @@ class Number:
 
 
 def reference_size(unit: str, line: Line) -> float:
-    """Return the order of magnitude of a unit for a line bent over its length.
+    """Return the typical magnitude of a quantity in this unit, for a line bent to 1 / length.
 
     Parameters
     ----------
