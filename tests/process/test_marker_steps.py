@@ -221,7 +221,7 @@ FAULTS_OF_A_SET_UP: dict[str, tuple[BendingRecord, tuple[str, str] | None, str, 
         BendingRecord(),
         (f"  {SPAN}\n", ""),
         "mid_span_curvature",
-        "no_span: specimen.span, the distance between the supports, is not given: write it into the",
+        "no_span: specimen.span, the distance between the supports, is not given: write it into",
     ),
     "a span between markers": (
         BendingRecord(),
