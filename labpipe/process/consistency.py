@@ -11,18 +11,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
+from typing import Literal
 
 import numpy as np
 
 from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import LIMITS, Limits
-from labpipe.records.quality import Finding
+from labpipe.records.quality import Finding, Findings
 from labpipe.records.signals import Signals
 from labpipe.results.reduced_test import FailurePoint, sense_of_loading
 from labpipe.signal.rests_and_jumps import level_jumps
 from labpipe.signal.turning_points import noise_level
 
+NO_FINDINGS = Findings()
 COMPARED_POINTS = 40
 """Displacements of a branch at which cycles are compared."""
 MIN_BRANCH_SAMPLES = 5
@@ -41,7 +43,9 @@ class Cycle:
     paths: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
 
-def check_consistency(signals: Signals, curve: Curve, limits: Limits = LIMITS) -> Iterator[Finding]:
+def check_consistency(
+    signals: Signals, curve: Curve, limits: Limits = LIMITS, *, known: Findings = NO_FINDINGS
+) -> Iterator[Finding]:
     """Compare the parts of a record.
 
     Parameters
@@ -49,6 +53,7 @@ def check_consistency(signals: Signals, curve: Curve, limits: Limits = LIMITS) -
     signals : of the test, with the stretches of their zeros
     curve : of unfiltered force, with branches
     limits : of the lab
+    known : findings about single channels
 
     Yields
     ------
@@ -58,12 +63,12 @@ def check_consistency(signals: Signals, curve: Curve, limits: Limits = LIMITS) -
     if not curve.branches:
         return
     yield from _check_repetition(where, curve)
-    yield from _check_displacement(signals.displacement, curve, largest)
+    yield from _check_displacement(signals.displacement, curve, largest, known)
     if largest > 0.0:
         cycles = list(_cycles(curve))
         yield from _check_rest_force(signals, curve, largest, limits.rest_force)
         changes = list(_check_cycles(where, curve, cycles, largest, limits.cycle_change))
-        jumps = list(_check_force(where, curve))
+        jumps = list(_check_force(where, curve, known))
         is_level = any(change.code == "cycle_level" for change in changes)
         yield from jumps or _check_drift(where, curve, limits.rest_force_drift, is_level=is_level)
         yield from changes
@@ -130,10 +135,30 @@ def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
             return
 
 
-def _check_displacement(where: str, curve: Curve, largest: float) -> Iterator[Finding]:
+def _jumps(
+    curve: Curve, quantity: Literal["force", "displacement"], known: Findings
+) -> list[tuple[int, float]]:
+    """Return jumps of a quantity by sample, without those that end a stuck run of its channel."""
+    max_samples_after_run = 2
+    stuck_until = [
+        int(np.searchsorted(curve.time, doubt.during[1]))
+        for finding in known.entries
+        for doubt in finding.doubts
+        if finding.code == "frozen_channel" and doubt.quantity == quantity and doubt.during
+    ]
+    return [
+        (sample, size)
+        for sample, size in level_jumps(curve.time, getattr(curve, quantity))
+        if all(abs(sample - end) > max_samples_after_run for end in stuck_until)
+    ]
+
+
+def _check_displacement(
+    where: str, curve: Curve, largest: float, known: Findings
+) -> Iterator[Finding]:
     """Report jumps of the displacement that no break explains."""
     break_share = 0.3  # fall of the force at a break, share of the largest force
-    jumps = level_jumps(curve.time, curve.displacement)
+    jumps = _jumps(curve, "displacement", known)
     falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
     if not jumps or (len(jumps) == 1 and falls[0] > break_share * largest):
         return
@@ -143,11 +168,11 @@ def _check_displacement(where: str, curve: Curve, largest: float) -> Iterator[Fi
     yield Finding.of("process.zero_jump", where, *quantities, mm=mm, at=at, count=count)
 
 
-def _check_force(where: str, curve: Curve) -> Iterator[Finding]:
+def _check_force(where: str, curve: Curve, known: Findings) -> Iterator[Finding]:
     """Report a jump of the force up in a loading, or in an unloading, as no specimen makes."""
     turn_reach, max_jumps = 3, 2  # samples beside a turn; more jumps are of the specimen
     sense = _sense(curve, curve.branches[0])
-    jumps = level_jumps(curve.time, curve.force)
+    jumps = _jumps(curve, "force", known)
     for sample, size in jumps if len(jumps) <= max_jumps else ():
         for branch in curve.branches:
             is_odd = branch.direction is Direction.UNLOADING or sense * size > 0.0

@@ -210,10 +210,7 @@ def with_curve(
     findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)
-    contradictions = Findings() + check_consistency(test.signals, curve, protocol.limits)
-    if any(finding.code == "frozen_channel" for finding in findings.entries):
-        contradictions = contradictions.without("zero_jump")  # it ends in a jump
-    findings += contradictions.entries
+    findings += check_consistency(test.signals, curve, protocol.limits, known=findings)
     test, new_findings = correct_curve(replace(test, curve=curve), block)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
