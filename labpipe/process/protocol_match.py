@@ -14,7 +14,7 @@ import numpy as np
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import sentence
 from labpipe.process.reading import is_empty, join_exports, name_channels
-from labpipe.protocol.load import known_protocols, load_protocol
+from labpipe.protocol.load import list_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Source
 from labpipe.readers import read_export
@@ -58,7 +58,7 @@ class Fit:
 def all_protocols() -> list[Protocol]:
     """Load all valid protocols; `labpipe check` reports the others."""
     loaded = []
-    for path in known_protocols().values():
+    for path in list_protocols().values():
         with suppress(LabpipeError):
             loaded.append(load_protocol(path))
     return loaded
