@@ -13,6 +13,7 @@ from labpipe.records.wire_calibration import (
     PARAMETERS,
     CalibratedParameter,
     Calibration,
+    CurveAgreement,
     CurveMatch,
     ExternalCurveComparison,
     Separability,
@@ -35,10 +36,14 @@ from labpipe.report.workbook_file import (
     Sheet,
     Value,
     array_records,
+    how_to_read,
     save_book,
     sheet_of,
+    stack_blocks,
 )
 
+BOOK = "calibration"
+"""Name of the workbook in ``workbooks.toml``."""
 _FRICTION = ("strand_friction", "insulation_friction", "radial_force")
 _LENGTH = DEFLECTION.label("length")
 
@@ -57,42 +62,16 @@ def tables_of(report: CalibrationReport) -> list[Sheet]:
     """
     calibration = report.calibration
     return [
-        sheet_of(
-            "summary", map(_parameter_record, calibration.parameters), frozen=2,
-            wrapped=("in words", "prior in words"),
-            question="What are the parameters of the model, and do the tests determine them?",
-        ),
-        sheet_of(
-            "solutions", _solution_records(calibration), frozen=1,
-            question="What else fits the tests?",
-        ),
-        sheet_of(
-            "fit", _fit_records(calibration), frozen=1,
-            question="Which data and which noise is the calibration based on?",
-        ),
-        sheet_of(
-            "identified", _identified_records(calibration), frozen=2,
-            question="Which combinations of parameters are identified? With the singular value s"
-            " the standard error of the logarithm is 1 / s; below 1 the tests do not determine the"
-            " combination.",
-        ),
-        sheet_of(
-            "agreement", map(_agreement_record, report.groups), frozen=2,
-            question="How well does the model agree with samples of the calibration and with"
-            " others? The band is for one more sample; SSE grows with the number of points.",
-        ),
+        sheet_of(BOOK, "summary", map(_parameter_record, calibration.parameters)),
+        sheet_of(BOOK, "solutions", _solution_records(calibration)),
+        sheet_of(BOOK, "fit", _fit_records(calibration)),
+        sheet_of(BOOK, "identified", _identified_records(calibration)),
+        sheet_of(BOOK, "agreement", map(_agreement_record, report.groups)),
         *comparison_tables(report.comparisons),
-        sheet_of(
-            "curves", _curve_records(calibration), frozen=1,
-            question="How well does each test agree with the model, without the sample's own"
-            " factor?",
-        ),
+        sheet_of(BOOK, "curves", map(_curve_record, calibration.curves)),
         _forces_sheet(report.groups),
-        sheet_of(
-            "notes", _note_records(report), frozen=1, wrapped=("what",),
-            question="Which notes apply to the calibration?",
-        ),
-    ]  # fmt: skip
+        sheet_of(BOOK, "notes", _note_records(report)),
+    ]
 
 
 def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
@@ -108,17 +87,12 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
     """
     if not comparisons:
         return []
+    curves = (row for comparison in comparisons for row in _external_records(comparison))
+    points = (row for comparison in comparisons for row in _point_records(comparison))
     return [
-        sheet_of(
-            "external curves", [row for one in comparisons for row in _external_records(one)],
-            frozen=1, question="How well do external curves agree with tests and model?",
-        ),
-        sheet_of(
-            "external curves, points", [row for one in comparisons for row in _point_records(one)],
-            frozen=1,
-            question="Where do they differ? Force at the deflections of the external curves.",
-        ),
-    ]  # fmt: skip
+        sheet_of(BOOK, "external curves", curves),
+        sheet_of(BOOK, "external curves, points", points),
+    ]
 
 
 def _external_records(comparison: ExternalCurveComparison) -> Iterator[Record]:
@@ -278,20 +252,19 @@ def _agreement_record(group: ValidationGroup) -> Record:
     }
 
 
-def _curve_records(calibration: Calibration) -> Iterator[Record]:
-    for curve in calibration.curves:
-        yield {
-            "test": curve.test,
-            "sample": curve.sample,
-            _LENGTH: DEFLECTION.factor * curve.length,
-            "points": len(curve.force),
-            "factor of the sample": curve.sample_factor,
-            "SSE (N²)": curve.sse,
-            FORCE.label("RMSE"): FORCE.factor * curve.rmse,
-            "RMSE over the largest force (%)": 100.0 * curve.rmse_share,
-            "correlation of neighbours": curve.lag_one_correlation,
-            "runs test, p": curve.runs_p,
-        }
+def _curve_record(curve: CurveAgreement) -> Record:
+    return {
+        "test": curve.test,
+        "sample": curve.sample,
+        _LENGTH: DEFLECTION.factor * curve.length,
+        "points": len(curve.force),
+        "factor of the sample": curve.sample_factor,
+        "SSE (N²)": curve.sse,
+        FORCE.label("RMSE"): FORCE.factor * curve.rmse,
+        "RMSE over the largest force (%)": 100.0 * curve.rmse_share,
+        "correlation of neighbours": curve.lag_one_correlation,
+        "runs test, p": curve.runs_p,
+    }
 
 
 def _note_records(report: CalibrationReport) -> list[Record]:
@@ -324,60 +297,45 @@ def _note_records(report: CalibrationReport) -> list[Record]:
 
 def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
     """Return the sheet of mean, model and samples of all groups, each at its own deflections."""
-    rows: list[Record] = []
-    charts = []
-    for group in groups:
-        lines = []
-        for block in _force_blocks(group):
-            if block:
-                last = len(rows) + len(block) - 1
-                lines.append(Line(str(block[0]["what"]), (len(rows), last), 3, 4))
-            rows += block
-        title = f"{group.wire}, {length_words(group.length)}"
-        charts.append(Chart(title, DEFLECTION.label("Deflection"), FORCE.label("Force"), lines))
-    return sheet_of(
-        "forces", rows, frozen=3, charts=[chart for chart in charts if chart.lines],
-        question="What are the forces of samples and model? 'lower' and 'upper' are 95 % bands.",
+    curves = list(map(_force_blocks, groups))
+    rows, ends = stack_blocks(
+        {f"{number} {name}": block
+         for number, blocks in enumerate(curves) for name, block in blocks.items()}
     )  # fmt: skip
+    charts = []
+    for number, (group, blocks) in enumerate(zip(groups, curves, strict=True)):
+        lines = [Line(name, ends[f"{number} {name}"], 3, 4) for name in blocks if blocks[name]]
+        title = f"{group.wire}, {length_words(group.length)}"
+        if lines:
+            across, up = DEFLECTION.label("Deflection"), FORCE.label("Force")
+            charts.append(Chart(title, across, up, lines))
+    return sheet_of(BOOK, "forces", rows, charts=charts)
 
 
-def _force_blocks(group: ValidationGroup) -> Iterator[list[Record]]:
-    """Yield the rows of the mean, of the model, if any, and of each sample."""
+def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
+    """Return the rows of the mean, of the model, if any, and of each sample, by name."""
     heads = [
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
         *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
     ]
     band, model = group.band, group.prediction
-    blocks: dict[str, tuple[Floats, ...]] = {
+    curves: dict[str, tuple[Floats, ...]] = {
         "mean of the samples": (band.displacement, band.mean, band.lower, band.upper)
     }
     if model is not None:
         edges = (model.lower, model.upper, model.lower_mean, model.upper_mean)
-        blocks["model"] = (model.deflection, model.force, *edges)
+        curves["model"] = (model.deflection, model.force, *edges)
     for test, sample in group.samples.items():
-        blocks[test] = (sample.displacement, sample.force)
-    for what, (across, *forces) in blocks.items():
+        curves[test] = (sample.displacement, sample.force)
+    blocks = {}
+    for name, (across, *forces) in curves.items():
         head: Record = {
-            "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": what
+            "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
         columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * across}
         columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
-        yield array_records(head, columns)
-
-
-_ABOUT = (
-    "Calibration of the wire model by first loadings of cantilevers. Cells hold all digits of a"
-    " number. An empty cell: not available. Every table has filters.",
-    "Sheet 'summary': lower and upper are the ends of 95 % intervals by profile likelihood; for an"
-    " open interval, the end of the search. If an interval has several parts, they are listed.",
-    "Sheet 'solutions': the values of the summary belong to the first solution, intervals and bands"
-    " to all solutions in the 95 % set.",
-    "Sheet 'forces': lower and upper of the mean are its 95 % band by Student's t with n - 1"
-    " degrees of freedom; those of the model cover one more sample, those of the mean sample the"
-    " mean.",
-    "Sheets 'external curves': the curves of the plan, compared with the mean of the tests and with"
-    " the model at their own deflections, within the range of both.",
-)
+        blocks[name] = array_records(head, columns)
+    return blocks
 
 
 def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
@@ -394,4 +352,4 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
         If the file cannot be written.
     """
     title = f"Calibration of {report.calibration.wire}"
-    save_book(About(title, _ABOUT), tables_of(report), path)
+    save_book(About(title, how_to_read(BOOK)), tables_of(report), path)

@@ -29,8 +29,10 @@ from labpipe.report.workbook_file import (
     Record,
     Sheet,
     array_records,
+    how_to_read,
     save_book,
     sheet_of,
+    stack_blocks,
     unite_heads,
 )
 
@@ -164,24 +166,8 @@ _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
     ("highest moment of all orientations", "highest_moment", MOMENT),
     ("share of the insulation", "insulation_share", Scale(100.0, "%")),
 )
-_ABOUT = (
-    "Laws of wires on first loading, from the wire model of labpipe. Cells hold all digits of a"
-    " number and show five. 1 N·mm² is 1e-6 N·m². An empty cell: not available. Every table has"
-    " filters: choose a wire in the heading 'wire'.",
-    "Moment = sticking strands + slipping strands + strands' own bending + lost to yielding +"
-    " insulation; the loss to yielding is negative.",
-    "Secant stiffness: moment / curvature. Tangent stiffness: slope of the moment. Stick stiffness:"
-    " no slip, no yielding. Slip stiffness: no friction, no yielding.",
-    "A law is valid up to its last row. With very many wires, the sheet 'laws' shows only some rows"
-    " of each law: see the last columns of 'wires'.",
-    "End load: normal to the clamped axis, at the tip of a cantilever of the wire's length,"
-    " interpolated linearly; empty beyond the end of its curve.",
-    "Tension and torque = [EA, C; C, GJ] times strain and twist. Axial stiffness EA: without"
-    " rotation; torsional stiffness GJ at fixed length: without elongation.",
-    "Doubtful: the strain at the rim of the insulation exceeds its assumed linear range. End loads"
-    " and deflections are relative to rest, with the wire level and its tip held.",
-    "Strands: centres in the unrotated section; layer 0 is the innermost.",
-)
+BOOK = "wires"
+"""Name of the workbook in ``workbooks.toml``."""
 
 
 def save_wire_workbook(
@@ -211,7 +197,7 @@ def save_wire_workbook(
     40 of each; the summary gives their number and the error of straight lines between them.
     """
     sheets = list(_sheets(tables, refused or {}, stated or {}))
-    save_book(About("Laws of wires", _ABOUT), sheets, path)
+    save_book(About("Laws of wires", how_to_read(BOOK)), sheets, path)
 
 
 def _sheets(
@@ -236,11 +222,9 @@ def _sheets(
     lost: list[Record] = [
         {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
     ]
-    yield sheet_of(
-        "wires", [*lost, *summary], heads=unite_heads([*summary, *lost]), frozen=1,
-        links={name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()},
-        question="What are stiffness, onset of slip and range of each wire?",
-    )  # fmt: skip
+    links = {name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()}
+    heads = unite_heads([*summary, *lost])
+    yield sheet_of(BOOK, "wires", [*lost, *summary], heads=heads, links=links)
     yield laws
     yield _cantilevers_sheet(tables)
     onsets = [
@@ -252,15 +236,10 @@ def _sheets(
             table.slip_onsets > table.doubtful_curvature,
         )
     ]
-    question = "At which curvatures do strands begin to slip?"
-    yield sheet_of("onsets of slip", onsets, frozen=1, question=question)
-    strands = [row for table in tables for row in _strand_records(table)]
-    question = "Where are the strands in the section?"
-    yield sheet_of("strands", strands, frozen=1, question=question)
-    yield sheet_of(
-        "notes", _note_records(tables, refused), frozen=1, wrapped=("what",),
-        question="What was refused or limited, and which defaults were used?",
-    )  # fmt: skip
+    yield sheet_of(BOOK, "onsets of slip", onsets)
+    strands = (row for table in tables for row in _strand_records(table))
+    yield sheet_of(BOOK, "strands", strands)
+    yield sheet_of(BOOK, "notes", _note_records(tables, refused))
 
 
 def _doubted(table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags) -> list[Record]:
@@ -277,46 +256,41 @@ def _laws_sheet(
 ) -> tuple[Sheet, dict[str, tuple[int, int]]]:
     """Return the sheet of the laws of all wires; first and last row of each by its name."""
     moment_column, secant_column = 2, 8  # drawn
-    rows: list[Record] = []
-    places: dict[str, tuple[int, int]] = {}
+    blocks = {}
     for table, rows_of_law in zip(tables, law_rows, strict=True):
         columns = {
             scale.label(label): scale.factor * getattr(table, field)[rows_of_law]
             for label, field, scale in _LAW_COLUMNS
         }
-        own = _doubted(table, columns, table.is_doubtful[rows_of_law])
-        places[table.name] = len(rows), len(rows) + len(own) - 1
-        rows += own
+        blocks[table.name] = _doubted(table, columns, table.is_doubtful[rows_of_law])
+    rows, ends = stack_blocks(blocks)
     heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
     charts = []
-    for up in (secant_column, moment_column):
+    for column in (secant_column, moment_column):
         # without the point at zero curvature
-        lines = [Line(name, (first + 1, last), 1, up) for name, (first, last) in places.items()
+        lines = [Line(name, (first + 1, last), 1, column) for name, (first, last) in ends.items()
                  if last > first]  # fmt: skip
-        title = heads[up].partition(" (")[0].capitalize()
+        title, across = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
         if lines:
-            charts.append(Chart(title, CURVATURE.label("Curvature"), heads[up], lines, is_log=True))
-    question = "What are moment and stiffness of each wire against curvature, on first loading?"
-    return sheet_of("laws", rows, heads=heads, frozen=2, question=question, charts=charts), places
+            charts.append(Chart(title.capitalize(), across, heads[column], lines, is_log=True))
+    return sheet_of(BOOK, "laws", rows, heads=heads, charts=charts), ends
 
 
 def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
     """Return the sheet of end loads against deflection, with a chart."""
-    rows: list[Record] = []
-    lines = []
+    blocks = {}
     for table in tables:
         columns = {
             LENGTH.label("tip deflection"): LENGTH.factor * table.tip_deflection,
             FORCE.label("end load"): FORCE.factor * table.tip_force,
         }
-        own = _doubted(table, columns, table.tip_deflection > table.doubtful_deflection)
-        if len(own) > 1:
-            lines.append(Line(table.name, (len(rows), len(rows) + len(own) - 1), 1, 2))
-        rows += own
+        is_doubtful = table.tip_deflection > table.doubtful_deflection
+        blocks[table.name] = _doubted(table, columns, is_doubtful)
+    rows, ends = stack_blocks(blocks)
+    lines = [Line(name, (first, last), 1, 2) for name, (first, last) in ends.items()
+             if last > first]  # fmt: skip
     chart = Chart("", LENGTH.label("Tip deflection"), FORCE.label("End load"), lines)
-    question = "Which end load deflects each cantilever?"
-    charts = [chart] if lines else []
-    return sheet_of("cantilevers", rows, frozen=1, question=question, charts=charts)
+    return sheet_of(BOOK, "cantilevers", rows, charts=[chart] if lines else [])
 
 
 def _strand_records(table: WireTable) -> list[Record]:

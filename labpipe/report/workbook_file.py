@@ -1,13 +1,18 @@
-"""Sheets of a workbook: tables with filters, frozen heads, digits, charts, print layout."""
+"""Write workbooks: sheets with a table, filters, fixed headings, charts and a print layout.
+
+The file ``workbooks.toml`` describes each workbook and its sheets.
+"""
 
 from __future__ import annotations
 
 import io
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from functools import cache, lru_cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -25,7 +30,7 @@ _FILTER_WIDTH = 3
 _RISKY = frozenset("=+-@#")
 """First letters of a text that would become a formula or an error when it is edited."""
 _MADE = datetime(2000, 1, 1)
-"""A fixed time: the same content gives the same bytes."""
+"""Date of creation in each file: the same sheets give the same bytes."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's, as in the figures."""
 _DASHES = ("solid", "dash", "square_dot", "dash_dot")
@@ -96,20 +101,56 @@ def unite_heads(records: Iterable[Record]) -> list[str]:
 
 
 def sheet_of(
-    name: str, records: Iterable[Record], *, heads: Sequence[str] = (), **layout: Any
+    book: str, name: str, records: Iterable[Record], *, heads: Sequence[str] = (), **cells: Any
 ) -> Sheet:
-    """Make a sheet of records, a column per heading.
+    """Make a sheet of records, a column per heading, with the layout of ``workbooks.toml``.
 
     Parameters
     ----------
-    name : of the sheet
+    book, name : of the workbook and the sheet in ``workbooks.toml``
     records : cells by heading; a missing one is empty
     heads : headings in order; those of the records if empty
-    layout : other fields of the sheet
+    cells : links and charts of the sheet
     """
     rows = list(records)
     heads = heads or unite_heads(rows) or ["no rows"]
-    return Sheet(name, heads, [[row.get(head) for head in heads] for row in rows], **layout)
+    layout = _descriptions()[book]["sheets"][name]
+    values = [[row.get(head) for head in heads] for row in rows]
+    return Sheet(name, heads, values, **layout, **cells)
+
+
+def how_to_read(book: str) -> list[str]:
+    """Return the paragraphs of ``workbooks.toml`` on how to read a workbook."""
+    return list(_descriptions()[book]["about"])
+
+
+@cache
+def _descriptions() -> dict[str, Any]:
+    text = (files("labpipe.report") / "workbooks.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def stack_blocks(
+    blocks: Mapping[str, list[Record]],
+) -> tuple[list[Record], dict[str, tuple[int, int]]]:
+    """Join blocks of records to the rows of one sheet.
+
+    Parameters
+    ----------
+    blocks : records by the name of their block
+
+    Returns
+    -------
+    All records, and the first and the last row of each block by its name, from 0; an empty block
+    has no rows.
+    """
+    rows: list[Record] = []
+    ends = {}
+    for name, block in blocks.items():
+        if block:
+            ends[name] = len(rows), len(rows) + len(block) - 1
+        rows += block
+    return rows, ends
 
 
 def array_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
