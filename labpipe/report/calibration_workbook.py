@@ -24,9 +24,9 @@ from labpipe.report.calibration_summary import (
     FORCE,
     CalibrationReport,
     ValidationGroup,
-    length_words,
-    parameter_row,
     typeset,
+    write_length,
+    write_parameter,
 )
 from labpipe.report.workbook_file import (
     About,
@@ -35,10 +35,10 @@ from labpipe.report.workbook_file import (
     Record,
     Sheet,
     Value,
-    array_records,
     how_to_read,
+    make_records,
+    make_sheet,
     save_book,
-    sheet_of,
     stack_blocks,
 )
 
@@ -48,7 +48,7 @@ _FRICTION = ("strand_friction", "insulation_friction", "radial_force")
 _LENGTH = DEFLECTION.label("length")
 
 
-def tables_of(report: CalibrationReport) -> list[Sheet]:
+def make_sheets(report: CalibrationReport) -> list[Sheet]:
     """Return all sheets of a calibration.
 
     Parameters
@@ -62,19 +62,19 @@ def tables_of(report: CalibrationReport) -> list[Sheet]:
     """
     calibration = report.calibration
     return [
-        sheet_of(BOOK, "summary", map(_parameter_record, calibration.parameters)),
-        sheet_of(BOOK, "solutions", _solution_records(calibration)),
-        sheet_of(BOOK, "fit", _fit_records(calibration)),
-        sheet_of(BOOK, "identified", _identified_records(calibration)),
-        sheet_of(BOOK, "agreement", map(_agreement_record, report.groups)),
-        *comparison_tables(report.comparisons),
-        sheet_of(BOOK, "curves", map(_curve_record, calibration.curves)),
+        make_sheet(BOOK, "summary", map(_parameter_record, calibration.parameters)),
+        make_sheet(BOOK, "solutions", _solution_records(calibration)),
+        make_sheet(BOOK, "fit", _fit_records(calibration)),
+        make_sheet(BOOK, "identified", _identified_records(calibration)),
+        make_sheet(BOOK, "agreement", map(_agreement_record, report.groups)),
+        *make_external_sheets(report.comparisons),
+        make_sheet(BOOK, "curves", map(_curve_record, calibration.curves)),
         _forces_sheet(report.groups),
-        sheet_of(BOOK, "notes", _note_records(report)),
+        make_sheet(BOOK, "notes", _note_records(report)),
     ]
 
 
-def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
+def make_external_sheets(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
     """Return the sheets of external curves.
 
     Parameters
@@ -90,8 +90,8 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
     curves = (row for comparison in comparisons for row in _external_records(comparison))
     points = (row for comparison in comparisons for row in _point_records(comparison))
     return [
-        sheet_of(BOOK, "external curves", curves),
-        sheet_of(BOOK, "external curves, points", points),
+        make_sheet(BOOK, "external curves", curves),
+        make_sheet(BOOK, "external curves, points", points),
     ]
 
 
@@ -131,7 +131,7 @@ def _point_records(comparison: ExternalCurveComparison) -> list[Record]:
         FORCE.label("mean of the tests"): FORCE.factor * (tests.reference if tests else nothing),
         FORCE.label("model"): FORCE.factor * comparison.model.reference,
     }
-    return array_records({"name": curve.name}, columns)
+    return make_records({"name": curve.name}, columns)
 
 
 def _yes(value: bool) -> str:
@@ -148,7 +148,7 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
         "value": up * parameter.value,
         "lower": None if interval is None else up * interval.lower,
         "upper": None if interval is None else up * interval.upper,
-        "parts of the interval": parameter_row(parameter)[2] if has_ends else "",
+        "parts of the interval": write_parameter(parameter)[2] if has_ends else "",
         "open below": _yes(parameter.is_open_below) if has_ends else "",
         "open above": _yes(parameter.is_open_above) if has_ends else "",
         "standard error of its logarithm": parameter.log_error if has_ends else None,
@@ -305,11 +305,11 @@ def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
     charts = []
     for number, (group, blocks) in enumerate(zip(groups, curves, strict=True)):
         lines = [Line(name, ends[f"{number} {name}"], 3, 4) for name in blocks if blocks[name]]
-        title = f"{group.wire}, {length_words(group.length)}"
+        title = f"{group.wire}, {write_length(group.length)}"
         if lines:
             across, up = DEFLECTION.label("Deflection"), FORCE.label("Force")
             charts.append(Chart(title, across, up, lines))
-    return sheet_of(BOOK, "forces", rows, charts=charts)
+    return make_sheet(BOOK, "forces", rows, charts=charts)
 
 
 def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
@@ -334,7 +334,7 @@ def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
         }  # fmt: skip
         columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * across}
         columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
-        blocks[name] = array_records(head, columns)
+        blocks[name] = make_records(head, columns)
     return blocks
 
 
@@ -352,4 +352,4 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
         If the file cannot be written.
     """
     title = f"Calibration of {report.calibration.wire}"
-    save_book(About(title, how_to_read(BOOK)), tables_of(report), path)
+    save_book(About(title, how_to_read(BOOK)), make_sheets(report), path)

@@ -19,34 +19,34 @@ from labpipe.records.group import (
 from labpipe.records.quality import worded
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import sort_causes
-from labpipe.report.bundle_figures import place_scales
+from labpipe.report.bundle_figures import choose_place_units
 from labpipe.report.comparisons import (
     Pair,
-    context_words,
-    field_words,
-    fields_in_words,
-    multi_field_differences,
-    single_field_pairs,
+    describe_context,
+    describe_fields,
+    list_multi_field_differences,
+    list_single_field_pairs,
+    name_field,
 )
 from labpipe.report.issues import Cause, Issue, find_causes, find_notes
 from labpipe.report.page_facts import (
-    days_words,
-    instrument_lines,
-    operators_words,
-    report_id,
-    samples_of,
-    state_of,
+    compute_report_id,
+    describe_days,
+    describe_operators,
+    find_state,
+    list_instruments,
+    list_samples,
 )
 from labpipe.report.wording import (
     Scale,
-    as_label,
-    count_of,
-    display_of,
-    group_scale,
+    find_display,
+    find_display_unit,
+    find_group_unit,
     is_main,
-    key_numbers,
-    shown_in,
-    unit_words,
+    list_key_numbers,
+    typeset_unit,
+    write_count,
+    write_label,
 )
 from labpipe.report.workbook_file import (
     About,
@@ -54,13 +54,13 @@ from labpipe.report.workbook_file import (
     Line,
     Record,
     Sheet,
-    array_records,
-    ends_record,
     how_to_read,
-    number_cell,
-    percent_cell,
+    make_interval_cells,
+    make_number_cell,
+    make_percent_cell,
+    make_records,
+    make_sheet,
     save_book,
-    sheet_of,
     stack_blocks,
     unite_heads,
 )
@@ -87,31 +87,31 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
     -----
     At most eleven sheets after the first, for any number of groups.
     """
-    footer = f"{campaign.title}  \u00b7  report {report_id(campaign)}"
+    footer = f"{campaign.title}  \u00b7  report {compute_report_id(campaign)}"
     about = About(campaign.title, (*_facts(campaign), *how_to_read(BOOK)), footer)
     save_book(about, list(_sheets(campaign)), path)
 
 
 def _facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators and instruments."""
-    samples, rejected = samples_of(campaign), len(campaign.rejected)
-    text = f"{count_of(len(samples), 'test')} in {count_of(len(campaign.groups), 'group')}"
-    yield f"{text}, {count_of(rejected, 'test')} rejected." if rejected else f"{text}."
+    samples, rejected = list_samples(campaign), len(campaign.rejected)
+    text = f"{write_count(len(samples), 'test')} in {write_count(len(campaign.groups), 'group')}"
+    yield f"{text}, {write_count(rejected, 'test')} rejected." if rejected else f"{text}."
     if samples:
-        yield f"Tested {days_words(samples)}; {operators_words(samples)}."
-    for instrument in instrument_lines(samples):
+        yield f"Tested {describe_days(samples)}; {describe_operators(samples)}."
+    for instrument in list_instruments(samples):
         yield f"{instrument.name}: {instrument.due}."
     date = f" on {campaign.made_on}" if campaign.made_on is not None else ""
     by = f"labpipe {campaign.labpipe_version}".strip()
-    yield f"Report {report_id(campaign)}, made{date} by {by}."
+    yield f"Report {compute_report_id(campaign)}, made{date} by {by}."
 
 
 def _sheets(campaign: Campaign) -> Iterator[Sheet]:
-    if pairs := single_field_pairs(campaign):
-        yield sheet_of(BOOK, "answers", map(_answer, pairs))
+    if pairs := list_single_field_pairs(campaign):
+        yield make_sheet(BOOK, "answers", map(_answer, pairs))
     by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
-    yield sheet_of(BOOK, "key numbers", map(_key_record, by_protocol))
-    yield sheet_of(BOOK, "means", _means(campaign))
+    yield make_sheet(BOOK, "key numbers", map(_key_record, by_protocol))
+    yield make_sheet(BOOK, "means", _means(campaign))
     yield _tests_sheet(campaign)
     results = (
         {"group": group.name, "test": sample.test, **_result(sample, result)}
@@ -119,25 +119,25 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
         for sample in group.samples
         for result in sample.results
     )
-    yield sheet_of(BOOK, "results", results)
+    yield make_sheet(BOOK, "results", results)
     yield _curves_sheet(campaign, is_scaled=False)
     if any(group.band_scaled is not None for group in campaign.groups):
         yield _curves_sheet(campaign, is_scaled=True)
     single_field = [difference for difference in campaign.differences if difference.family]
-    displays = {group.name: display_of(group) for group in campaign.groups}
+    displays = {group.name: find_display(group) for group in campaign.groups}
     differences = [
         _difference(difference, displays.get(difference.first, {}))
-        for difference in (*single_field, *multi_field_differences(campaign))
+        for difference in (*single_field, *list_multi_field_differences(campaign))
     ]
-    yield sheet_of(BOOK, "comparisons", differences)
+    yield make_sheet(BOOK, "comparisons", differences)
     if budgets := _budgets(campaign):
-        yield sheet_of(BOOK, "budgets", budgets)
+        yield make_sheet(BOOK, "budgets", budgets)
     if campaign.places:
-        yield sheet_of(BOOK, "slipping and sticking", _places(campaign))
+        yield make_sheet(BOOK, "slipping and sticking", _places(campaign))
     ranked = [(rank, cause) for rank, cause in enumerate(find_causes(campaign), start=1)]
     causes = [*ranked, *((None, note) for note in find_notes(campaign))]
     issues = (_issue(rank, cause, issue) for rank, cause in causes for issue in cause.issues)
-    yield sheet_of(BOOK, "needs a look", issues)
+    yield make_sheet(BOOK, "needs a look", issues)
 
 
 def _answer(pair: Pair) -> Record:
@@ -145,10 +145,10 @@ def _answer(pair: Pair) -> Record:
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
-    record = _difference(difference, display_of(pair.first))
+    record = _difference(difference, find_display(pair.first))
     return {
-        "comparison": f"{field_words(pair.field)}: {after} against {before}",
-        "of": context_words((pair.first, pair.second), pair.field),
+        "comparison": f"{name_field(pair.field)}: {after} against {before}",
+        "of": describe_context((pair.first, pair.second), pair.field),
         "number": record["number"],
         "verdict": record["verdict"],
         "difference (%)": record["share (%)"],
@@ -170,23 +170,23 @@ def _key_record(group: Group) -> Record:
     row: Record = {
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
-    for number in key_numbers(group)[:3]:
-        scale = shown_in(number.name, number.unit, display_of(group))
+    for number in list_key_numbers(group)[:3]:
+        scale = find_display_unit(number.name, number.unit, find_display(group))
         cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
-        name, unit = as_label(number.name), unit_words(scale.unit)
+        name, unit = write_label(number.name), typeset_unit(scale.unit)
         parts = zip(("", ", lower", ", upper"), cells.values(), strict=True)
-        row |= {column_head(name, unit, part): cell for part, cell in parts}
+        row |= {write_column_heading(name, unit, part): cell for part, cell in parts}
     return row
 
 
 def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:
     """Return a mean and the ends of its interval; empty cells without a mean."""
     if mean is None:
-        return ends_record(None, None, name="mean")
-    return ends_record(mean.mean, mean.interval, scale.factor, name="mean")
+        return make_interval_cells(None, None, name="mean")
+    return make_interval_cells(mean.mean, mean.interval, scale.factor, name="mean")
 
 
-def column_head(name: str, unit: str, part: str = "") -> str:
+def write_column_heading(name: str, unit: str, part: str = "") -> str:
     """Write the heading of a column: name, part and unit."""
     return f"{name}{part} ({unit})" if unit else f"{name}{part}"
 
@@ -200,9 +200,9 @@ def _means(campaign: Campaign) -> Iterator[Record]:
                 why = "; ".join(map(worded, number.left_out.values()))
                 yield _mean_record(group, number, None, "all") | {"reason": why}
                 continue
-            scale = shown_in(number.name, number.unit, display_of(group))
+            scale = find_display_unit(number.name, number.unit, find_display(group))
             within, between = (
-                number_cell(spread, mean.chosen.interval, scale.factor)
+                make_number_cell(spread, mean.chosen.interval, scale.factor)
                 for spread in (mean.within, mean.between_spools)
             )
             yield _mean_record(group, number, mean.chosen, "all") | {
@@ -210,7 +210,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
                 "n samples": mean.over_samples.n,
                 "within spools": within,
                 "between spools": between,
-                "spools equal, p": number_cell(mean.spool_p, None),
+                "spools equal, p": make_number_cell(mean.spool_p, None),
                 "decision": str(mean.decision),
             }
             for spool, of_spool in mean.spool_means.items() if len(mean.spool_means) > 1 else ():
@@ -218,16 +218,16 @@ def _means(campaign: Campaign) -> Iterator[Record]:
 
 
 def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, over: str) -> Record:
-    scale = shown_in(number.name, number.unit, display_of(group))
+    scale = find_display_unit(number.name, number.unit, find_display(group))
     head: Record = {
-        "group": group.name, "number": as_label(number.name), "over": over,
-        "unit": unit_words(scale.unit), **_mean_cells(mean, scale),
+        "group": group.name, "number": write_label(number.name), "over": over,
+        "unit": typeset_unit(scale.unit), **_mean_cells(mean, scale),
     }  # fmt: skip
     if mean is None:
         return {**head, "reason": "", "result": number.name}
     return {
         **head,
-        "standard deviation": number_cell(mean.deviation, mean.interval, scale.factor),
+        "standard deviation": make_number_cell(mean.deviation, mean.interval, scale.factor),
         "n": mean.n,
         "scale": "log" if mean.is_log else "linear",
         **dict.fromkeys(_OF_ALL_SAMPLES),
@@ -249,7 +249,7 @@ def _tests_sheet(campaign: Campaign) -> Sheet:
     every += [("", sample) for sample in campaign.rejected_samples]
     records = [_test(group, sample) for group, sample in every]
     heads = [*(head for head in unite_heads(records) if head not in last), *last]
-    return sheet_of(BOOK, "tests", records, heads=heads)
+    return make_sheet(BOOK, "tests", records, heads=heads)
 
 
 def _test(group: str, sample: Sample) -> Record:
@@ -257,15 +257,15 @@ def _test(group: str, sample: Sample) -> Record:
     main = [result for result in sample.results if is_main(result.name)]
     numbers: Record = {}
     for result in main:
-        scale = shown_in(result.name, result.unit, sample.display)
-        head = column_head(as_label(result.name), unit_words(scale.unit))
-        numbers[head] = number_cell(result.value, result.interval, scale.factor)
+        scale = find_display_unit(result.name, result.unit, sample.display)
+        head = write_column_heading(write_label(result.name), typeset_unit(scale.unit))
+        numbers[head] = make_number_cell(result.value, result.interval, scale.factor)
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
     return {
         "test": sample.test,
         "group": group,
-        "state": state_of(sample) if group else "rejected",
+        "state": find_state(sample) if group else "rejected",
         "type": specimen.type,
         "spool": specimen.spool,
         "sample": specimen.sample,
@@ -282,12 +282,12 @@ def _test(group: str, sample: Sample) -> Record:
 
 
 def _result(sample: Sample, result: Result) -> Record:
-    scale = shown_in(result.name, result.unit, sample.display)
+    scale = find_display_unit(result.name, result.unit, sample.display)
     return {
-        "number": as_label(result.name),
-        "unit": unit_words(scale.unit),
-        **ends_record(result.value, result.interval, scale.factor, name="value"),
-        "estimate": number_cell(result.estimate, result.interval, scale.factor),
+        "number": write_label(result.name),
+        "unit": typeset_unit(scale.unit),
+        **make_interval_cells(result.value, result.interval, scale.factor, name="value"),
+        "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
         "status": str(result.status),
         "reason": result.why,
         "result": result.name,
@@ -307,7 +307,7 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     first = next((group for group in campaign.groups if group.samples), None)
     across, up = Scale(1.0, "m"), Scale(1.0, "N")
     if first is not None:
-        across, up = group_scale(first, "displacement"), group_scale(first, "force")
+        across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
     up = Scale(1.0, "") if is_scaled else up
     bands = {group: group.band_scaled if is_scaled else group.band for group in campaign.groups}
     blocks = {
@@ -327,18 +327,18 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
         Chart(f"{title} on first loading ({protocol})", across.label("Displacement"), label, own)
         for protocol, own in lines.items()
     ]
-    columns = [column_head(part, up.unit) for part in _BAND_COLUMNS]
+    columns = [write_column_heading(part, up.unit) for part in _BAND_COLUMNS]
     heads = ["group", across.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
-    return sheet_of(BOOK, name, rows, heads=heads, charts=charts)
+    return make_sheet(BOOK, name, rows, heads=heads, charts=charts)
 
 
 def _band_records(group: str, band: Band, across: Scale, up: Scale) -> list[Record]:
     """Return a record per point of a mean curve; the first, or the only one, has the reason."""
     columns = {across.label("displacement"): across.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
-        columns[column_head(part, up.unit)] = up.factor * getattr(band, field)
-    points = array_records({"group": group, "n": band.n, "mean over": band.members}, columns)
+        columns[write_column_heading(part, up.unit)] = up.factor * getattr(band, field)
+    points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
     first, *others = points or [{"group": group}]
     return [first | {"reason": str(band.reason or "")}, *others]
 
@@ -346,27 +346,27 @@ def _band_records(group: str, band: Band, across: Scale, up: Scale) -> list[Reco
 def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
     """Return the difference of two groups in one number."""
     shift, ends = difference.difference, difference.interval
-    scale = shown_in(difference.name, difference.unit, display)
+    scale = find_display_unit(difference.name, difference.unit, display)
     in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
-    corrected = ends_record(shift.mean, in_unit, scale.factor)
+    corrected = make_interval_cells(shift.mean, in_unit, scale.factor)
     return {
         "first": difference.first,
         "second": difference.second,
-        "number": as_label(difference.name),
-        "unit": unit_words(scale.unit),
-        **ends_record(shift.mean, shift.interval, scale.factor, name="second minus first"),
-        "share (%)": percent_cell(difference.share),
-        "corrected lower (%)": percent_cell(of_share, "lower"),
-        "corrected upper (%)": percent_cell(of_share, "upper"),
+        "number": write_label(difference.name),
+        "unit": typeset_unit(scale.unit),
+        **make_interval_cells(shift.mean, shift.interval, scale.factor, name="second minus first"),
+        "share (%)": make_percent_cell(difference.share),
+        "corrected lower (%)": make_percent_cell(of_share, "lower"),
+        "corrected upper (%)": make_percent_cell(of_share, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
         "question": difference.question,
-        "differ in": fields_in_words(difference),
-        "level (%)": percent_cell(ends, "level"),
-        "irrelevant below": number_cell(difference.margin, None, scale.factor),
-        "different, p": number_cell(difference.p, None),
-        "equivalent, p": number_cell(difference.p_equivalent, None),
+        "differ in": describe_fields(difference),
+        "level (%)": make_percent_cell(ends, "level"),
+        "irrelevant below": make_number_cell(difference.margin, None, scale.factor),
+        "different, p": make_number_cell(difference.p, None),
+        "equivalent, p": make_number_cell(difference.p_equivalent, None),
         "family": difference.family,
         "in family": difference.tests or None,
         "why": "; ".join(filter(None, (difference.why, *difference.caveats))),
@@ -391,26 +391,26 @@ def _budgets(campaign: Campaign) -> list[Record]:
     causes = sort_causes(cause for _, shares in rows for cause in shares)
     heads = {cause: f"{cause}{'*' * IS_COMMON.get(cause, False)} (%)" for cause in causes}
     return [
-        head | {heads[cause]: percent_cell(shares.get(cause)) for cause in causes}
+        head | {heads[cause]: make_percent_cell(shares.get(cause)) for cause in causes}
         for head, shares in rows
     ]
 
 
 def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval | None) -> Record:
-    scale = shown_in(number.name, number.unit, display_of(group))
+    scale = find_display_unit(number.name, number.unit, find_display(group))
     half = None if interval is None else 0.5 * (interval.upper - interval.lower)
     return {
         "group": group.name,
-        "number": as_label(number.name),
+        "number": write_label(number.name),
         "of": of,
-        "unit": unit_words(scale.unit),
-        "half of the 95 % interval": number_cell(half, None, scale.factor),
+        "unit": typeset_unit(scale.unit),
+        "half of the 95 % interval": make_number_cell(half, None, scale.factor),
     }
 
 
 def _places(campaign: Campaign) -> Iterator[Record]:
     """Yield the bending stiffness of each bundle between the bounds of its model."""
-    scales = place_scales(campaign)
+    scales = choose_place_units(campaign)
     for place in campaign.places:
         scale, ends = scales[place.group], place.share_interval
         bounds = {
@@ -423,12 +423,14 @@ def _places(campaign: Campaign) -> Iterator[Record]:
         yield {
             "group": place.group,
             "test": place.test or "mean",
-            "unit": unit_words(scale.unit),
-            **ends_record(place.value, place.interval, scale.factor, name="bending stiffness"),
-            **{head: number_cell(value, None, scale.factor) for head, value in bounds.items()},
-            "share (%)": percent_cell(place.share),
-            "share lower (%)": percent_cell(ends, "lower"),
-            "share upper (%)": percent_cell(ends, "upper"),
+            "unit": typeset_unit(scale.unit),
+            **make_interval_cells(
+                place.value, place.interval, scale.factor, name="bending stiffness"
+            ),
+            **{head: make_number_cell(value, None, scale.factor) for head, value in bounds.items()},
+            "share (%)": make_percent_cell(place.share),
+            "share lower (%)": make_percent_cell(ends, "lower"),
+            "share upper (%)": make_percent_cell(ends, "upper"),
             "reason": worded(place.reasons),
         }
 

@@ -11,15 +11,15 @@ from labpipe.mechanics.wire.end_load_path import force_at
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.report.plot_thinning import simplify_line
+from labpipe.report.plot_records import simplify_line
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
     LENGTH,
     MOMENT,
     STIFFNESS,
-    is_bent,
-    warnings_of,
+    is_curved,
+    join_warnings,
 )
 from labpipe.report.wording import Scale
 from labpipe.report.workbook_file import (
@@ -28,10 +28,10 @@ from labpipe.report.workbook_file import (
     Line,
     Record,
     Sheet,
-    array_records,
     how_to_read,
+    make_records,
+    make_sheet,
     save_book,
-    sheet_of,
     stack_blocks,
     unite_heads,
 )
@@ -47,7 +47,7 @@ def _doubtful_deflection(table: WireTable) -> float | None:
     return LENGTH.factor * table.doubtful_deflection
 
 
-def orientation_spread(table: WireTable) -> float | None:
+def compute_orientation_spread(table: WireTable) -> float | None:
     """Return the largest difference of the moments of all orientations, per cent of the moment.
 
     Parameters
@@ -58,14 +58,14 @@ def orientation_spread(table: WireTable) -> float | None:
     -------
     None if the table has only zero curvature.
     """
-    use = is_bent(table)
+    use = is_curved(table)
     if not use.any():
         return None
     spread = (table.highest_moment - table.lowest_moment)[use] / table.moment[use]
     return 100.0 * float(np.max(spread))
 
 
-def shown_rows(table: WireTable, max_rows: int) -> Ints:
+def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
     """Return the rows of the law that a sheet of limited length shows.
 
     Parameters
@@ -79,7 +79,7 @@ def shown_rows(table: WireTable, max_rows: int) -> Ints:
     (`simplify_line`), so that its first slips count as much as its end; all if they are few.
     """
     count = len(table.curvature)
-    use = np.flatnonzero(is_bent(table) & (table.moment > 0.0))
+    use = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
     if count <= max_rows or not len(use):
         return np.arange(count, dtype=np.int64)
     across, up = np.log(table.curvature[use]), np.log(table.moment[use])
@@ -87,7 +87,7 @@ def shown_rows(table: WireTable, max_rows: int) -> Ints:
     return np.union1d([0], rows).astype(np.int64)
 
 
-def row_error(table: WireTable, rows: Ints) -> float:
+def compute_row_error(table: WireTable, rows: Ints) -> float:
     """Return the largest error of straight lines between rows of the law, per cent of the moment.
 
     Parameters
@@ -95,17 +95,17 @@ def row_error(table: WireTable, rows: Ints) -> float:
     table : of the wire
     rows : numbers of the rows
     """
-    use = is_bent(table)
+    use = is_curved(table)
     lines = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
     error = np.abs(lines - table.moment)[use] / np.abs(table.moment[use])
     return 100.0 * float(np.max(error, initial=0.0))
 
 
-def summary_record(table: WireTable) -> Record:
+def make_summary_record(table: WireTable) -> Record:
     """Return the cells of a wire in the summary, after its name; None if not available."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
     area, up = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2)), STIFFNESS.factor
-    spread = orientation_spread(table)
+    spread = compute_orientation_spread(table)
     limit = table.doubtful_curvature if table.is_doubtful.any() else None
     share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
     rest = table.rest
@@ -147,7 +147,7 @@ def summary_record(table: WireTable) -> Record:
             )
             for at in DEFLECTIONS
         },
-        "warnings": warnings_of(table),
+        "warnings": join_warnings(table),
         "defaults used": "; ".join(spec.defaults.values()),
     }
 
@@ -207,14 +207,14 @@ def _sheets(
     max_law_rows = 12_000
     min_law_rows = 40  # straight lines between them are within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
-    law_rows = [shown_rows(table, max_rows) for table in tables]
+    law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws, places = _laws_sheet(tables, law_rows)
     summary = [
-        {"wire": table.name, **summary_record(table)}
+        {"wire": table.name, **make_summary_record(table)}
         | {
             "rows of the law": len(table.curvature),
             "rows shown": len(rows),
-            "error between the rows shown, largest (% of moment)": row_error(table, rows),
+            "error between the rows shown, largest (% of moment)": compute_row_error(table, rows),
             "stress tables": stated.get(table.name),
         }
         for table, rows in zip(tables, law_rows, strict=True)
@@ -224,7 +224,7 @@ def _sheets(
     ]
     links = {name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()}
     heads = unite_heads([*summary, *lost])
-    yield sheet_of(BOOK, "wires", [*lost, *summary], heads=heads, links=links)
+    yield make_sheet(BOOK, "wires", [*lost, *summary], heads=heads, links=links)
     yield laws
     yield _cantilevers_sheet(tables)
     onsets = [
@@ -236,15 +236,15 @@ def _sheets(
             table.slip_onsets > table.doubtful_curvature,
         )
     ]
-    yield sheet_of(BOOK, "onsets of slip", onsets)
+    yield make_sheet(BOOK, "onsets of slip", onsets)
     strands = (row for table in tables for row in _strand_records(table))
-    yield sheet_of(BOOK, "strands", strands)
-    yield sheet_of(BOOK, "notes", _note_records(tables, refused))
+    yield make_sheet(BOOK, "strands", strands)
+    yield make_sheet(BOOK, "notes", _note_records(tables, refused))
 
 
 def _doubted(table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags) -> list[Record]:
     """Return the rows of a wire with a mark at doubtful ones."""
-    rows = array_records({"wire": table.name}, columns)
+    rows = make_records({"wire": table.name}, columns)
     return [
         row | {"doubtful": "yes" if doubt else None}
         for row, doubt in zip(rows, is_doubtful.tolist(), strict=True)
@@ -273,7 +273,7 @@ def _laws_sheet(
         title, across = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
         if lines:
             charts.append(Chart(title.capitalize(), across, heads[column], lines, is_log=True))
-    return sheet_of(BOOK, "laws", rows, heads=heads, charts=charts), ends
+    return make_sheet(BOOK, "laws", rows, heads=heads, charts=charts), ends
 
 
 def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
@@ -290,7 +290,7 @@ def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
     lines = [Line(name, (first, last), 1, 2) for name, (first, last) in ends.items()
              if last > first]  # fmt: skip
     chart = Chart("", LENGTH.label("Tip deflection"), FORCE.label("End load"), lines)
-    return sheet_of(BOOK, "cantilevers", rows, charts=[chart] if lines else [])
+    return make_sheet(BOOK, "cantilevers", rows, charts=[chart] if lines else [])
 
 
 def _strand_records(table: WireTable) -> list[Record]:
@@ -301,7 +301,7 @@ def _strand_records(table: WireTable) -> list[Record]:
         LENGTH.label("y"): LENGTH.factor * layout.y,
         LENGTH.label("diameter"): LENGTH.factor * layout.diameter,
     }
-    return array_records({"wire": table.name}, columns)
+    return make_records({"wire": table.name}, columns)
 
 
 def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:
