@@ -28,7 +28,7 @@ from labpipe.report.figure_page import (
     titled,
 )
 from labpipe.report.group_panels import (
-    COLOURS,
+    N_COLOURS,
     DotRow,
     band_lines,
     clipped_axis,
@@ -230,7 +230,7 @@ def _curve_plot(
         band = group.band_scaled if is_scaled else group.band
         if band is None:
             continue
-        look, stem = f"c{at % COLOURS}", stems[group.name]
+        look, stem = f"c{at % N_COLOURS}", stems[group.name]
         bands.append(band)
         lines += [
             *band_lines(band, across.factor, up.factor, look, stem),
@@ -293,7 +293,7 @@ def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
     for row, (number, group) in enumerate(zip(numbers, family.groups, strict=True)):
         values = [value.value for value in number.values.values() if value.value is not None]
         x = np.array([part for value in values for part in (scale.factor * value, np.nan)])
-        look, stem = f"c{row % COLOURS}", stems[group.name]
+        look, stem = f"c{row % N_COLOURS}", stems[group.name]
         lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
         if number.mean is not None:
             mean = number.mean.chosen
