@@ -19,7 +19,7 @@ from labpipe.errors import UsageError, nearest
 from labpipe.records.arrays import AXIS_LABELS
 from labpipe.records.curve import Series
 from labpipe.report.wording import Scale, find_display_unit
-from labpipe.store.layout import NO_UNIT, Field, fields_of, link_name, scales_of
+from labpipe.store.layout import UNSTATED_UNIT, Field, fields_of, link_name, scales_of
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def _channels(recording: Recording, clock_name: str) -> pd.DataFrame:
     named = {one.name if counts[one.name] == 1 else one.path: one for one in channels}
     columns = {name: channel.values for name, channel in named.items()}
     frame = pd.DataFrame(columns, index=pd.Index(clock.time, name="time"))
-    units = {name: channel.unit or NO_UNIT for name, channel in named.items()}
+    units = {name: channel.unit or UNSTATED_UNIT for name, channel in named.items()}
     frame.attrs["units"] = {"time": clock.unit} | units
     return frame
 
@@ -347,7 +347,7 @@ def _of_recording(recording: Recording) -> Dataset:
         variables[dimension] = ([dimension], clock.time, {"units": clock.unit})
     for channel in recording.channels:
         name = link_name(channel.name, variables)
-        about = {"units": channel.unit or NO_UNIT, "name_in_file": channel.path}
+        about = {"units": channel.unit or UNSTATED_UNIT, "name_in_file": channel.path}
         variables[name] = ([of_clock[channel.clock]], channel.values, about)
     tracks = recording.markers
     if tracks is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ProcessingError, nearest
+from labpipe.markers.marker_names import is_unlabelled
 from labpipe.markers.rings import Sections, find_sections, ring_centres, rings_by_body
 from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, deflection, fit_shape
@@ -37,7 +38,6 @@ from labpipe.signal.clock_alignment import match_peaks
 from labpipe.signal.turning_points import Stroke, find_strokes
 from labpipe.uncertainty.autocorrelation import long_run_variance
 
-UNLABELLED = ("Unlabeled", "Unlabelled")
 _DOUBTFUL = {
     "label_ambiguous",
     "marker_missing",
@@ -273,7 +273,7 @@ def _specimen_tracks(
         candidates = [
             name
             for name in candidates
-            if name.startswith(UNLABELLED)
+            if is_unlabelled(name)
             or any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
         ]
     seen = [name for name in candidates if tracks.missing[name] < len(tracks.time)]

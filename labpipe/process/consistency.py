@@ -27,7 +27,7 @@ from labpipe.signal.turning_points import noise_level
 NO_FINDINGS = Findings()
 COMPARED_POINTS = 40
 """Displacements of a branch at which cycles are compared."""
-MIN_BRANCH_SAMPLES = 5
+MIN_COMPARED_SAMPLES = 5
 """Shorter branches are not compared."""
 REST_ERROR_FACTOR = 6.0
 """Standard errors that a difference of levels must exceed."""
@@ -82,7 +82,7 @@ def _cycles(curve: Curve) -> Iterator[Cycle]:
         if first.direction is not Direction.LOADING or second.cycle != first.cycle:
             continue
         paths = _path(curve, first), _path(curve, second)
-        if min(len(path[0]) for path in paths) >= MIN_BRANCH_SAMPLES:
+        if min(len(path[0]) for path in paths) >= MIN_COMPARED_SAMPLES:
             yield Cycle(first, second, paths)
 
 
@@ -100,7 +100,7 @@ def _path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
 def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     """Return the forces of several paths at common displacements; empty if they hardly overlap."""
     min_common_share = 0.5
-    if min(len(path[0]) for path in paths) < MIN_BRANCH_SAMPLES:
+    if min(len(path[0]) for path in paths) < MIN_COMPARED_SAMPLES:
         return ()
     low, high = max(path[0][0] for path in paths), min(path[0][-1] for path in paths)
     span = max(path[0][-1] for path in paths) - min(path[0][0] for path in paths)

@@ -27,7 +27,7 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 from labpipe.units import si_factor
 
-_NO_UNIT = frozenset({"", "-", "1", "count"})
+_UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
 """Entries of programs for an unknown unit."""
 _UNIT_SPELLINGS = MappingProxyType(
     {unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")}
@@ -46,7 +46,7 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
     place, likely = f"channel {channel.path!r}", _known_unit(stated)
     another = in_test_sheet(f"{key}.channel", "...")
     if source.unit is not None:
-        is_known = stated not in _NO_UNIT and is_unit(likely)
+        is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
         is_same = _same_unit(likely, source.unit, si_unit)
         if is_same or not is_known or stated == source.wrong_unit_in_file:
             return []
@@ -78,7 +78,7 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
             unit=in_test_sheet(f"{key}.unit", stated),
             calibration=f"{key}.calibration",
         )
-    elif stated not in _NO_UNIT and is_unit(stated):
+    elif stated not in _UNKNOWN_UNITS and is_unit(stated):
         error = ReadError.about(
             "process.unit_of_another_quantity",
             path,

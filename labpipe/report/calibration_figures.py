@@ -161,7 +161,7 @@ def list_calibration_figures(report: CalibrationReport) -> Iterator[FigureToSave
         yield FigureToSave(f"shapes-{number}", partial(draw_bent_shapes, name, shapes))
 
 
-N_MEANS = 25
+MIN_RESIDUAL_BLOCKS = 25
 """Least number of blocks over which residuals are averaged."""
 
 
@@ -239,7 +239,9 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
         factor = curve.sample_factor if has_own_factor else 1.0
         left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
         _plot(axes, curve.deflection, left, looks[curve.length], alpha=0.2, linewidth=0.4)
-        across, up = (block_means(values, N_MEANS) for values in (curve.deflection, left))
+        across, up = (
+            block_means(values, MIN_RESIDUAL_BLOCKS) for values in (curve.deflection, left)
+        )
         look = looks[curve.length]._asdict()
         axes.plot(DEFLECTION.factor * across, up, linewidth=0.9, zorder=3, **look)
     axes.set_xlim(left=0.0)
@@ -450,7 +452,7 @@ _HEADINGS = (
 
 MAX_PANELS = 6
 """Panels per page of agreement."""
-_COLUMNS = 2
+_N_COLUMNS = 2
 _MODEL_LOOK: dict[str, Any] = {"color": MODEL, "linewidth": 1.4, "linestyle": (0, (5, 1.4))}
 _PREDICTED_LOOK: dict[str, Any] = {"color": BAND, "linewidth": 0, "zorder": 1.5}
 _HEADROOM = 1.08
@@ -471,9 +473,9 @@ def draw_validation(groups: Sequence[ValidationGroup]) -> Figure:
     """
     require_room(len(groups), MAX_PANELS, "groups")
     row_mm = 66.0
-    height = row_mm * math.ceil(len(groups) / _COLUMNS)
+    height = row_mm * math.ceil(len(groups) / _N_COLUMNS)
     page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
-    panels = make_panels(page, len(groups), columns=_COLUMNS)
+    panels = make_panels(page, len(groups), columns=_N_COLUMNS)
     for group, axes in zip(groups, panels, strict=True):
         _plot_group(group, axes)
         use = "calibrated" if group.is_calibrated else "predicted"
@@ -658,10 +660,10 @@ def draw_external_curves(panels: Sequence[ExternalPanel]) -> Figure:
     """
     row_mm = 70.0
     require_room(len(panels), MAX_PANELS, "panels")
-    rows = math.ceil(len(panels) / _COLUMNS)
+    rows = math.ceil(len(panels) / _N_COLUMNS)
     row = row_mm + 4.0 * max(0, max(map(_key_rows, panels)) - _FREE_KEY_ROWS)
     page = make_page(height_mm=row * rows, width_mm=DOUBLE_COLUMN)
-    drawn = make_panels(page, len(panels), columns=_COLUMNS)
+    drawn = make_panels(page, len(panels), columns=_N_COLUMNS)
     for panel, axes in zip(panels, drawn, strict=True):
         _plot_external(panel, axes)
         load = ", load normal to the axis" if panel.is_normal else ""

@@ -35,7 +35,7 @@ from labpipe.report.figure_page import (
     make_panels,
 )
 from labpipe.report.group_plots import (
-    COLOURS,
+    N_COLOURS,
     DotRow,
     make_band_lines,
     make_clipped_axis,
@@ -236,7 +236,7 @@ def _curve_plot(
         band = group.band_scaled if is_scaled else group.band
         if band is None:
             continue
-        look, stem = f"c{at % COLOURS}", stems[group.name]
+        look, stem = f"c{at % N_COLOURS}", stems[group.name]
         bands.append(band)
         lines += [
             *make_band_lines(band, across.factor, up.factor, look, stem),
@@ -299,7 +299,7 @@ def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
     for row, (number, group) in enumerate(zip(numbers, family.groups, strict=True)):
         values = [value.value for value in number.values.values() if value.value is not None]
         x = np.array([part for value in values for part in (scale.factor * value, np.nan)])
-        look, stem = f"c{row % COLOURS}", stems[group.name]
+        look, stem = f"c{row % N_COLOURS}", stems[group.name]
         lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
         if number.mean is not None:
             mean = number.mean.chosen

@@ -30,7 +30,7 @@ from labpipe.report.wording import (
 
 _BAND_POINTS = 28
 """Points with which a band or a mean is drawn."""
-COLOURS = 8
+N_COLOURS = 8
 """Colours of the page for spools and groups; they repeat after this number."""
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
 """Panels of numbers; samples with a row each, else those of a spool share a row."""
@@ -105,7 +105,7 @@ class _GroupView:
             names = list(map(make_key, samples))
         numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
         return {
-            make_key(sample): f"c{numbers[name] % COLOURS}"
+            make_key(sample): f"c{numbers[name] % N_COLOURS}"
             for sample, name in zip(samples, names, strict=True)
         }
 
@@ -564,7 +564,7 @@ def _dot_rows(
     is_crowded = len(group.samples) > MAX_DOT_ROWS
     for at, spool in enumerate(spools):
         tests = [sample.test for sample in group.samples if sample.specimen.spool == spool]
-        colour = f"c{at % COLOURS}"
+        colour = f"c{at % N_COLOURS}"
         for place, test in enumerate(tests):
             name = f"{len(tests)} samples of {spool}" if is_crowded else test
             shift = (place / len(tests) - 0.5) * 0.7 if is_crowded else 0.0

@@ -36,7 +36,7 @@ from labpipe.report.workbook_file import (
     unite_heads,
 )
 
-DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
+REPORTED_DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Tip deflections at which the end load is reported, m."""
 
 
@@ -145,7 +145,7 @@ def make_summary_record(table: WireTable) -> Record:
             f"end load at {LENGTH.factor * at:g} {LENGTH.unit} ({FORCE.unit})": (
                 FORCE.factor * force_at(table, at)
             )
-            for at in DEFLECTIONS
+            for at in REPORTED_DEFLECTIONS
         },
         "warnings": join_warnings(table),
         "defaults used": "; ".join(spec.defaults.values()),

@@ -55,7 +55,7 @@ def energy_of(displacement: Floats, force: Floats) -> Floats:
     return work
 
 
-_FOOT_LIMITS = 5.0
+FOOT_LIMIT_FACTOR = 5.0
 """The foot of the force, below this multiple of the limit, is taken as straight."""
 
 
@@ -63,7 +63,8 @@ _TIME_BEFORE_ZERO = 1.0
 """s before zero force, for the line through the displacement."""
 
 
-_MIN_SAMPLES = 8
+_MIN_CROSSING_SAMPLES = 8
+"""For a line through the force or the displacement at zero force."""
 
 
 _MIN_ZERO_FOOT_SAMPLES = 4
@@ -132,7 +133,7 @@ def unloaded(
     noise_deviations = 4.0
     finite = finite_samples(displacement, force)
     t, d, f = (values[finite] for values in (time, displacement, force))
-    require_samples(len(f), 2 * _MIN_SAMPLES, "")
+    require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     least = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
@@ -140,10 +141,10 @@ def unloaded(
         raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
     if above[-1] >= len(f) - 3:
         raise UnavailableError.of("results.force_not_zero", end=f[-3:].mean(), limit=limit)
-    goes_on = bool(np.median(f[-_MIN_SAMPLES:]) < -limit)
+    goes_on = bool(np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit)
     if goes_on if like is None else like.how == "through zero":
         return _through_zero(finite, t, f, limit)
-    last, far = int(above[-1]), np.flatnonzero(f > _FOOT_LIMITS * limit)
+    last, far = int(above[-1]), np.flatnonzero(f > FOOT_LIMIT_FACTOR * limit)
     foot = slice(int(far[-1]) if len(far) else 0, last + 1)
     from_end, zero_time, slope = t - t[last], np.nan, 0.0
     if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
@@ -163,7 +164,7 @@ def unloaded(
 
         return Unloaded("at rest", limit, int(rest.sum()), mean)
     near = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
-    if near.sum() < _MIN_SAMPLES:
+    if near.sum() < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=int(near.sum()), zero=zero)
     of_foot, of_near = ((samples_of(finite[part]), from_end[part]) for part in (foot, near))
     of = partial(_follow, foot=of_foot if falls else None, near=of_near)
@@ -177,7 +178,7 @@ def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Un
     """Choose the samples around the zero of a force that continues below it."""
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
-    require_samples(int(near.sum()), _MIN_SAMPLES, " near zero force")
+    require_samples(int(near.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
     samples, after = samples_of(finite[near]), time[near] - middle
     weights = polynomial_weights(after, degree=2).T
 
@@ -196,7 +197,7 @@ def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Un
 
 def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
     """Return whether force and displacement rest within their noise."""
-    if rest.sum() < _MIN_SAMPLES or np.abs(force).max() > 2.0 * limit:
+    if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(force).max() > 2.0 * limit:
         return False
     centred_time, values = time - time.mean(), path[rest]
     slope = float(slope_of_line(centred_time, values))
@@ -240,7 +241,7 @@ def _follow_each(
     limits = np.full((len(f), 1), limit)
     if limit > least:
         limits = np.maximum(limits_by_noise(limit, f), least)[:, np.newaxis]
-    begin, end = _last_flagged(f > _FOOT_LIMITS * limits), _last_flagged(f > limits)
+    begin, end = _last_flagged(f > FOOT_LIMIT_FACTOR * limits), _last_flagged(f > limits)
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
@@ -253,7 +254,7 @@ def _follow_each(
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
     near = (t >= start) & (t <= zeros[:, np.newaxis])
     middle, level, slope = line_in(near, t, d[:, part])
-    ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
+    ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_CROSSING_SAMPLES)
     return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 

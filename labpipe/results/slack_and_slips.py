@@ -320,7 +320,8 @@ def _measure_drop(
     )
 
 
-_MIN_BRANCH_SAMPLES = 64
+_MIN_SEARCHED_SAMPLES = 64
+"""Slips are not searched in shorter branches."""
 
 
 def find_slips(
@@ -374,10 +375,10 @@ def find_slips(
     """
     finite: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
     finite = finite[~_is_outlier(force[finite])]
-    if len(finite) < _MIN_BRANCH_SAMPLES:
+    if len(finite) < _MIN_SEARCHED_SAMPLES:
         count, where = len(finite), " in the branch"
         return Failure.of(
-            "results.too_few_samples", count=count, where=where, needed=_MIN_BRANCH_SAMPLES
+            "results.too_few_samples", count=count, where=where, needed=_MIN_SEARCHED_SAMPLES
         )
     size, longest_samples = _block_size(displacement[finite], longest)
     d, f = (_blocks(values[finite], size) for values in (displacement, force))
@@ -398,7 +399,7 @@ def _block_size(d: Floats, longest: float | None) -> tuple[int, int]:
     travel = float(np.ptp(d))
     reach = min(0.02 * travel, 1e-3) if longest is None else longest
     samples = reach / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
-    size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _MIN_BRANCH_SAMPLES))
+    size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _MIN_SEARCHED_SAMPLES))
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
@@ -414,7 +415,7 @@ def samples_before(slips: Sequence[Slip], count: int) -> int:
 
 def _is_outlier(f: Floats) -> Flags:
     """Flag samples far from the median of five, whose neighbours agree with each other."""
-    if len(f) < _MIN_BRANCH_SAMPLES:
+    if len(f) < _MIN_SEARCHED_SAMPLES:
         return np.zeros(len(f), dtype=np.bool_)
     steps = np.diff(f)
     usual = median(steps)

@@ -29,6 +29,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import (
+    FOOT_LIMIT_FACTOR,
     OfCycle,
     cut_short,
     cycle_of,
@@ -52,10 +53,6 @@ from labpipe.signal.filters import moving_average
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine, on_part
 from labpipe.uncertainty.intervals import Measured
-
-_FOOT_LIMITS = 5.0
-"""The foot of the force, below this multiple of the limit, is taken as straight."""
-
 
 _MIN_FOOT_SAMPLES = 8
 
@@ -110,7 +107,7 @@ class TakeUp:
         first = np.where(within.any(1), self.top - np.argmax(within[:, ::-1], 1), 0)
         low, count = int(first.min()), force.shape[1]
         numbers = np.arange(low, count)
-        beyond = (force[:, low:] > _FOOT_LIMITS * limit) & (numbers >= first[:, np.newaxis])
+        beyond = (force[:, low:] > FOOT_LIMIT_FACTOR * limit) & (numbers >= first[:, np.newaxis])
         last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
         last = np.maximum(last, first + _MIN_FOOT_SAMPLES)
         part = slice(low, min(int(last.max()), count))
@@ -174,7 +171,7 @@ def take_up(
         raise UnavailableError.of("results.no_force", largest=f[top], limit=limit)
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
-    beyond = np.flatnonzero(f[first:] > _FOOT_LIMITS * limit)
+    beyond = np.flatnonzero(f[first:] > FOOT_LIMIT_FACTOR * limit)
     least = steps * _MIN_FOOT_SAMPLES
     last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
     zero = float(zero_of_line(d[first:last], f[first:last]))

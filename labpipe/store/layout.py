@@ -34,7 +34,7 @@ SCHEMA: Final = 2
 """Version of the layout; other versions are refused."""
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
 
-NO_UNIT: Final = "unknown"
+UNSTATED_UNIT: Final = "unknown"
 """Unit of channels for which neither the export nor the protocol states one."""
 
 TEXT: Final = "text"

@@ -167,7 +167,7 @@ def _write_channels(
     names: list[str] = []
     for channel in channels:
         names.append(link_name(channel.name, [*target.group, *reserved]))
-        unit = layout.NO_UNIT if channel.unit is None else channel.unit
+        unit = layout.UNSTATED_UNIT if channel.unit is None else channel.unit
         dataset = target.array(names[-1], channel.values, _CHANNEL, unit)
         for field_name, attribute in _CHANNEL_TEXTS.items():
             set_text(dataset, attribute, getattr(channel, field_name))
@@ -238,7 +238,7 @@ def _channel(group: Any, name: str) -> Channel:
     fields = {key: text(group[name], where) for key, where in _CHANNEL_TEXTS.items()}
     unit = text(group[name], "unit")
     values = array(group, name, _CHANNEL)
-    return Channel(**fields, values=values, unit=None if unit == layout.NO_UNIT else unit)
+    return Channel(**fields, values=values, unit=None if unit == layout.UNSTATED_UNIT else unit)
 
 
 def _markers(group: Any) -> MarkerTracks:

@@ -38,7 +38,7 @@ from labpipe.readers.load_frame.column_titles import (
     time_column,
 )
 from labpipe.readers.load_frame.tables import (
-    MIN_SAMPLES,
+    MIN_TEST_ROWS,
     Export,
     Table,
     read_sheets,
@@ -252,7 +252,7 @@ def _part(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
         clock = Clock(name, time if factor == 1.0 else factor * time)
         about |= {"time": table.names[column], "unit_in_file": unit}
         notes += clock_notes(clock, is_variable=card.variable_rate)
-    if 0 < table.rows < MIN_SAMPLES:
+    if 0 < table.rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
     if table.part or table.also:
         about["part"] = table.part or table.also
