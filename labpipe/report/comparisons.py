@@ -13,7 +13,12 @@ from labpipe.records.harness_bundle import NONE
 from labpipe.report.issues import sentences
 from labpipe.report.page_tables import Cell, Table
 from labpipe.report.wording import display_of, heading, shown_in, unit_words, write_number
-from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
+from labpipe.statistics.group_fields import (
+    BORE,
+    OF_SECTION,
+    find_varying_fields,
+    make_field_sort_key,
+)
 
 MAX_COMPARED_GROUPS = 6
 """Groups in one figure: more curves could not be distinguished."""
@@ -106,7 +111,9 @@ def families(campaign: Campaign) -> list[Family]:
 
 
 def _sort_names(groups: Mapping[str, Group], field: str) -> list[str]:
-    return sorted(groups, key=lambda name: in_order(field, groups[name].fields.get(field, "")))
+    return sorted(
+        groups, key=lambda name: make_field_sort_key(field, groups[name].fields.get(field, ""))
+    )
 
 
 def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[list[Group]]:
@@ -157,7 +164,7 @@ def equal_words(groups: Sequence[Group], field: str) -> str:
     varying = dict.fromkeys(
         name
         for group in groups
-        for name in varying_fields(group)
+        for name in find_varying_fields(group)
         if name != field and not (name == "type" and "composition" in _field_names(group))
     )
     context = context_words(groups, field)

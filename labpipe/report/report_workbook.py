@@ -8,9 +8,8 @@ from pathlib import Path
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group, GroupNumber, MeanInterval, Sample
-from labpipe.records.quality import worded
+from labpipe.records.quality import join_reasons
 from labpipe.records.result import Result, Status
-from labpipe.report.budget_figures import sort_causes
 from labpipe.report.bundle_figures import place_scales
 from labpipe.report.comparisons import (
     Pair,
@@ -54,7 +53,7 @@ from labpipe.report.workbook_file import (
     sheet_of,
     unite_heads,
 )
-from labpipe.statistics.means import group_budget
+from labpipe.statistics.means import sort_causes, summarise_budget
 
 _ABOUT = (
     "Cells hold all digits of a number and show two digits of its interval. Lower and upper are the"
@@ -227,7 +226,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
         for number in group.numbers:
             mean = number.mean
             if mean is None:
-                why = "; ".join(map(worded, number.left_out.values()))
+                why = "; ".join(map(join_reasons, number.left_out.values()))
                 yield _mean_record(group, number, None, "all") | {"reason": why}
                 continue
             scale = shown_in(number.name, number.unit, display_of(group))
@@ -425,7 +424,7 @@ def _budgets_sheet(campaign: Campaign) -> Sheet:
 def _budgets(group: Group) -> Iterator[tuple[Record, Mapping[str, float]]]:
     """Yield the shares for the mean of each number, and their medians over the tests."""
     for number in group.numbers:
-        budget = group_budget(number)
+        budget = summarise_budget(number)
         if budget.of_tests and budget.of_mean and number.mean is not None:
             interval = number.mean.chosen.interval
             yield _budget_head(group, number, "mean of the group", interval), budget.of_mean
@@ -466,7 +465,7 @@ def _places(campaign: Campaign) -> Iterator[Record]:
             "share (%)": percent_cell(place.share),
             "share lower (%)": percent_cell(ends, "lower"),
             "share upper (%)": percent_cell(ends, "upper"),
-            "reason": worded(place.reasons),
+            "reason": join_reasons(place.reasons),
         }
 
 
