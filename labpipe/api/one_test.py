@@ -23,7 +23,7 @@ from labpipe.api.data_frames import (
     results_frame,
     shape_frame,
 )
-from labpipe.errors import ProcessingError, UsageError, nearest
+from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
@@ -36,7 +36,7 @@ from labpipe.report.wording import (
     write_label,
     write_number,
 )
-from labpipe.store.summaries import summary
+from labpipe.store.summaries import build_summary
 
 if TYPE_CHECKING:
     import datetime
@@ -114,7 +114,7 @@ class Test:
     @property
     def summary(self) -> dict[str, object]:
         """Return the content of ``summary.json``, in SI units."""
-        return summary(self._outcome)
+        return build_summary(self._outcome)
 
     @property
     def display(self) -> Test:
@@ -269,7 +269,7 @@ class Test:
     def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
         if not names:
             return UsageError.about("api.none_of_these", self.name, what=what)
-        examples = ", ".join(nearest(name, names, limit=7))
+        examples = ", ".join(sort_by_likeness(name, names, limit=7))
         return UsageError.about("api.unknown", self.name, what=what, names=examples, found=name)
 
     def _missing(self, what: str) -> ProcessingError:

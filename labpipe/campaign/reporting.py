@@ -58,9 +58,9 @@ from labpipe.report.page_tables import name_page_file
 from labpipe.report.single_test import render_test
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
-from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, grouping_notes
+from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, make_grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
-from labpipe.statistics.outliers import with_outliers
+from labpipe.statistics.outliers import mark_outliers
 from labpipe.store.read import read_drawable, read_result
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
@@ -313,7 +313,7 @@ def _groups(read: _ReadTests, by: Sequence[str]) -> list[Group]:
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
         groups.append(replace(group, notes=(*unlike, *group.notes)))
-    return with_outliers(groups)
+    return mark_outliers(groups)
 
 
 def _group(
@@ -345,7 +345,7 @@ def _group(
         group,
         samples=tuple(by_source[sample.source] for sample in group.samples),
         numbers=(*first, *numbers.values()),
-        notes=(*grouping_notes(not_said, renamed), *group.notes),
+        notes=(*make_grouping_notes(not_said, renamed), *group.notes),
     )
 
 

@@ -26,7 +26,7 @@ from labpipe.campaign.decisions import (
     label_of,
     parse_decisions,
 )
-from labpipe.errors import LabpipeError, UsageError, refusal
+from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server
 from labpipe.report.page_tables import name_page_file
@@ -177,7 +177,7 @@ class _Handler(BaseHTTPRequestHandler):
         except (ConnectionError, TimeoutError):
             raise  # the browser closed the connection
         except OSError as error:
-            reply = _json({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+            reply = _json({"error": describe_system_error(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
         self.send_response(reply.status)
         length = str(len(reply.content))
         own = {"Content-Type": reply.content_type, "Content-Length": length}

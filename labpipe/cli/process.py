@@ -15,7 +15,7 @@ from labpipe.process.run import Processed, Refused
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
 from labpipe.report.wording import find_display_unit
-from labpipe.store.summaries import summary
+from labpipe.store.summaries import build_summary
 
 _FINISHED = "completed a replacement of files that a killed process had left unfinished"
 
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     if not processed:
         return 2  # messages are printed already
     if options.json:
-        summaries = [summary(test.result) for test in processed]
+        summaries = [build_summary(test.result) for test in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
         print("\n\n".join(table(test) for test in processed))

@@ -10,7 +10,7 @@ from pathlib import Path
 from labpipe.campaign.queries import escaped
 from labpipe.campaign.reporting import Reported, ReportOptions, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
-from labpipe.errors import UsageError, nearest
+from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
@@ -47,7 +47,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
         raise UsageError.about(
             "cli.figure_format", "--figures", known=", ".join(FORMATS),
             found=", ".join(map(repr, unknown)),
-            near=nearest(unknown[0], list(FORMATS), limit=1)[0],
+            near=sort_by_likeness(unknown[0], list(FORMATS), limit=1)[0],
         )  # fmt: skip
     entries = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
     logo = "" if options.logo is None else read_logo(options.logo)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from labpipe.records import causes as cause_names
@@ -32,7 +32,7 @@ from labpipe.report.wording import (
     write_number,
     write_title,
 )
-from labpipe.statistics.means import SCATTER, group_budget, in_order
+from labpipe.statistics.means import SCATTER, sort_causes, summarise_budget
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -225,12 +225,6 @@ def list_shown_causes(parts: Sequence[Mapping[str, float]]) -> list[str]:
     return [*sort_causes(every - {SMALLER}), *([SMALLER] if SMALLER in every else [])]
 
 
-def sort_causes(causes: Iterable[str]) -> list[str]:
-    """Sort causes as in the key: scatter first."""
-    every = set(causes)
-    return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
-
-
 _HATCHED: dict[str, Any] = {
     "facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": "////"
 }  # fmt: skip
@@ -253,7 +247,7 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
     for number in group.numbers:
         if not (is_main(number.name) and is_first_cycle(number.name)):
             continue
-        budget, interval = group_budget(number), None
+        budget, interval = summarise_budget(number), None
         if of_means and number.mean is not None:
             interval = number.mean.chosen.interval
         scale = find_display_unit(number.name, number.unit, find_display(group))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, block_means
+from labpipe.records.arrays import Flags, Floats, average_blocks
 from labpipe.records.group import Band
 from labpipe.records.wire_calibration import (
     CalibratedParameter,
@@ -240,7 +240,7 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
         left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
         _plot(axes, curve.deflection, left, looks[curve.length], alpha=0.2, linewidth=0.4)
         across, up = (
-            block_means(values, MIN_RESIDUAL_BLOCKS) for values in (curve.deflection, left)
+            average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (curve.deflection, left)
         )
         look = looks[curve.length]._asdict()
         axes.plot(DEFLECTION.factor * across, up, linewidth=0.9, zorder=3, **look)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, frozen
+from labpipe.records.arrays import Flags, Floats, freeze
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.wire_calibration import (
@@ -194,7 +194,7 @@ class BentShape:
 
     def __post_init__(self) -> None:
         for name in ("markers", "fit", "model"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=(None, 2)))
+            object.__setattr__(self, name, freeze(getattr(self, name), shape=(None, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,12 @@ from labpipe.report.wording import (
     write_heading,
     write_number,
 )
-from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
+from labpipe.statistics.group_fields import (
+    BORE,
+    OF_SECTION,
+    find_varying_fields,
+    make_field_sort_key,
+)
 
 MAX_COMPARED_GROUPS = 6
 """Groups in one figure: more curves could not be distinguished."""
@@ -112,7 +117,9 @@ def find_families(campaign: Campaign) -> list[Family]:
 
 
 def _sort_names(groups: Mapping[str, Group], field: str) -> list[str]:
-    return sorted(groups, key=lambda name: in_order(field, groups[name].fields.get(field, "")))
+    return sorted(
+        groups, key=lambda name: make_field_sort_key(field, groups[name].fields.get(field, ""))
+    )
 
 
 def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[list[Group]]:
@@ -163,7 +170,7 @@ def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
     varying = dict.fromkeys(
         name
         for group in groups
-        for name in varying_fields(group)
+        for name in find_varying_fields(group)
         if name != field and not (name == "type" and "composition" in _field_names(group))
     )
     context = describe_context(groups, field)

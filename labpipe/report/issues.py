@@ -27,7 +27,7 @@ from labpipe.report.wording import (
     write_number,
 )
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER
-from labpipe.statistics.means import t_quantile
+from labpipe.statistics.means import compute_t_quantile
 
 _SLIP_LEDGER_CODES = frozenset(f"slip_{decision}" for decision in SlipDecision)
 """Notes that only repeat the slip ledger."""
@@ -413,7 +413,7 @@ def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effe
 
 
 def _relative_width(n: int) -> float:
-    return t_quantile(n - 1) / sqrt(n)
+    return compute_t_quantile(n - 1) / sqrt(n)
 
 
 def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:

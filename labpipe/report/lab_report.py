@@ -82,7 +82,7 @@ from labpipe.report.wording import (
     write_mean,
     write_with_interval,
 )
-from labpipe.statistics.group_fields import in_order
+from labpipe.statistics.group_fields import make_field_sort_key
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -247,7 +247,7 @@ def _answer(field: str, pairs: Sequence[Pair]) -> dict[str, Any]:
     question, verdict = rows[0][0].text, rows[0][1].text
     if len(pairs) > 1:
         every = {word for pair in pairs for word in pair.differences[0].fields[field]}
-        values = sorted(every, key=lambda word: in_order(field, word))
+        values = sorted(every, key=lambda word: make_field_sort_key(field, word))
         question = f"{name_field(field)}: {', '.join(values)}"
         counts = Counter(pair.differences[0].verdict for pair in pairs)
         verdict = ", ".join(f"{str(kind).upper()} {counts[kind]}" for kind in Verdict

@@ -12,7 +12,7 @@ from functools import cached_property
 from labpipe.records.group import Campaign, Sample
 from labpipe.records.result import Instrument, Status
 from labpipe.report.wording import write_count
-from labpipe.statistics.group_fields import SPOOL, fields_of
+from labpipe.statistics.group_fields import SPOOL, list_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
     Name of the group of its protocol with the most common fields, among those with the same
     grouping fields; empty without such a group.
     """
-    fields = fields_of(sample.specimen)
+    fields = list_fields(sample.specimen)
     alike = {
         group.name: sum(fields.get(name) == word for name, word in group.fields.items())
         for group in campaign.groups

@@ -16,9 +16,8 @@ from labpipe.records.group import (
     MeanInterval,
     Sample,
 )
-from labpipe.records.quality import worded
+from labpipe.records.quality import join_reasons
 from labpipe.records.result import Result, Status
-from labpipe.report.budget_figures import sort_causes
 from labpipe.report.bundle_figures import choose_place_units
 from labpipe.report.comparisons import (
     Pair,
@@ -64,7 +63,7 @@ from labpipe.report.workbook_file import (
     stack_blocks,
     unite_heads,
 )
-from labpipe.statistics.means import group_budget
+from labpipe.statistics.means import sort_causes, summarise_budget
 
 BOOK = "report"
 """Name of the workbook in ``workbooks.toml``."""
@@ -197,7 +196,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
         for number in group.numbers:
             mean = number.mean
             if mean is None:
-                why = "; ".join(map(worded, number.left_out.values()))
+                why = "; ".join(map(join_reasons, number.left_out.values()))
                 yield _mean_record(group, number, None, "all") | {"reason": why}
                 continue
             scale = find_display_unit(number.name, number.unit, find_display(group))
@@ -380,7 +379,7 @@ def _budgets(campaign: Campaign) -> list[Record]:
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
-            budget = group_budget(number)
+            budget = summarise_budget(number)
             if budget.of_tests and budget.of_mean and number.mean is not None:
                 interval = number.mean.chosen.interval
                 head = _budget_head(group, number, "mean of the group", interval)
@@ -431,7 +430,7 @@ def _places(campaign: Campaign) -> Iterator[Record]:
             "share (%)": make_percent_cell(place.share),
             "share lower (%)": make_percent_cell(ends, "lower"),
             "share upper (%)": make_percent_cell(ends, "upper"),
-            "reason": worded(place.reasons),
+            "reason": join_reasons(place.reasons),
         }
 
 

@@ -15,7 +15,7 @@ from labpipe.report.figure_page import style
 from labpipe.report.group_figures import list_group_figures
 from labpipe.report.group_plots import make_file_plots
 from labpipe.report.page_facts import make_stems
-from labpipe.statistics.mean_curves import without_band
+from labpipe.statistics.mean_curves import reduce_band
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
 from tests.report.figure_words import all_words
@@ -86,7 +86,7 @@ def test_words(approved: Approve) -> None:
     number = replace(group.numbers[1], outliers=(outlier,))
     segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
     segments = build_group("A", [replace(build_sample("s1", "a"), lines=(segment,))])
-    two, three = (without_band(replace(group.band, n=count)) for count in (2, 3))
+    two, three = (reduce_band(replace(group.band, n=count)) for count in (2, 3))
     odd = {name: build_group("A", chosen) for name, chosen in samples.items()}
     drawn = {f"{name}: curves": figure("curves", chosen) for name, chosen in odd.items()}
     drawn |= {f"six samples: {name}": figure(name, bent()) for name in make_file_plots(bent())}

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, UsageError, error_text
+from labpipe.errors import ProcessingError, UsageError, format_error
 from labpipe.mechanics.decks import deck_paths, deck_texts, write_texts
 from labpipe.mechanics.studies.study_json import entries
 from labpipe.mechanics.studies.wire_sheets import (
@@ -172,7 +172,7 @@ def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
     try:
         yield pool
     except BrokenProcessPool as error:
-        message = error_text(
+        message = format_error(
             sheet,
             "",
             expected="processes that run to the end",
@@ -229,7 +229,7 @@ def _refuse_overwriting(sheet: Path, folder: Path) -> None:
     """Refuse to overwrite the wire sheet."""
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
-            message = error_text(
+            message = format_error(
                 sheet,
                 "",
                 expected="a folder of the results without this sheet",
