@@ -22,7 +22,8 @@ from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
 from labpipe.protocol.load import known_protocols, load_protocol
-from labpipe.protocol.schema import Section, SpecimenBlock
+from labpipe.protocol.schema import SpecimenBlock
+from labpipe.protocol.source import Section
 from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import Letterhead
