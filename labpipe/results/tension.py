@@ -43,7 +43,11 @@ MIN_ELASTIC_SAMPLES = 8
 MIN_ELASTIC_SHARE = 0.1
 """Least range of stress of an elastic line, as a share of the largest stress."""
 MAX_BEND = 0.03
-"""Difference of the slopes of both halves of an elastic line beyond which it is doubtful."""
+"""Difference of the slopes of both halves of an elastic line, beyond which it is doubtful."""
+MIN_STRAIN_JUMP = 1e-4
+"""Smaller jumps of the strain are ignored."""
+MAX_CHANGE_BY_BEND = 0.005
+"""Difference of another number with the lines of both halves, beyond which it is doubtful."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,8 +341,12 @@ class TensionResult(Kind):
             raise test.unavailable(NO_LOADING)
         return test.pull
 
-    def doubts(self, test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
-        """Return doubts about strain by a displacement that includes frame and grips."""
+    def doubts(self, test: ReducedTest, pull: Pull, number: Number) -> tuple[Reason, ...]:
+        """Return doubts about a number by the elastic line, or by a displacement of the machine."""
+        return tuple(_doubts_of_line(pull, number)) + self._doubts_of_machine(test, pull)
+
+    def _doubts_of_machine(self, test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+        """Return a doubt about a displacement that may be that of frame and grips."""
         limits, sizes = test.setup.limits, test.setup.sizes
         stiffness = pull.slope * area_of(sizes) / gauge_length_of(sizes)
         share = limits.machine_compliance * stiffness
@@ -346,6 +354,51 @@ class TensionResult(Kind):
             return ()
         usual = 1e6 * limits.machine_compliance
         return (Reason.of("results.machine_compliance", usual=usual, share=share),)
+
+
+def _doubts_of_line(pull: Pull, number: Number) -> Iterator[Reason]:
+    """Yield doubts about an elastic line that bends, or that the curve later rises above.
+
+    Both occur if an extensometer slips or jumps, or if the specimen is bent: metals do not stiffen.
+    """
+    lower, upper = (number(half) for half in _with_half_lines(pull))
+    value, change = number(pull), upper - lower
+    limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
+    if abs(change) > limit * abs(value):
+        yield Reason.of("results.elastic_line_bends", change=change / value)
+    later = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
+    above = pull.stress[later] - pull.slope * (pull.strain[later] - pull.toe)
+    largest = float(np.fmax.reduce(above, initial=-np.inf))
+    if largest > max(6.0 * pull.noise, 0.01 * float(pull.stress[pull.window.stop - 1])):
+        yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
+
+
+def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
+    """Return a doubt about a jump of the strain before a sample, as of a knife edge that slips."""
+    from scipy.ndimage import median_filter  # slow import, not for all tests
+
+    strain = pull.strain[: stop + 1]
+    steps = np.diff(strain[~np.isnan(strain)])
+    if len(steps) < MIN_ELASTIC_SAMPLES:
+        return ()
+    usual = median_filter(steps, 11)
+    jumps = np.abs(steps - usual)
+    is_jump = jumps > np.maximum(max(MIN_STRAIN_JUMP, 6.0 * pull.strain_noise), 3.0 * abs(usual))
+    if not is_jump.any():
+        return ()
+    place = int(np.argmax(np.where(is_jump, jumps, 0.0)))
+    facts = float(steps[place]), 1e-6 * float(pull.stress[place])
+    return (Reason.of("results.strain_jumps", jump=facts[0], stress=facts[1]),)
+
+
+def _with_half_lines(pull: Pull) -> Iterator[Pull]:
+    """Yield the pull with the line of the lower and of the upper half of its elastic line."""
+    strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
+    is_upper = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress))
+    for half in (~is_upper, is_upper):
+        x, y = _few_samples(strain[half], stress[half])
+        slope = float(np.polyfit(x, y, 1)[0])
+        yield replace(pull, slope=slope, centre=float(x.mean()), level=float(y.mean()))
 
 
 def _during(pull: Pull, start: int, stop: int) -> Stretch:
@@ -370,30 +423,20 @@ class ElasticModulus(TensionResult):
     def measure(self, test: ReducedTest) -> Computed:
         """Return the slope of the elastic line, whose residuals may be correlated."""
         pull = self.pull(test)
-        _, errors = _measured(test, pull, lambda pull: pull.slope, error=0.0)
-        window, doubts = pull.window, self.doubts(test, pull)
-        bend = _bend(pull)
-        if abs(bend) > MAX_BEND:
-            doubts += (Reason.of("results.elastic_line_bends", bend=bend),)
+        _, errors = _measured(test, pull, _slope, error=0.0)
+        window = pull.window
         number = self.number(
             test,
             pull.slope_estimate,
             errors,
             during=_during(pull, window.start, window.stop),
-            doubts=doubts,
+            doubts=self.doubts(test, pull, _slope) + _jump_of_strain(pull, window.stop),
         )
         return Computed((number,), lines=(_drawn_line(test, pull),))
 
 
-def _bend(pull: Pull) -> float:
-    """Compare the slopes of both halves of the elastic line, as a share of its slope."""
-    strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
-    upper = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress))
-    slopes = [
-        np.polyfit(strain[half & ~np.isnan(strain)], stress[half & ~np.isnan(strain)], 1)[0]
-        for half in (~upper, upper)
-    ]
-    return float(slopes[0] - slopes[1]) / pull.slope
+def _slope(pull: Pull) -> float:
+    return pull.slope
 
 
 def _drawn_line(test: ReducedTest, pull: Pull) -> FittedLine:
@@ -424,7 +467,7 @@ class ProofStress(TensionResult):
         crossing = _meeting_sample(pull, self.offset)
         outcome, errors = _measured(test, pull, number)
         during = _during(pull, pull.window.start, crossing)
-        doubts = self.doubts(test, pull)
+        doubts = self.doubts(test, pull, number) + _jump_of_strain(pull, crossing)
         return Computed((self.number(test, outcome, errors, during=during, doubts=doubts),))
 
 
@@ -472,9 +515,10 @@ class YieldStress(TensionResult):
         """Find the first fall of the stress, and the lowest stress while it yields."""
         pull = self.pull(test)
         upper, lower = _yield_samples(pull)
-        doubts, numbers = self.doubts(test, pull), []
+        numbers = []
         for place, sample in enumerate((upper, lower)):
-            outcome, errors = _measured(test, pull, partial(_stress_at, sample=sample), error=0.0)
+            number = partial(_stress_at, sample=sample)
+            outcome, errors = _measured(test, pull, number, error=0.0)
             numbers.append(
                 self.number(
                     test,
@@ -482,7 +526,6 @@ class YieldStress(TensionResult):
                     errors,
                     output=place,
                     during=_during(pull, sample, sample),
-                    doubts=doubts,
                 )
             )
         return Computed(tuple(numbers))
@@ -530,8 +573,17 @@ class TensileStrength(TensionResult):
         pull = self.pull(test)
         number: Number = lambda pull: float(np.nanmax(pull.stress))  # noqa: E731
         outcome, errors = _measured(test, pull, number, error=0.0)
-        during = _during(pull, 0, pull.peak)
-        return Computed((self.number(test, outcome, errors, during=during),))
+        during, doubts = _during(pull, 0, pull.peak), _ends_at_peak(test, pull)
+        return Computed((self.number(test, outcome, errors, during=during, doubts=doubts),))
+
+
+def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+    """Return a doubt if the record ends without a break and before the force falls."""
+    peak = float(pull.stress[pull.peak])
+    last = float(pull.stress[~np.isnan(pull.stress)][-1])
+    if isinstance(test.failure, FailurePoint) or last < peak - max(6.0 * pull.noise, 5e-3 * peak):
+        return ()
+    return (Reason.of("results.ends_at_peak", share=last / peak),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -574,7 +626,7 @@ class MaximumForceElongation(TensionResult):
                     errors | {PEAK: width / np.sqrt(12.0)},
                     output=place,
                     during=_during(pull, pull.window.start, top.stop),
-                    doubts=self.doubts(test, pull),
+                    doubts=self.doubts(test, pull, number) + _ends_at_peak(test, pull),
                 )
             )
         return Computed(tuple(numbers))
@@ -645,7 +697,7 @@ class BreakElongation(TensionResult):
                     errors | {STEP: abs(step) / np.sqrt(12.0)},
                     output=place,
                     during=_during(pull, pull.window.start, last),
-                    doubts=self.doubts(test, pull),
+                    doubts=self.doubts(test, pull, number),
                 )
             )
         return Computed(tuple(numbers))
