@@ -15,6 +15,7 @@ from functools import partial
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import (
@@ -375,15 +376,16 @@ def _doubts_of_line(pull: Pull, number: Number) -> Iterator[Reason]:
 
 def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
     """Return a doubt about a jump of the strain before a sample, as of a knife edge that slips."""
-    from scipy.ndimage import median_filter  # slow import, not for all tests
-
     strain = pull.strain[: stop + 1]
     steps = np.diff(strain[~np.isnan(strain)])
     if len(steps) < MIN_ELASTIC_SAMPLES:
         return ()
-    usual = median_filter(steps, 11)
-    jumps = np.abs(steps - usual)
-    is_jump = jumps > np.maximum(max(MIN_STRAIN_JUMP, 6.0 * pull.strain_noise), 3.0 * abs(usual))
+    # Medians of the five steps before and after each: the speed may change there.
+    medians = np.median(sliding_window_view(np.pad(steps, 6, "edge"), 5), axis=1)
+    usual = np.stack([medians[1 : 1 + len(steps)], medians[7 : 7 + len(steps)]])
+    jumps = np.abs(steps - usual).min(axis=0)
+    clear = max(MIN_STRAIN_JUMP, 6.0 * pull.strain_noise)
+    is_jump = jumps > np.maximum(clear, 3.0 * np.abs(usual).max(axis=0))
     if not is_jump.any():
         return ()
     place = int(np.argmax(np.where(is_jump, jumps, 0.0)))
