@@ -29,7 +29,7 @@ from labpipe.records.causes import (
     STEP,
 )
 from labpipe.records.curve import FittedLine
-from labpipe.records.declarations import CURVE, Needs, Output, Share
+from labpipe.records.declarations import CURVE, Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
@@ -279,7 +279,7 @@ def gauge_length_of(sizes: Mapping[str, float]) -> float:
     Raises
     ------
     UnavailableError
-        ``no_gauge_length``.
+        ``no_length``.
     """
     length = sizes.get("gauge_length", sizes.get("length"))
     if length is None:
@@ -460,7 +460,7 @@ class ProofStress(TensionResult):
     outputs: ClassVar = (Output("{name}", "Pa"),)
     method: ClassVar = "stress where the curve meets the elastic line shifted by {offset:.2%}"
     offset: Annotated[Share, "Plastic strain, such as 0.2 %"]
-    name: Annotated[str, "Such as proof_stress_0_2"]
+    name: Annotated[Snake, "Such as proof_stress_0_2"] = "proof_stress"
 
     def measure(self, test: ReducedTest) -> Computed:
         """Find where the curve falls below the shifted elastic line."""
