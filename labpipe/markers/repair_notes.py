@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.marker_names import Chain, Naming, is_unlabelled
-from labpipe.markers.tracklets import Links, Tracklets, in_sight
-from labpipe.records.arrays import Flags, Floats, stretches_of
+from labpipe.markers.tracklets import Links, Tracklets, is_in_sight
+from labpipe.records.arrays import Flags, Floats, find_runs
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 
@@ -35,7 +35,7 @@ class Take:
         return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
 
 
-def describe(
+def make_repair_notes(
     take: Take,
     links: Links,
     naming: Naming,
@@ -73,7 +73,7 @@ def describe(
 
 
 def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
-    seen = np.flatnonzero(in_sight(measured).any(axis=0)).tolist()
+    seen = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
     named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named:
         if column not in naming.markers:
@@ -91,7 +91,7 @@ def _stretch_notes(
     take: Take, mask: Flags, names: list[str], note: Callable[..., QualityNote]
 ) -> Iterator[QualityNote]:
     for name, flags in zip(names, mask.T, strict=True):
-        stretches = stretches_of(flags)
+        stretches = find_runs(flags)
         if len(stretches) > _MAX_NOTES:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             count = f"{len(stretches)} times, {int(flags.sum())} frames"

@@ -20,7 +20,7 @@ from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
-from labpipe.records.estimates import Failure, or_failure
+from labpipe.records.estimates import Failure, return_failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
@@ -40,8 +40,8 @@ from labpipe.results.slack_and_slips import (
 )
 from labpipe.results.tension import ElasticWindow, pull_of
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
-from labpipe.signal.filters import in_pieces
-from labpipe.signal.turning_points import branch_numbers
+from labpipe.signal.filters import filter_pieces
+from labpipe.signal.turning_points import number_branches
 from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
 
@@ -86,7 +86,7 @@ def build_curve(
         )
         return None, [note]
     moved = tuple(_branch_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
-    branch, cycle = branch_numbers(len(time), moved)
+    branch, cycle = number_branches(len(time), moved)
     return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
 
 
@@ -269,7 +269,7 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
         if name in signals.filters:
             cuts = cuts_of(test.clocks, ends, raw[name])
             filtered_signal = raw[name].changed(
-                partial(in_pieces, cuts=cuts, filters=signals.filters[name])
+                partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
             )
             filtered = replace(
                 signals.filtered[name], values=filtered_signal.values, moved=filtered_signal.moved
@@ -384,7 +384,7 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     """
     # Share of the replicate curves.
     max_falling_share = 0.025
-    measured = or_failure(test.measure)(decide)
+    measured = return_failure(test.measure)(decide)
     if isinstance(measured, Failure):
         return measured
     slack, trace = measured[0], traced(test)
@@ -408,7 +408,7 @@ def _preload_explains(slack: Measured, decide: Decide, trace: Trace, start: int)
     if slack.interval.upper >= first:
         return True
     preloaded = replace(trace, force=trace.force - trace.force[start])
-    above = or_failure(decide)(preloaded)
+    above = return_failure(decide)(preloaded)
     if isinstance(above, Failure):
         return False
     place = float(above.numbers(preloaded)[0])

@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date
 
-from labpipe.errors import in_test_sheet
-from labpipe.messages import sentence
+from labpipe.errors import format_overrides
+from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.clock_joining import join_clocks
 from labpipe.process.consistency import check_break, check_consistency
@@ -297,7 +297,7 @@ def _with_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
     names = [getattr(other, "name", other.result) for other in protocol.results]
     number = protocol.results.index(entry)
     key = names[number] if names.count(names[number]) == 1 else number
-    remedy = sentence("process.remedy", override=in_test_sheet(f"results.{key}", "null"))
+    remedy = format_sentence("process.remedy", override=format_overrides(f"results.{key}", "null"))
     reasons = [
         replace(reason, message=reason.message + remedy) if reason.code in codes else reason
         for reason in result.reasons

@@ -81,7 +81,7 @@ IS_COMMON: Final[Mapping[str, bool]] = {
 """Whether all tests of a rig share a cause, for every cause of a budget."""
 
 
-def contribution(cause: str, change: float) -> Contribution:
+def make_contribution(cause: str, change: float) -> Contribution:
     """Make a row of a budget.
 
     Parameters

@@ -14,7 +14,14 @@ import numpy as np
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.result import Contribution, InputFile, Instrument, Result, Specimen, apart_from
+from labpipe.records.result import (
+    Contribution,
+    InputFile,
+    Instrument,
+    Result,
+    Specimen,
+    find_distinct_estimate,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,8 +164,8 @@ class MeanInterval:
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Return the estimate where a reader must see it beside the mean, as `apart_from` says."""
-        return apart_from(self.mean, self.estimate, self.interval)
+        """Return the estimate if it must be shown beside the mean (`find_distinct_estimate`)."""
+        return find_distinct_estimate(self.mean, self.estimate, self.interval)
 
 
 @dataclass(frozen=True, slots=True)

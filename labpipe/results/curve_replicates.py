@@ -10,20 +10,20 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.records import causes
-from labpipe.records.arrays import Floats, Ints, means_from
+from labpipe.records.arrays import Floats, Ints, average_between
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
 from labpipe.results.sample_noise import have_no_effect
 from labpipe.uncertainty.extractors import Trace
-from labpipe.uncertainty.noise_model import drift_modes
+from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
     Input,
     Law,
     Replicates,
+    count_spline_intervals,
     draw_replicates,
-    smooth_curve,
-    spline_intervals_of,
+    fit_smooth_curve,
 )
 
 _BY_FRAMES = (causes.SHAPE, causes.GRIP, causes.PULL, causes.CENTRE)
@@ -66,8 +66,8 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
 
     def smooth(change: Floats) -> Floats:
         """Smooth the effect of an input: its noise would raise the largest of many samples."""
-        parts = spline_intervals_of(grid)
-        return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
+        parts = count_spline_intervals(grid)
+        return fit_smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
     inputs = tuple(_inputs(test, starts, smooth))
     return draw_replicates(
@@ -145,7 +145,7 @@ def _starts(corners: Sequence[int], curve: Curve) -> Ints:
 
 def _means(values: Floats, starts: Ints) -> Floats:
     """Return the means of the blocks of a grid."""
-    return values if len(starts) == len(values) else means_from(values, starts)
+    return values if len(starts) == len(values) else average_between(values, starts)
 
 
 def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
@@ -303,7 +303,7 @@ def _levels_of_force(test: ReducedTest, starts: Ints) -> Iterator[Input]:
         yield Input(causes.RESOLUTION, _raised(test, coarse / np.sqrt(12.0)), law="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
     since = np.abs(_means(test.known_curve.time, starts) - _zeroed_at(test))
-    for number, wave in enumerate(drift_modes(since, drift), start=1):
+    for number, wave in enumerate(compute_drift_modes(since, drift), start=1):
         yield Input(
             causes.DRIFT_OF_ZERO, _raised(test, wave), stream=f"{causes.DRIFT_OF_ZERO} {number}"
         )

@@ -23,7 +23,7 @@ from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import finite_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
 from labpipe.results.sample_noise import Quantity, SampleNoise
-from labpipe.uncertainty.autocorrelation import fast_noise
+from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
 
 
@@ -283,7 +283,7 @@ def _loss_before(test: ReducedTest) -> tuple[float, bool]:
         return 0.0, False
     before = curve.force[: failure.sample]
     before = before[~np.isnan(before)]
-    is_clear = len(before) >= 8 and fall > 6.0 * float(fast_noise(before))
+    is_clear = len(before) >= 8 and fall > 6.0 * float(estimate_fast_noise(before))
     return sense * fall, bool(is_clear)
 
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
 from labpipe.records.declarations import LIMITS, Limits
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
-from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Replicates
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ class ReducedTest:
             If there is none.
         """
         if self.curve is None:
-            raise ValueError(sentence("results.no_curve"))
+            raise ValueError(format_sentence("results.no_curve"))
         return self.curve
 
     def measure(
@@ -212,7 +212,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        decide, values : as for `labpipe.uncertainty.intervals.measure`; `decide` may raise
+        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`; `decide` may raise
 
         Raises
         ------
@@ -224,7 +224,7 @@ class ReducedTest:
         return measured(self.replicates, decide, values)
 
     def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
-        """Measure the first number of a reading, as `measure`."""
+        """Measure the first number of a reading, as `measure_numbers`."""
         return self.measure(decide, values)[0]
 
     def unavailable(self, reason: Failure) -> UnavailableError:
@@ -313,7 +313,7 @@ def measured(
     replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
 ) -> tuple[Measured, ...]:
     """Measure numbers of replicates, as `ReducedTest.measure`."""
-    outcome = measure(replicates, or_failure(decide), values)
+    outcome = measure_numbers(replicates, return_failure(decide), values)
     if isinstance(outcome, Failure):
         raise UnavailableError(outcome)
     return outcome

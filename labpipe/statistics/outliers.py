@@ -11,8 +11,8 @@ from scipy import special
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Group, GroupNumber, Outlier
-from labpipe.statistics.group_notes import sample_keys
-from labpipe.statistics.two_groups import holm
+from labpipe.statistics.group_notes import name_samples
+from labpipe.statistics.two_groups import correct_p_values
 
 GRUBBS = "Grubbs' test"
 GRUBBS_WITHIN = "Grubbs' test within spools"
@@ -93,8 +93,8 @@ def find_suspects(
 
     Returns
     -------
-    Empty if `too_few_for_outliers` gives a reason. Equally far values are all named, also in the
-    method: the two samples of a spool always are, as they are equally far from their mean.
+    Empty if `describe_missing_samples` gives a reason. Equally far values are all named, also in
+    the method: the two samples of a spool always are, as they are equally far from their mean.
 
     Notes
     -----
@@ -113,7 +113,7 @@ def find_suspects(
     return Suspects(names, number.tolist(), _steps(number, spool, allowed), method)
 
 
-def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
+def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     """Mark outliers among all numbers of a report.
 
     Parameters
@@ -124,15 +124,15 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     Returns
     -------
     The groups with outliers in their numbers. The smallest p-values of all numbers are one family,
-    corrected by `holm`, which allows for dependent numbers of one test. The steps of the ESD test
-    count as one test each, since its false-alarm rate exceeds its level (1.14 times at 5 % and 20
-    samples, two steps).
+    corrected by `correct_p_values`, which allows for dependent numbers of one test. Each step of
+    the ESD test counts as one test, since its false-alarm rate exceeds its level (1.14 times at 5 %
+    and 20 samples, two steps).
     """
     suspects = [[_suspects(group, number) for number in group.numbers] for group in groups]
     chances = [
         len(suspect.steps) * suspect.p for group_suspects in suspects for suspect in group_suspects
     ]
-    corrected = iter(holm(chances, level))
+    corrected = iter(correct_p_values(chances, level))
     return [
         replace(
             group,
@@ -153,7 +153,7 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
 def _suspects(group: Group, number: GroupNumber) -> Suspects:
     if number.is_set_by_rig:
         return Suspects()
-    keys = sample_keys(group.samples)
+    keys = name_samples(group.samples)
     spools = dict(zip(keys, (sample.specimen.spool for sample in group.samples), strict=True))
     values = {key: value.value for key, value in number.values.items() if value.value is not None}
     return find_suspects(values, spools)

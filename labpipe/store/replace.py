@@ -112,7 +112,7 @@ def is_cut_off(folder: Path) -> bool:
     return (folder / _COMMIT).is_dir() and not (folder / _COMMIT).is_symlink()
 
 
-def is_there(path: Path) -> bool:
+def exists_or_is_staged(path: Path) -> bool:
     """Return whether a file exists, or will exist after `finish_cut_off`."""
     return path.is_file() or (path.parent / _COMMIT / _FILES / path.name).is_file()
 

@@ -26,9 +26,9 @@ from labpipe.records.curve import (
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Instrument, Result, TestResult
 from labpipe.store import layout
-from labpipe.store.datasets import Target, place_of, same_content
+from labpipe.store.datasets import Target, has_same_content, locate_array
 from labpipe.store.hdf5_objects import open_dataset, set_number, set_text
-from labpipe.store.layout import BudgetRow, ResultRow, fields_of, link_name
+from labpipe.store.layout import BudgetRow, ResultRow, list_datasets, make_link_name
 from labpipe.store.replace import replacing
 from labpipe.store.stored_parts import write_recording, write_specimen
 from labpipe.store.stored_records import write_arrays, write_attributes, write_record, write_table
@@ -81,9 +81,9 @@ def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArra
     if is_whole:
         try:
             with h5py.File(temporary, "r") as root:
-                unique = {place_of(array): name for name, array in written.items()}.values()
+                unique = {locate_array(array): name for name, array in written.items()}.values()
                 is_whole = all(
-                    same_content(open_dataset(root, name), written[name]) for name in unique
+                    has_same_content(open_dataset(root, name), written[name]) for name in unique
                 )
         except OSError:  # a wrong checksum
             is_whole = False
@@ -139,8 +139,10 @@ def _write_aligned(target: Target, aligned: Aligned) -> None:
     write_arrays(target, aligned)
     names: list[str] = []
     for name, series in aligned.series.items():
-        names.append(link_name(name, [*target.group, layout.EVENTS]))
-        dataset = target.array(names[-1], series.values, fields_of(Series)["values"], series.unit)
+        names.append(make_link_name(name, [*target.group, layout.EVENTS]))
+        dataset = target.array(
+            names[-1], series.values, list_datasets(Series)["values"], series.unit
+        )
         set_text(dataset, "name", name)
     target.texts("series", tuple(names))
     target.scaled()

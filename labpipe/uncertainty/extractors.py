@@ -128,7 +128,7 @@ Decide: TypeAlias = Callable[[Trace], Reading | Failure]
 """Chooses, on one curve, the samples that numbers are read from; or says why there are none."""
 
 
-def on_part(
+def read_part(
     function: Callable[[Floats, Floats], Floats], part: Samples | tuple[slice, Samples]
 ) -> Callable[[Trace], tuple[Floats]]:
     """Return a number of traces from displacement and force of a part of them.
@@ -149,7 +149,7 @@ def on_part(
     return numbers
 
 
-def combine(function: Callable[..., Floats], *parts: Decide) -> Decide:
+def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
     """Combine numbers into one.
 
     Parameters

@@ -19,7 +19,7 @@ from math import hypot
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import NOISE, STEP, contribution
+from labpipe.records.causes import NOISE, STEP, make_contribution
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
@@ -80,7 +80,7 @@ class Measured:
         return Interval(self.value - max(high, 0.0), self.value - min(low, 0.0))
 
 
-def measure(
+def measure_numbers(
     replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
 ) -> tuple[Measured, ...] | Failure:
     """Measure numbers of a curve with their uncertainty.
@@ -337,4 +337,4 @@ def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Co
         before, by = changes.get(cause, 0.0), float(change[row])
         changes[cause] = hypot(before, by) if before else by
     least = 1e-9 * max(map(abs, changes.values()))
-    return tuple(contribution(cause, by) for cause, by in changes.items() if abs(by) > least)
+    return tuple(make_contribution(cause, by) for cause, by in changes.items() if abs(by) > least)

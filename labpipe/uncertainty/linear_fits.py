@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import beta, stdtr, stdtrit
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
@@ -17,8 +17,8 @@ from labpipe.uncertainty.autocorrelation import (
     Grid,
     Noise,
     StretchLikelihood,
-    cubic_basis,
-    exact_covariance,
+    build_cubic_basis,
+    compute_covariance,
 )
 
 
@@ -95,9 +95,9 @@ def fit_linear(
     count, spent = design.shape
     least = spent + (1 if beside else 4)
     if count < least:
-        text = sentence("uncertainty.too_few", least=least, spent=spent, count=count)
+        text = format_sentence("uncertainty.too_few", least=least, spent=spent, count=count)
         raise ValueError(text)
-    basis, to_coefficients = orthonormal(design)
+    basis, to_coefficients = orthonormalise(design)
     plain = basis @ values
     residuals = values - plain @ basis
     max_samples = max([count, *map(len, beside)])
@@ -106,7 +106,7 @@ def fit_linear(
     lengths = sorted(set(map(len, beside)))
     others = [
         StretchLikelihood.of(
-            cubic_basis(length),
+            build_cubic_basis(length),
             np.stack([x for x in beside if len(x) == length]),
             grid,
             MAX_COSINES,
@@ -117,7 +117,7 @@ def fit_linear(
     shifts, unit = window.shifts[:, 0], window.unit
     if not weighted:
         shifts = np.zeros_like(shifts)
-        unit = exact_covariance(basis, grid) if beside else window.plain_covariance()
+        unit = compute_covariance(basis, grid) if beside else window.plain_covariance()
     shift = noise.chances @ shifts
     deviation = float(np.sqrt(residuals @ residuals / (count - spent)))
     covariances = to_coefficients @ (unit * noise.variances[:, None, None]) @ to_coefficients.T
@@ -133,7 +133,7 @@ def fit_linear(
     )
 
 
-def orthonormal(design: Floats) -> tuple[Floats, Floats]:
+def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
     """Return an orthonormal basis of the columns of a design.
 
     Parameters

@@ -20,7 +20,7 @@ from scipy.special import chdtri
 
 from labpipe.records.arrays import Flags, Floats, Ints, Singles
 from labpipe.uncertainty.autocorrelation import Noise as _Posterior
-from labpipe.uncertainty.autocorrelation import StretchLikelihood, autoregressive_spectra
+from labpipe.uncertainty.autocorrelation import StretchLikelihood, compute_autoregressive_spectra
 
 _PIECES_PER_BRANCH = 12
 """Pieces of the longest branch: with 8, the curve counts as noise, and intervals are 3 to 5 times
@@ -69,7 +69,7 @@ class _Processes:
 
     def spectra(self, angle: Floats) -> Floats:
         """Return the power at angles per sample (k,), 1 at zero: shape (g, k)."""
-        slow = autoregressive_spectra(self.factor, angle)
+        slow = compute_autoregressive_spectra(self.factor, angle)
         flickers = self.steep > 0.0
         power = -0.5 * self.steep[flickers, None]
         slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** power
@@ -242,9 +242,9 @@ def estimate_noise(
     Notes
     -----
     A record whose longest branch has at most 150 samples is cut where polynomials follow it best
-    (`polynomial_pieces`), so that a knee does not count as noise. Of a longer one a polynomial of
-    degree five is removed from each piece of a twelfth; its residuals are modelled in the slowest
-    48 half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
+    (`cut_into_polynomials`), so that a knee does not count as noise. From each twelfth of a longer
+    branch, a polynomial of degree five is removed; the residuals are modelled in the slowest 48
+    half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
     approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
     likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
     autoregressive noise with and without white noise below, of its mirror image, and of flicker
@@ -361,7 +361,7 @@ def _short_record_noise(
         (branch[start:stop], _legendre(stop - start, degree + 1))
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
-        for start, stop, degree in polynomial_pieces(branch)
+        for start, stop, degree in cut_into_polynomials(branch)
         if stop - start > degree + 1
     ]
     span = max(map(_range_of, branches), default=0.0)
@@ -491,7 +491,7 @@ class Piece(NamedTuple):
     degree: int
 
 
-def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
+def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
     """Cut a short record into at most three pieces for polynomials.
 
     Parameters
@@ -509,7 +509,7 @@ def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
     --------
     >>> knee = np.minimum(np.arange(40.0), 20.0)
     >>> noise = np.random.default_rng(1).normal(0.0, 0.1, 40)
-    >>> [piece.degree for piece in polynomial_pieces(knee + noise)]
+    >>> [piece.degree for piece in cut_into_polynomials(knee + noise)]
     [1, 1]
     """
     return _cached_pieces(np.ascontiguousarray(values, dtype=np.float64).tobytes())
@@ -599,7 +599,7 @@ MODES = 3
 """They contain 93 % of the variance of a random walk."""
 
 
-def drift_modes(times: Floats, by: float) -> list[Floats]:
+def compute_drift_modes(times: Floats, by: float) -> list[Floats]:
     """Return the modes of a zero drift, each for its own standard normal draw.
 
     The modes of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi)

@@ -26,8 +26,8 @@ from labpipe.uncertainty.noise_model import (
     MIN_NOISE_SAMPLES,
     SHORT_RECORD_SAMPLES,
     Noise,
+    cut_into_polynomials,
     estimate_noise,
-    polynomial_pieces,
 )
 
 N_REPLICATES = 400
@@ -117,7 +117,7 @@ class Replicates:
         """
         if quantity.draws is not None:
             return quantity.draws
-        rng, count = random_stream(self.seed, quantity.stream or quantity.cause), len(self.force)
+        rng, count = make_generator(self.seed, quantity.stream or quantity.cause), len(self.force)
         # Stratified: one draw in each of as many equal parts.
         chance = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
         if quantity.law == "normal":
@@ -155,7 +155,7 @@ class Replicates:
         )
 
 
-def random_stream(seed: bytes, name: str) -> np.random.Generator:
+def make_generator(seed: bytes, name: str) -> np.random.Generator:
     """Make the random generator of a name, the same for the same record.
 
     Parameters
@@ -167,7 +167,7 @@ def random_stream(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
-def spline_intervals_of(trace: Trace) -> int:
+def count_spline_intervals(trace: Trace) -> int:
     """Return the spline intervals per piece of a record.
 
     Parameters
@@ -178,7 +178,7 @@ def spline_intervals_of(trace: Trace) -> int:
     return 40 if len(trace.branches) > 1 else 12
 
 
-def smooth_curve(
+def fit_smooth_curve(
     time: Floats,
     values: Floats,
     cuts: Sequence[int],
@@ -236,7 +236,7 @@ def smooth_curve(
 def _polynomials(x: Floats, y: Floats) -> Floats:
     """Fit polynomials to the pieces of a short record."""
     polynomials = np.empty(len(y))
-    for start, stop, degree in polynomial_pieces(y):
+    for start, stop, degree in cut_into_polynomials(y):
         piece = slice(start, stop)
         polynomials[piece] = np.polynomial.Polynomial.fit(x[piece], y[piece], degree)(x[piece])
     return polynomials
@@ -319,20 +319,22 @@ def draw_replicates(
     -------
     The replicates, the same for the same seed.
     """
-    parts = spline_intervals_of(unfiltered)
+    parts = count_spline_intervals(unfiltered)
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
+        curve = fit_smooth_curve(
+            time, values, cuts, parts, broken=failed, branches=unfiltered.branches
+        )
         noise = _record_noise(
             values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
         )
         record_noise = (
             None
             if noise.is_zero
-            else noise.draw(len(time), N_REPLICATES, random_stream(seed, name))
+            else noise.draw(len(time), N_REPLICATES, make_generator(seed, name))
         )
         drawn.append(_noisy_and_filtered(curve, record_noise, act))
         noises[name] = noise

@@ -16,7 +16,7 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
 from labpipe.records.signals import Clocks, Filter, Signal, Signals
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.signal.filters import in_pieces
+from labpipe.signal.filters import filter_pieces
 
 PROTOCOL = """\
 version: 1
@@ -121,7 +121,7 @@ def recorded(
         if made:
             cuts = np.searchsorted(stamps, ends, side="right").tolist()
             stride = int(np.prod([size for _, size in made]))
-            done = in_pieces(values, cuts, made)
+            done = filter_pieces(values, cuts, made)
             filtered = replace(raw, time=stamps[::stride], values=done)
             signals = signals.with_filtered(name, filtered, *made)
     way = signals.filtered["displacement"]

@@ -18,7 +18,7 @@ from labpipe.records.causes import TURN
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status
 from labpipe.records.signals import Signal, Signals
-from labpipe.signal.filters import Butterworth, Smoothing, in_pieces
+from labpipe.signal.filters import Butterworth, Smoothing, filter_pieces
 from tests.builders.reasons import doubted
 from tests.builders.three_point import STROKE, BendingRecord, reduced
 
@@ -145,7 +145,7 @@ def test_low_pass_and_decimate(method: str) -> None:
     test = after(f"{{step: decimate, channel: force, factor: 4, method: {method}}}")
     signal = test.signals.filtered["force"]
     window = 5 if method == "filtered" else 1
-    expected = in_pieces(VALUES, (), [(Smoothing(window), 4)])
+    expected = filter_pieces(VALUES, (), [(Smoothing(window), 4)])
     np.testing.assert_allclose(signal.values, expected)
     np.testing.assert_array_equal(signal.time, TIME[::4])
     assert test.notes[0].message == f"every 4th sample kept ({method})"

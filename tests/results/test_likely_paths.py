@@ -32,7 +32,7 @@ from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
 from labpipe.results.sample_noise import SampleNoise
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
-from labpipe.uncertainty.intervals import measure
+from labpipe.uncertainty.intervals import measure_numbers
 from labpipe.uncertainty.replicates import Input, Replicates
 from tests.builders.plain_records import Numbers
 from tests.builders.reduced import DOWN, UP, recorded
@@ -303,7 +303,7 @@ def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     more = given.moved(trace, 1.0).force - trace.force
     assert more == pytest.approx(7.0 / 12.0**0.5)
     for level in (98.0, 101.5, 104.0):
-        numbers = measure(curves(plateau(1, level, 7.0)), lambda _: Reading(end, 200))
+        numbers = measure_numbers(curves(plateau(1, level, 7.0)), lambda _: Reading(end, 200))
         assert isinstance(numbers, tuple)
         interval = numbers[0].interval
         assert interval.lower <= level * (1.0 - 0.1**4 / 5.0) <= interval.upper
@@ -408,7 +408,7 @@ def modes(test: ReducedTest) -> list[Input]:
 
 
 def drift_of(test: ReducedTest, numbers: Numbers) -> float:
-    found = measure(curves(test), lambda trace: Reading(numbers, len(trace.time)))
+    found = measure_numbers(curves(test), lambda trace: Reading(numbers, len(trace.time)))
     assert isinstance(found, tuple)
     (number,) = found
     return next(abs(row.change) for row in number.budget if row.cause == DRIFT_OF_ZERO)

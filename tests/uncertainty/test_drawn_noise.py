@@ -15,10 +15,10 @@ from labpipe.uncertainty.noise_model import (
     Noise,
     _processes,
     _whitened_squares,
+    cut_into_polynomials,
     estimate_noise,
-    polynomial_pieces,
 )
-from labpipe.uncertainty.replicates import smooth_curve
+from labpipe.uncertainty.replicates import fit_smooth_curve
 
 RNG = np.random.default_rng
 
@@ -278,7 +278,7 @@ def test_a_corner_of_a_long_record_is_no_fast_noise() -> None:
     at = np.linspace(0.0, 1.0, 12_000)
     curve = 5e4 * np.minimum(at / 0.05, 1.0)
     values = curve + RNG(4).normal(0.0, 2.0, len(at))
-    smooth = smooth_curve(at, values, [], 12)
+    smooth = fit_smooth_curve(at, values, [], 12)
     noise = estimate_noise([values], [smooth])
     assert noise.draw(len(at), 50, RNG(0)).std() == pytest.approx(2.0, rel=0.1)
 
@@ -288,7 +288,7 @@ def test_noise_of_a_short_record_is_what_polynomials_leave() -> None:
     spreads = []
     for seed in range(60):
         values = np.minimum(np.linspace(0.0, 1.0, 15), 0.5) + 0.002 * RNG(seed).normal(size=15)
-        pieces = polynomial_pieces(values)
+        pieces = cut_into_polynomials(values)
         assert (pieces[0].start, pieces[-1].stop) == (0, 15)
         assert all(one.stop == other.start for one, other in pairwise(pieces))
         noise = estimate_noise([values], [values])
@@ -304,7 +304,7 @@ def test_pieces_of_a_short_record_do_not_follow_slow_noise() -> None:
         for at in range(1, 60):
             noise[at] = np.exp(-1.0 / 3.0) * noise[at - 1] + kicks[at]
         values = 10.0 * np.arange(60.0) + noise
-        lengths.append(len(polynomial_pieces(values)))
+        lengths.append(len(cut_into_polynomials(values)))
         times.append(estimate_noise([values], [values]).correlation_time)
     assert np.mean(lengths) < 2.0
     assert 1.7 < np.median(times) < 4.0
