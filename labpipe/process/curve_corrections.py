@@ -38,7 +38,7 @@ from labpipe.results.slack_and_slips import (
     samples_before,
     slack_of,
 )
-from labpipe.results.tension import ElasticWindow, pull_of
+from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
 from labpipe.signal.turning_points import number_branches
@@ -132,7 +132,7 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
         findings += more_findings
     if (line := block.elastic_line) is not None and test.curve is not None:
         choice = ElasticWindow(line.start, line.stop, line.of, line.straight)
-        test = replace(test, pull=pull_of(test, choice))
+        test = replace(test, pull=fit_pull(test, choice))
     # Reported last, because slack shifts the origin of the displacement.
     return test, [*findings, *(_slip_note(test.signals.force, slip) for slip in test.slips)]
 

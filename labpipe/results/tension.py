@@ -30,14 +30,14 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import CURVE, Needs, Output, Share, Snake
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import require_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
-from labpipe.uncertainty.autocorrelation import fast_noise
+from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.linear_fits import fit_linear
 
 MIN_ELASTIC_SAMPLES = 8
@@ -120,7 +120,7 @@ class Pull:
 Number: TypeAlias = Callable[[Pull], float]
 
 
-def pull_of(test: ReducedTest, choice: ElasticWindow) -> Pull | Failure:
+def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull | Failure:
     """Compute stress and strain of the first loading, and fit the elastic line.
 
     Parameters
@@ -132,7 +132,7 @@ def pull_of(test: ReducedTest, choice: ElasticWindow) -> Pull | Failure:
     -------
     The pull; a failure without a loading, an area, a gauge length or a straight part.
     """
-    return or_failure(_pull)(test, choice)
+    return return_failure(_pull)(test, choice)
 
 
 def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
@@ -142,9 +142,9 @@ def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         raise test.unavailable(NO_LOADING)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
-    stress = sense_of_loading(force) * force / area_of(sizes)
+    stress = sense_of_loading(force) * force / compute_area(sizes)
     first = displacement[~np.isnan(displacement)][:1].sum()
-    strain = sense_of_loading(displacement) * (displacement - first) / gauge_length_of(sizes)
+    strain = sense_of_loading(displacement) * (displacement - first) / find_gauge_length(sizes)
     window = _straight_part(strain, stress, choice)
     x, y = _few_samples(strain[window], stress[window])
     require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
@@ -168,7 +168,7 @@ def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
 
 def _noise(values: Floats) -> float:
     finite = values[~np.isnan(values)]
-    return float(fast_noise(finite)) if len(finite) >= MIN_ELASTIC_SAMPLES else 0.0
+    return float(estimate_fast_noise(finite)) if len(finite) >= MIN_ELASTIC_SAMPLES else 0.0
 
 
 def _few_samples(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
@@ -241,7 +241,7 @@ def _longest_straight(strain: Floats, stress: Floats, straight: float) -> slice:
     return slice(int(ends[start]), int(ends[stop]))
 
 
-def area_of(sizes: Mapping[str, float]) -> float:
+def compute_area(sizes: Mapping[str, float]) -> float:
     """Return the original area of a specimen from the sizes that are stated, m^2.
 
     Parameters
@@ -269,7 +269,7 @@ def area_of(sizes: Mapping[str, float]) -> float:
     raise UnavailableError.of("results.no_area", missing=missing)
 
 
-def gauge_length_of(sizes: Mapping[str, float]) -> float:
+def find_gauge_length(sizes: Mapping[str, float]) -> float:
     """Return the gauge length that strain refers to, m: of an extensometer, or else between grips.
 
     Parameters
@@ -297,8 +297,8 @@ def _changed_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]
             continue
         larger = {**sizes, name: sizes[name] + by}
         cause = LENGTH if name in ("length", "gauge_length") else SECTION
-        area, length = area_of(sizes) / area_of(larger), gauge_length_of(sizes)
-        yield cause, pull.scaled(area, length / gauge_length_of(larger))
+        area, length = compute_area(sizes) / compute_area(larger), find_gauge_length(sizes)
+        yield cause, pull.scaled(area, length / find_gauge_length(larger))
     # Of the read-out; the elastic line has its own error.
     yield NOISE, replace(pull, stress=pull.stress + pull.noise)
     yield NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
@@ -349,7 +349,7 @@ class TensionResult(Kind):
     def _doubts_of_machine(self, test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
         """Return a doubt about a displacement that may be that of frame and grips."""
         limits, sizes = test.setup.limits, test.setup.sizes
-        stiffness = pull.slope * area_of(sizes) / gauge_length_of(sizes)
+        stiffness = pull.slope * compute_area(sizes) / find_gauge_length(sizes)
         share = limits.machine_compliance * stiffness
         if "gauge_length" in sizes or test.setup.compliance_stated or share <= limits.machine_share:
             return ()
@@ -447,8 +447,8 @@ def _drawn_line(test: ReducedTest, pull: Pull) -> FittedLine:
     window = curve.displacement[part][pull.window]
     low, high = float(np.nanmin(window)), float(np.nanmax(window))
     strain = float(np.nanmin(pull.strain[pull.window]))
-    level = area_of(sizes) * (pull.level + pull.slope * (strain - pull.centre))
-    slope = pull.slope * area_of(sizes) / gauge_length_of(sizes)
+    level = compute_area(sizes) * (pull.level + pull.slope * (strain - pull.centre))
+    slope = pull.slope * compute_area(sizes) / find_gauge_length(sizes)
     return FittedLine("elastic_modulus", slope, level, low, high)
 
 

@@ -17,7 +17,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
-from labpipe.results.tension import area_of, gauge_length_of
+from labpipe.results.tension import compute_area, find_gauge_length
 
 MODULUS, PROOF, GAUGE, AREA = 200e9, 400e6, 25e-3, 20e-6
 PROTOCOL = """\
@@ -187,14 +187,14 @@ def test_bad_records(change: Callable[[Pulled], Pulled], codes: dict[str, str]) 
     ],
 )
 def test_areas(sizes: dict[str, float], area: float) -> None:
-    assert area_of(sizes) == pytest.approx(area)
+    assert compute_area(sizes) == pytest.approx(area)
 
 
 def test_sizes_that_are_missing() -> None:
     with pytest.raises(UnavailableError) as no_area:
-        area_of({"width": 0.02})
+        compute_area({"width": 0.02})
     assert no_area.value.failure.code == "no_area"
     with pytest.raises(UnavailableError) as no_length:
-        gauge_length_of({"area": 5e-6})
+        find_gauge_length({"area": 5e-6})
     assert no_length.value.failure.code == "no_length"
-    assert gauge_length_of({"length": 0.1, "gauge_length": 0.05}) == 0.05
+    assert find_gauge_length({"length": 0.1, "gauge_length": 0.05}) == 0.05
