@@ -47,7 +47,7 @@ class Pair:
     @property
     def field(self) -> str:
         """Return the one field in which they differ; empty for several or none."""
-        return self.differences[0].question
+        return self.differences[0].single_field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,7 +242,7 @@ def answer_cells(pair: Pair) -> tuple[Cell, ...]:
     shift = _difference_words(difference, display_of(pair.first))
     return (
         Cell(f"{field_words(pair.field)}: {after} against {before}", alike),
-        Cell(str(difference.verdict).upper(), difference.why),
+        Cell(str(difference.verdict).upper(), difference.verdict_reason),
         Cell(f"{heading(difference.name, '1')} {shift}"),
         Cell(" v ".join(_count(group, difference.name) for group in (pair.second, pair.first))),
     )
