@@ -18,14 +18,8 @@ import pandas as pd
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.records.arrays import AXIS_LABELS
 from labpipe.records.curve import Series
-from labpipe.report.wording import Scale, shown_in
-from labpipe.store.layout import (
-    UNSTATED_UNIT,
-    DatasetSpec,
-    find_scales,
-    list_datasets,
-    make_link_name,
-)
+from labpipe.report.wording import Scale, find_display_unit
+from labpipe.store.layout import UNSTATED_UNIT, Field, find_scales, list_datasets, make_link_name
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
@@ -54,7 +48,11 @@ class Units:
 
     def of_result(self, name: str, unit: str) -> Scale:
         """Return factor and unit of a result, or of a change of it."""
-        return Scale(1.0, unit) if self.display is None else shown_in(name, unit, self.display)
+        return (
+            Scale(1.0, unit)
+            if self.display is None
+            else find_display_unit(name, unit, self.display)
+        )
 
     def of(self, quantity: str, unit: str) -> Scale:
         """Return factor and unit of a quantity such as ``force``."""

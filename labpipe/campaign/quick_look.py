@@ -19,7 +19,7 @@ import numpy as np
 from labpipe.campaign.catalog_rows import TestRow
 from labpipe.errors import LabpipeError
 from labpipe.protocol.load import load_test_sheet, resolve
-from labpipe.report.wording import shown_in
+from labpipe.report.wording import find_display_unit
 from labpipe.statistics.means import compute_t_quantile
 
 MAX_NUMBERS: Final = 3
@@ -182,7 +182,7 @@ def _number(result: _Entry, others: Values, display: Mapping[str, str]) -> _Numb
     # Tests needed to judge what is outside the spread; with fewer, only the range is shown.
     min_group_tests = 6
     name, value = result["name"], float(result["value"])
-    scale = shown_in(name, result["unit"], display)
+    scale = find_display_unit(name, result["unit"], display)
     values = np.array(others.get(name, ()))
     text = f"{name} {scale.factor * value:.4g} {scale.unit}".rstrip()
     n = len(values)

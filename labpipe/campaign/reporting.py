@@ -53,8 +53,8 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Groups
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
-from labpipe.report.page_facts import report_id, samples_of
-from labpipe.report.page_tables import page_file
+from labpipe.report.page_facts import compute_report_id, list_samples
+from labpipe.report.page_tables import name_page_file
 from labpipe.report.single_test import render_test
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
@@ -177,10 +177,10 @@ def report_tests(
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
-        paged = (*samples_of(campaign), *campaign.rejected_samples)
+        paged = (*list_samples(campaign), *campaign.rejected_samples)
         pages = {
-            page_file(sample.label or sample.test): page_of_test(
-                Path(sample.source), report_id(campaign)
+            name_page_file(sample.label or sample.test): page_of_test(
+                Path(sample.source), compute_report_id(campaign)
             )
             for sample in (paged if options.has_test_pages else ())
         }

@@ -14,7 +14,7 @@ from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
-from labpipe.report.wording import shown_in
+from labpipe.report.wording import find_display_unit
 from labpipe.store.summaries import build_summary
 
 _FINISHED = "completed a replacement of files that a killed process had left unfinished"
@@ -140,7 +140,7 @@ def _lines(results: list[Result], display: Mapping[str, str], width: int) -> lis
     values = [result.value for result in rest if result.value is not None]
     lines = [result_line(result, display, width) for result in results[: max_lines // 2]]
     if values:
-        display_scale = shown_in(results[0].name, results[0].unit, display)
+        display_scale = find_display_unit(results[0].name, results[0].unit, display)
         low, high = display_scale.factor * min(values), display_scale.factor * max(values)
         span = f"{low:.5g} to {high:.5g} {display_scale.unit}"
         name = f"... to {rest[-1].name}"

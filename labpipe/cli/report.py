@@ -15,9 +15,9 @@ from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.report.figure_page import FORMATS
 from labpipe.report.lab_report import Letterhead, read_logo
-from labpipe.report.saving import FORMATS
-from labpipe.report.wording import count_words
+from labpipe.report.wording import describe_counts
 
 
 def run(options: argparse.Namespace) -> int:
@@ -91,7 +91,7 @@ def report_table(reported: Reported) -> str:
     """
     lines: list[str] = []
     for group in reported.campaign.groups:
-        lines.append(f"{group.name}  ({group.protocol}): {count_words(group)}")
+        lines.append(f"{group.name}  ({group.protocol}): {describe_counts(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
         width = name_width(number.name for number in group.numbers)
         lines += [_mean_line(number, display, width) for number in group.numbers]

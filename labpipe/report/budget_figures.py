@@ -13,24 +13,24 @@ from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     add_key,
-    empty_page,
-    new_page,
-    titled,
+    add_title,
+    make_empty_page,
+    make_page,
 )
 from labpipe.report.wording import (
     Scale,
-    as_label,
-    display_of,
-    footnote,
-    group_title,
+    find_display,
+    find_display_unit,
+    find_last_place,
     is_first_cycle,
     is_main,
-    place_of,
-    rounded,
-    shown_in,
-    title,
-    unit_words,
+    round_to_place,
+    typeset_unit,
+    write_footnote,
+    write_group_title,
+    write_label,
     write_number,
+    write_title,
 )
 from labpipe.statistics.means import SCATTER, sort_causes, summarise_budget
 
@@ -96,12 +96,14 @@ def draw_budget(result: TestResult) -> Figure:
     numbers = numbers[:MAX_BARS]
     if not numbers:
         reason = "No number of this test has a budget of its interval."
-        return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
-    page = new_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
+        return make_empty_page(
+            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
+        )
+    page = make_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
     plot_bars([_bar(number, result.display) for number in numbers], page.subplots())
     cycle = "Numbers per cycle: first cycle only." if any("." in x.name for x in numbers) else ""
-    note = " ".join(filter(None, (cycle, footnote(result))))
-    return _with_side_margins(titled(page, title(result), note))
+    note = " ".join(filter(None, (cycle, write_footnote(result))))
+    return _with_side_margins(add_title(page, write_title(result), note))
 
 
 def _with_side_margins(page: Figure) -> Figure:
@@ -118,26 +120,26 @@ def _with_side_margins(page: Figure) -> Figure:
 
 def _bar(result: Result, display: Mapping[str, str]) -> Bar:
     rows = zip(result.budget, result.shares, strict=True)
-    scale = shown_in(result.name, result.unit, display)
+    scale = find_display_unit(result.name, result.unit, display)
     shares = {row.cause: share for row, share in rows}
-    return Bar(_bar_name(result.name), shares, half_width(result.interval, scale))
+    return Bar(_bar_name(result.name), shares, write_half_width(result.interval, scale))
 
 
 def _bar_name(name: str) -> str:
     """Name a number without its cycle, which is the first in every bar."""
-    return as_label(name.partition(".")[0])
+    return write_label(name.partition(".")[0])
 
 
-def half_width(interval: Interval | None, scale: Scale) -> str:
+def write_half_width(interval: Interval | None, scale: Scale) -> str:
     """Write half the width of an interval, such as ``-+ 0.11 mm``; empty without an interval."""
     last_plain_place = -6  # smaller numbers have a power of ten
     if interval is None:
         return ""
     half = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-    place = place_of(half, None, digits=2)
+    place = find_last_place(half, None, digits=2)
     is_plain = place >= last_plain_place
-    text = rounded(half, place) if is_plain else write_number(half, None, digits=2).value
-    return f"\u00b1 {text} {unit_words(scale.unit)}".strip()
+    text = round_to_place(half, place) if is_plain else write_number(half, None, digits=2).value
+    return f"\u00b1 {text} {typeset_unit(scale.unit)}".strip()
 
 
 def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
@@ -153,10 +155,10 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
-    parts = bar_parts([bar.shares for bar in bars])
-    for cause in causes_in_key(parts):
+    parts = sort_shares([bar.shares for bar in bars])
+    for cause in list_shown_causes(parts):
         add_key(axes, cause, is_area=True, **_bar_style(cause))
-    if any(cause_names.IS_COMMON.get(cause, False) for cause in causes_in_key(parts)):
+    if any(cause_names.IS_COMMON.get(cause, False) for cause in list_shown_causes(parts)):
         add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED)
     beside = axes.get_yaxis_transform()
     for height, (bar, shares) in enumerate(zip(bars, parts, strict=True)):
@@ -195,7 +197,7 @@ def _write_share(axes: Axes, middle: float, height: float, share: float, cause: 
     label.set_in_layout(False)  # it lies on its bar
 
 
-def bar_parts(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+def sort_shares(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     """Sort the shares of bars as in the key, with the sum of small causes at the end.
 
     Parameters
@@ -212,12 +214,12 @@ def bar_parts(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     return parts
 
 
-def causes_in_key(parts: Sequence[Mapping[str, float]]) -> list[str]:
+def list_shown_causes(parts: Sequence[Mapping[str, float]]) -> list[str]:
     """List the causes that bars show, `SMALLER` last.
 
     Parameters
     ----------
-    parts : of `bar_parts`
+    parts : of `sort_shares`
     """
     every = {cause for shares in parts for cause in shares}
     return [*sort_causes(every - {SMALLER}), *([SMALLER] if SMALLER in every else [])]
@@ -233,7 +235,7 @@ def _bar_style(cause: str) -> dict[str, Any]:
     return {**_HATCHED, "facecolor": COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR), "hatch": hatch}
 
 
-def group_bars(group: Group, *, of_means: bool) -> list[Bar]:
+def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
     """Return the budgets of a group's numbers: no later cycles, no slips, no clocks.
 
     Parameters
@@ -248,10 +250,10 @@ def group_bars(group: Group, *, of_means: bool) -> list[Bar]:
         budget, interval = summarise_budget(number), None
         if of_means and number.mean is not None:
             interval = number.mean.chosen.interval
-        scale = shown_in(number.name, number.unit, display_of(group))
+        scale = find_display_unit(number.name, number.unit, find_display(group))
         if budget.of_tests:
             shares = budget.of_mean if of_means else budget.of_tests
-            bars.append(Bar(_bar_name(number.name), shares, half_width(interval, scale)))
+            bars.append(Bar(_bar_name(number.name), shares, write_half_width(interval, scale)))
     return bars[:MAX_BARS]
 
 
@@ -260,15 +262,15 @@ def draw_group_budgets(group: Group) -> Figure:
 
     Parameters
     ----------
-    group : one that has `group_bars`
+    group : one that has `make_group_bars`
     """
-    drawn = {"One test: median shares": (group_bars(group, of_means=False), "variance")}
-    means = group_bars(group, of_means=True)
+    drawn = {"One test: median shares": (make_group_bars(group, of_means=False), "variance")}
+    means = make_group_bars(group, of_means=True)
     if any(bar.shares for bar in means):
         drawn["Mean of the group"] = (means, "squared half width")
-    page = new_page(height_mm=len(drawn) * (_FRAME_MM - 4.0 + _ROW_MM * len(means)))
+    page = make_page(height_mm=len(drawn) * (_FRAME_MM - 4.0 + _ROW_MM * len(means)))
     panels = page.subplots(len(drawn), squeeze=False).ravel()
     for axes, (heading, (bars, of)) in zip(panels, drawn.items(), strict=True):
         plot_bars(bars, axes, of=of)
         axes.set_title(heading, loc="left")
-    return _with_side_margins(titled(page, group_title(group)))
+    return _with_side_margins(add_title(page, write_group_title(group)))

@@ -17,23 +17,23 @@ from labpipe.report.figure_page import (
     DOTTED,
     DOUBLE_COLUMN,
     GREY,
+    FigureToSave,
+    add_title,
     label_log_axis,
-    new_page,
+    make_page,
     split_pages,
-    titled,
 )
-from labpipe.report.issues import sentences
+from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import Cell, Table
-from labpipe.report.plot_thinning import split_doubtful
-from labpipe.report.saving import FigureToSave
+from labpipe.report.plot_records import split_doubtful
 from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, set_log_axes
 from labpipe.report.wording import (
     Scale,
-    display_of,
-    shown_in,
-    unit_words,
-    with_interval,
+    find_display,
+    find_display_unit,
+    typeset_unit,
     write_number,
+    write_with_interval,
 )
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def has_bundles(campaign: Campaign) -> bool:
     )
 
 
-def place_table(campaign: Campaign) -> Table | None:
+def make_place_table(campaign: Campaign) -> Table | None:
     """Return the table of bending stiffnesses between their bounds; None without a wire sheet.
 
     Parameters
@@ -69,9 +69,9 @@ def place_table(campaign: Campaign) -> Table | None:
     """
     if not campaign.places:
         return None
-    scales = place_scales(campaign)
+    scales = choose_place_units(campaign)
     rows = tuple(_row(place, scales[place.group]) for place in campaign.places)
-    unit = unit_words(next(iter(scales.values())).unit)
+    unit = typeset_unit(next(iter(scales.values())).unit)
     heads = (
         "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Wires slip ({unit})",
         f"Nothing slips ({unit})", "Share of the way",
@@ -79,12 +79,14 @@ def place_table(campaign: Campaign) -> Table | None:
     return Table("Between slipping and sticking", heads, rows, _NOTES)
 
 
-def place_scales(campaign: Campaign) -> dict[str, Scale]:
+def choose_place_units(campaign: Campaign) -> dict[str, Scale]:
     """Return the unit of bending stiffness by group: one for all if their protocols differ."""
-    scales = {group.name: shown_in("", UNIT, display_of(group)) for group in campaign.groups}
+    scales = {
+        group.name: find_display_unit("", UNIT, find_display(group)) for group in campaign.groups
+    }
     first = next(iter(scales.values()))
     is_one = all(scale.unit == first.unit for scale in scales.values())
-    return scales if is_one else dict.fromkeys(scales, shown_in("", UNIT, {}))
+    return scales if is_one else dict.fromkeys(scales, find_display_unit("", UNIT, {}))
 
 
 def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
@@ -95,14 +97,14 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
     value = nan if place.value is None else place.value
     share = write_number(100.0 * place.share, None, digits=2).value
     if place.share_interval is not None:
-        share = with_interval(place.share, place.share_interval, 100.0)
+        share = write_with_interval(place.share, place.share_interval, 100.0)
     return (
         Cell(place.test, place.group) if place.test else Cell(f"mean of {place.group}"),
-        Cell(with_interval(value, place.interval, scale.factor)),
+        Cell(write_with_interval(value, place.interval, scale.factor)),
         Cell(low),
         Cell(free),
         Cell(high, "" if least == largest else f"{least} to {largest}"),
-        Cell(share if isnan(place.share) else f"{share} %", sentences(place.reasons)),
+        Cell(share if isnan(place.share) else f"{share} %", join_sentences(place.reasons)),
     )
 
 
@@ -116,7 +118,7 @@ _CAPTION = (
 )
 
 
-def place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
+def list_place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
     """List the figures of bundles between their bounds.
 
     Parameters
@@ -127,7 +129,7 @@ def place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
     ------
     No figure without places; otherwise figures of up to `MAX_ROWS` rows.
     """
-    scales = place_scales(campaign)
+    scales = choose_place_units(campaign)
     parts = split_pages(campaign.places, MAX_ROWS)
     for at, part in enumerate(parts, start=1):
         name = "between-slipping-and-sticking" + (f"-{at}" if len(parts) > 1 else "")
@@ -146,7 +148,7 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     scale : display unit of bending stiffness
     """
     row_mm, rest_mm, width_mm = 4.2, 16.0, 150.0
-    page = new_page(height_mm=rest_mm + row_mm * len(places), width_mm=width_mm)
+    page = make_page(height_mm=rest_mm + row_mm * len(places), width_mm=width_mm)
     axes = page.subplots()
     axes.set_xscale("log")
     axes.set_xlim(*_ends(places, scale.factor))
@@ -157,9 +159,9 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_yticks(range(len(places)), names)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.set_xlabel(f"Bending stiffness ({unit_words(scale.unit)})")
+    axes.set_xlabel(f"Bending stiffness ({typeset_unit(scale.unit)})")
     label_log_axis(axes.xaxis)
-    return titled(page, "Between slipping and sticking  \u00b7  bundle model")
+    return add_title(page, "Between slipping and sticking  \u00b7  bundle model")
 
 
 def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
@@ -193,7 +195,7 @@ def _plot_value(place: BundlePlace, row: int, factor: float, axes: Axes) -> None
             axes.plot(ends, [row, row], color=colour, linewidth=1.0, zorder=2)
         look: dict[str, Any] = {"color": colour, "linestyle": "", "zorder": 3}
         axes.plot([factor * place.value], [row], marker=marker, label=label, **look)
-    why = sentences(place.reasons)
+    why = join_sentences(place.reasons)
     if why:
         text = why if len(why) <= max_reason_length else f"{why[:max_reason_length]}\u2026"
         axes.text(0.99, row, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
@@ -204,7 +206,7 @@ FIGURE, LOOP_FIGURE = "bundle", "bundle-loop"
 """Names of the files, without the ending."""
 
 
-def bundle_figure(model: BundleModel) -> Figure:
+def draw_bundle(model: BundleModel) -> Figure:
     """Draw (a) the section of a bundle and (b) its moments against curvature.
 
     Parameters
@@ -216,13 +218,13 @@ def bundle_figure(model: BundleModel) -> Figure:
     A page. The arms of the principal axes end at the edge of the wires; bending is along y,
     upwards. Both axes of the moments are logarithmic.
     """
-    page = new_page(height_mm=84.0, width_mm=DOUBLE_COLUMN)
+    page = make_page(height_mm=84.0, width_mm=DOUBLE_COLUMN)
     section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
     _plot_section(model, section)
     _plot_bounds(model, moments)
     section.set_title("Section", loc="left")
     moments.set_title("First loading, bent along y", loc="left")
-    return titled(page, _title(model), _note(model))
+    return add_title(page, _title(model), _note(model))
 
 
 def _plot_section(model: BundleModel, axes: Axes) -> None:
@@ -331,7 +333,7 @@ def _is_isotropic(model: BundleModel) -> bool:
     return largest - least <= rel_tolerance * largest
 
 
-def loop_figure(name: str, fit: FrictionFit) -> Figure:
+def draw_loop(name: str, fit: FrictionFit) -> Figure:
     """Draw (a) the fitted and (b) the predicted force, each over the measured force.
 
     Parameters
@@ -339,7 +341,7 @@ def loop_figure(name: str, fit: FrictionFit) -> Figure:
     name : of the test
     fit : of its friction
     """
-    page = new_page(height_mm=82.0, width_mm=DOUBLE_COLUMN)
+    page = make_page(height_mm=82.0, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(1, 2, sharex=True, sharey=True)
     for axes, chosen, label, colour, heading, error in (
         (panels[0], ~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
@@ -352,7 +354,7 @@ def loop_figure(name: str, fit: FrictionFit) -> Figure:
         axes.axhline(0.0, color="#bbbbbb", linewidth=0.5, zorder=0)
         axes.set(xlabel=LENGTH.label("Deflection"), ylabel="Force at the tip (N)")
         axes.set_title(f"{heading}, error {_percent(error)} of the peak", loc="left")
-    return titled(page, f"{name}  ·  friction between the wires", _loop_note(fit))
+    return add_title(page, f"{name}  ·  friction between the wires", _loop_note(fit))
 
 
 def _loop_note(fit: FrictionFit) -> str:

@@ -30,32 +30,32 @@ from labpipe.report.calibration_summary import (
     BentShape,
     CalibrationReport,
     ValidationGroup,
-    length_looks,
-    length_words,
-    parameter_row,
-    percent,
-    sentences,
+    choose_length_looks,
+    describe_calibration,
     typeset,
+    write_length,
+    write_parameter,
+    write_percent,
 )
 from labpipe.report.figure_page import (
     DASHED,
     DOUBLE_COLUMN,
     GREY,
     WIDTH,
+    FigureToSave,
     Look,
-    empty_page,
+    add_title,
     label_log_axis,
-    new_page,
-    panel_grid,
+    make_empty_page,
+    make_page,
+    make_panels,
     require_room,
     split_pages,
-    titled,
     write_reason,
 )
-from labpipe.report.issues import sentences as reason_sentences
-from labpipe.report.plot_thinning import extremes, split_doubtful
-from labpipe.report.saving import FigureToSave
-from labpipe.report.wording import count_of
+from labpipe.report.issues import join_sentences
+from labpipe.report.plot_records import find_extremes, split_doubtful
+from labpipe.report.wording import write_count
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
+def draw_bent_shapes(name: str, shapes: Sequence[BentShape]) -> Figure:
     """Draw the shapes of a sample at several deflections on axes of one scale.
 
     Parameters
@@ -75,13 +75,15 @@ def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
     min_aspect, max_aspect = 0.35, 1.1
     title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
-        return empty_page(title, "There is no shape to draw.")
+        return make_empty_page(title, "There is no shape to draw.")
     low, high = _bounds(shapes)
     across, up = (high - low).tolist()
     share = min(max(up / across, min_aspect), max_aspect)
-    page = new_page(height_mm=frame_mm + (WIDTH - frame_mm) * share)
+    page = make_page(height_mm=frame_mm + (WIDTH - frame_mm) * share)
     _plot_shapes(shapes, page.subplots())
-    return titled(page, title, "Markers are on the surface of the wire; the curves are its axis.")
+    return add_title(
+        page, title, "Markers are on the surface of the wire; the curves are its axis."
+    )
 
 
 def _plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
@@ -111,7 +113,7 @@ def _label_end(shape: BentShape, axes: Axes) -> None:
         return
     end_place = DEFLECTION.factor * np.max(ends, axis=0)
     axes.annotate(
-        length_words(shape.deflection), (float(end_place[0]), float(end_place[1])), (5, 0),
+        write_length(shape.deflection), (float(end_place[0]), float(end_place[1])), (5, 0),
         textcoords="offset points", va="center",
     )  # fmt: skip
 
@@ -135,7 +137,7 @@ def _finite_rows(points: Floats) -> Floats:
     return rows
 
 
-def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
+def list_calibration_figures(report: CalibrationReport) -> Iterator[FigureToSave]:
     """List the figures of a calibration.
 
     Parameters
@@ -148,15 +150,15 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
     each; ``external-curves``, ``external-curves-2`` ... if curves from elsewhere are compared;
     ``shapes-1`` ... for each sample whose shapes are there.
     """
-    card = partial(calibration_card, report.calibration, predictions=report.predictions)
+    card = partial(draw_calibration, report.calibration, predictions=report.predictions)
     yield FigureToSave("calibration", card)
     for number, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
-        yield FigureToSave(f"validation-{number}", partial(validation_figure, groups))
-    for number, panels in enumerate(external_pages(report), start=1):
+        yield FigureToSave(f"validation-{number}", partial(draw_validation, groups))
+    for number, panels in enumerate(group_external_curves(report), start=1):
         name = "external-curves" if number == 1 else f"external-curves-{number}"
-        yield FigureToSave(name, partial(external_figure, panels))
+        yield FigureToSave(name, partial(draw_external_curves, panels))
     for number, (name, shapes) in enumerate(report.shapes.items(), start=1):
-        yield FigureToSave(f"shapes-{number}", partial(shapes_figure, name, shapes))
+        yield FigureToSave(f"shapes-{number}", partial(draw_bent_shapes, name, shapes))
 
 
 MIN_RESIDUAL_BLOCKS = 25
@@ -182,7 +184,7 @@ def _plot_loadings(
         y = FORCE.factor * deepest.model[order]
         axes.plot(x, y, color=MODEL, linewidth=1.5, zorder=4, label="model")
         axes.annotate(
-            length_words(length), (x[-1], y[-1]), (3, 0), textcoords="offset points",
+            write_length(length), (x[-1], y[-1]), (3, 0), textcoords="offset points",
             va="center", annotation_clip=False,
         )  # fmt: skip
         if length in predictions:
@@ -208,12 +210,12 @@ def _set_force_axes(axes: Axes, *, lowest: float = math.inf, headroom: float = 1
 
 def _sample_looks(calibration: Calibration) -> dict[float, Look]:
     """Return the style of the samples of each length."""
-    return length_looks([curve.length for curve in calibration.curves])
+    return choose_length_looks([curve.length for curve in calibration.curves])
 
 
 def _samples(calibration: Calibration, length: float) -> str:
     count = sum(curve.length == length for curve in calibration.curves)
-    return f"measured, {length_words(length)} ({count})"
+    return f"measured, {write_length(length)} ({count})"
 
 
 def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool = False) -> None:
@@ -248,7 +250,7 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
 
 
 def _plot(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
-    rows = extremes(values, bins=120)
+    rows = find_extremes(values, bins=120)
     style = {**look._asdict(), "linewidth": 0.6, "zorder": 2, **more}
     axes.plot(DEFLECTION.factor * deflection[rows], values[rows], **style)
 
@@ -271,7 +273,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
         write_reason(axes, typeset(parameter.explanation), line_length=30)
         return
     axis = DISPLAYS[parameter.name]
-    low, high = panel_range(parameter)
+    low, high = find_panel_range(parameter)
     axes.set_xscale("log")
     _draw_interval(parameter, axes, (low, high))
     minima = sorted(_minimum(profile)[0] for profile in parameter.profiles)
@@ -325,7 +327,7 @@ def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[floa
         axes.plot(factor * least, height, **_VALUE, markerfacecolor="white")
 
 
-def panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
+def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
     """Return the range of values that the panel of a parameter shows, SI.
 
     Parameters
@@ -401,7 +403,7 @@ def _set_ticks(axes: Axes) -> None:
         axes.xaxis.set_minor_locator(NullLocator())
 
 
-def calibration_card(
+def draw_calibration(
     calibration: Calibration, *, predictions: Mapping[float, Prediction] | None = None
 ) -> Figure:
     """Draw a calibration on one page, to be printed upright on A4.
@@ -419,7 +421,7 @@ def calibration_card(
     """
     panel_heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; its heading and labels
     height = sum(panel_heights) + frame_mm * len(panel_heights)
-    page = new_page(height_mm=height, width_mm=DOUBLE_COLUMN)
+    page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff", height_ratios=panel_heights)
     _plot_loadings(calibration, panels["a"], predictions or {})
     plot_residuals(calibration, panels["b"])
@@ -431,13 +433,15 @@ def calibration_card(
         panels[letter].set_title(heading, loc="left")
     numbers = [
         f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
-        for name, value, interval, unit, verdict in map(parameter_row, calibration.parameters)
+        for name, value, interval, unit, verdict in map(write_parameter, calibration.parameters)
     ]
     about = "Residuals: points faint, means of neighbouring points as lines."
     about += "" if predictions else " The band of the model is not drawn."
-    note = "\n".join([*numbers, *sentences(calibration), about])
-    count = count_of(calibration.n_samples, "sample")
-    return titled(page, f"{calibration.wire}  ·  calibration of the wire model  ·  {count}", note)
+    note = "\n".join([*numbers, *describe_calibration(calibration), about])
+    count = write_count(calibration.n_samples, "sample")
+    return add_title(
+        page, f"{calibration.wire}  ·  calibration of the wire model  ·  {count}", note
+    )
 
 
 _HEADINGS = (
@@ -455,7 +459,7 @@ _HEADROOM = 1.08
 """Top of an axis, of the largest value."""
 
 
-def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
+def draw_validation(groups: Sequence[ValidationGroup]) -> Figure:
     """Draw measured and modelled force against deflection, a panel per group.
 
     Parameters
@@ -470,19 +474,19 @@ def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
     require_room(len(groups), MAX_PANELS, "groups")
     row_mm = 66.0
     height = row_mm * math.ceil(len(groups) / _N_COLUMNS)
-    page = new_page(height_mm=height, width_mm=DOUBLE_COLUMN)
-    panels = panel_grid(page, len(groups), columns=_N_COLUMNS)
+    page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
+    panels = make_panels(page, len(groups), columns=_N_COLUMNS)
     for group, axes in zip(groups, panels, strict=True):
         _plot_group(group, axes)
         use = "calibrated" if group.is_calibrated else "predicted"
-        axes.set_title(f"{group.wire}, {length_words(group.length)}: {use}", loc="left")
-    return titled(page, "Measured and predicted first loadings", _note(groups))
+        axes.set_title(f"{group.wire}, {write_length(group.length)}: {use}", loc="left")
+    return add_title(page, "Measured and predicted first loadings", _note(groups))
 
 
 def _plot_group(group: ValidationGroup, axes: Axes) -> None:
     """Draw samples, their mean with its band, and the model with its band; agreement in words."""
     for sample in group.samples.values():
-        rows = extremes(sample.force, bins=100)
+        rows = find_extremes(sample.force, bins=100)
         across = DEFLECTION.factor * sample.displacement[rows]
         look: dict[str, Any] = {"color": GREY, "linewidth": 0.45, "alpha": 0.75, "zorder": 2}
         axes.plot(across, FORCE.factor * sample.force[rows], label="sample", **look)
@@ -490,32 +494,31 @@ def _plot_group(group: ValidationGroup, axes: Axes) -> None:
     if group.prediction is not None:
         _draw_prediction(group.prediction, group.is_sure, axes)
     axes.text(
-        0.03, 0.98, agreement_words(group), transform=axes.transAxes, va="top", zorder=6,
+        0.03, 0.98, describe_agreement(group), transform=axes.transAxes, va="top", zorder=6,
         linespacing=1.25,
     )  # fmt: skip
     _set_force_axes(axes, lowest=_lowest(group), headroom=_HEADROOM)
 
 
-def agreement_words(group: ValidationGroup) -> str:
+def describe_agreement(group: ValidationGroup) -> str:
     """Describe in a few lines how well the model agrees with a group.
 
     Parameters
     ----------
     group : if the model has no errors, the text gives the reason for no prediction
     """
-    lines = [count_of(len(group.samples), "sample")]
+    lines = [write_count(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
         lines[0] += ", no band of the mean"
     errors = group.errors
     if errors is None:
-        why = f"No prediction. {reason_sentences([group.reason])}".strip()
+        why = f"No prediction. {join_sentences([group.reason])}".strip()
         return "\n".join([*lines, *textwrap.wrap(why, 48)])
     rmse = SMALL_FORCE.factor * errors.rmse
-    lines.append(
-        f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(errors.rmse_share)} of the largest force"
-    )
+    share = write_percent(errors.rmse_share)
+    lines.append(f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {share} of the largest force")
     if math.isfinite(errors.inside):
-        lines.append(f"{percent(errors.inside)} of the points inside the band")
+        lines.append(f"{write_percent(errors.inside)} of the points inside the band")
     return "\n".join(lines)
 
 
@@ -583,7 +586,7 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
 
 def _names(groups: Sequence[ValidationGroup], mean_of: int) -> list[str]:
     return [
-        f"{group.wire} {length_words(group.length)}"
+        f"{group.wire} {write_length(group.length)}"
         for group in groups
         if group.mean_of == mean_of and group.prediction is not None
     ]
@@ -623,7 +626,7 @@ class ExternalPanel(NamedTuple):
         return max(predictions, key=lambda one: float(one.deflection[-1]), default=None)
 
 
-def external_pages(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
+def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
     """Group external curves by wire, length and load, in pages of `MAX_PANELS` panels.
 
     Parameters
@@ -643,7 +646,7 @@ def external_pages(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
     return split_pages(panels, MAX_PANELS)
 
 
-def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
+def draw_external_curves(panels: Sequence[ExternalPanel]) -> Figure:
     """Draw external curves, tests and model, a panel per wire, length and kind of load.
 
     Parameters
@@ -659,13 +662,13 @@ def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
     require_room(len(panels), MAX_PANELS, "panels")
     rows = math.ceil(len(panels) / _N_COLUMNS)
     row = row_mm + 4.0 * max(0, max(map(_key_rows, panels)) - _FREE_KEY_ROWS)
-    page = new_page(height_mm=row * rows, width_mm=DOUBLE_COLUMN)
-    drawn = panel_grid(page, len(panels), columns=_N_COLUMNS)
+    page = make_page(height_mm=row * rows, width_mm=DOUBLE_COLUMN)
+    drawn = make_panels(page, len(panels), columns=_N_COLUMNS)
     for panel, axes in zip(panels, drawn, strict=True):
         _plot_external(panel, axes)
         load = ", load normal to the axis" if panel.is_normal else ""
-        axes.set_title(f"{panel.wire}, {length_words(panel.length)}{load}", loc="left")
-    return titled(page, "External curves, tests and model", _external_note(panels))
+        axes.set_title(f"{panel.wire}, {write_length(panel.length)}{load}", loc="left")
+    return add_title(page, "External curves, tests and model", _external_note(panels))
 
 
 def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
@@ -687,7 +690,7 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
     lines = [_draw_comparison(one, number, axes) for number, one in enumerate(panel.comparisons)]
     extra_rows = max(0, _key_rows(panel) - _FREE_KEY_ROWS)
     _set_force_axes(axes, headroom=_HEADROOM + 0.06 * extra_rows)
-    words = list(map(match_words, panel.comparisons))
+    words = list(map(describe_match, panel.comparisons))
     # not the legend of the panel: the other labels belong into the key of the page
     key = Legend(axes, lines, words, loc="upper left", handlelength=2.2, borderaxespad=0.4)
     axes.add_artist(key)
@@ -695,7 +698,7 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
 
 def _key_rows(panel: ExternalPanel) -> int:
     """Count the lines of text in the key of a panel."""
-    return sum(1 + match_words(comparison).count("\n") for comparison in panel.comparisons)
+    return sum(1 + describe_match(comparison).count("\n") for comparison in panel.comparisons)
 
 
 def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
@@ -713,7 +716,7 @@ def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axe
     return line
 
 
-def match_words(match: ExternalCurveComparison) -> str:
+def describe_match(match: ExternalCurveComparison) -> str:
     """Name an external curve and write its RMSE to the tests and to the model.
 
     Parameters
@@ -729,9 +732,8 @@ def _rmse(other: str, match: CurveMatch) -> str:
     if match.errors is None:
         return f"{other}: not compared"
     rmse = SMALL_FORCE.factor * match.errors.rmse
-    return (
-        f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(match.errors.rmse_share)} of peak"
-    )
+    share = write_percent(match.errors.rmse_share)
+    return f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {share} of peak"
 
 
 def _external_note(panels: Sequence[ExternalPanel]) -> str:

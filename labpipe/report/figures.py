@@ -29,32 +29,33 @@ from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     RED,
+    FigureToSave,
     add_key,
-    empty_page,
+    add_title,
     finish_layout,
-    map_colours,
-    new_page,
+    fix_fonts,
+    list_style_colours,
+    make_empty_page,
+    make_page,
+    sample_colour_map,
+    save_pages,
     style,
-    style_colours,
-    titled,
-    with_own_fonts,
     write_reason,
 )
 from labpipe.report.marker_figures import draw_marker_quality, draw_wire_shapes
-from labpipe.report.plot_thinning import extremes
-from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.plot_records import find_extremes
 from labpipe.report.wording import (
     Scale,
-    as_label,
-    count_of,
-    footnote,
-    place_of,
-    rounded,
-    scale,
-    title,
-    unit_words,
-    why_missing,
+    choose_unit,
+    explain_missing,
+    find_last_place,
+    round_to_place,
+    typeset_unit,
+    write_count,
+    write_footnote,
+    write_label,
     write_number,
+    write_title,
 )
 
 if TYPE_CHECKING:
@@ -92,11 +93,11 @@ _STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: (0
 def draw_force_displacement(result: TestResult) -> Figure:
     """Draw (a) the calibrated samples as recorded and (b) the curve, in one panel if equal."""
     if is_as_recorded(result, "force", "displacement"):
-        page = new_page(height_mm=82)
+        page = make_page(height_mm=82)
         panels = [page.subplots()]
         panels[0].set_title("As recorded", loc="left")
     else:
-        page = new_page(height_mm=82, width_mm=DOUBLE_COLUMN)
+        page = make_page(height_mm=82, width_mm=DOUBLE_COLUMN)
         panels = list(page.subplots(1, 2, sharex=True, sharey=True))
         plot_raw(result, panels[0])
         panels[0].set_title("As recorded", loc="left")
@@ -107,7 +108,7 @@ def draw_force_displacement(result: TestResult) -> Figure:
     count = max((branch.cycle for branch in _branches(result)), default=0)
     if count > _MAX_CYCLE_COLOURS:
         _draw_colour_bar(page, panels, count)
-    return titled(page, title(result), footnote(result))
+    return add_title(page, write_title(result), write_footnote(result))
 
 
 def plot_raw(result: TestResult, axes: Axes) -> None:
@@ -121,7 +122,7 @@ def plot_raw(result: TestResult, axes: Axes) -> None:
     """
     aligned = result.aligned
     if aligned is None or not {"force", "displacement"} <= set(aligned.series):
-        write_reason(axes, why_missing(result, "unfiltered force and displacement"))
+        write_reason(axes, explain_missing(result, "unfiltered force and displacement"))
         return
     x, y = aligned.series["displacement"].values, aligned.series["force"].values
     parts = [
@@ -144,7 +145,7 @@ def plot_filtered(result: TestResult, axes: Axes) -> None:
     """
     curve = result.curve
     if curve is None:
-        write_reason(axes, why_missing(result, "curve"))
+        write_reason(axes, explain_missing(result, "curve"))
         return
     # one sample more: the lines of two branches meet
     parts = [slice(branch.start, branch.stop + 1) for branch in curve.branches]
@@ -159,7 +160,7 @@ def _plot_branches(
     max_grey_bins = 4000
     branches = _branches(result)
     count = max((branch.cycle for branch in branches), default=0)
-    colours, has_names = cycle_colours(count), 1 < count <= _MAX_CYCLE_COLOURS
+    colours, has_names = choose_cycle_colours(count), 1 < count <= _MAX_CYCLE_COLOURS
     if not branches:
         _plot(result, axes, x, y, bins=max_grey_bins, color=GREY, linewidth=0.5)
     for branch, part in zip(branches, parts, strict=True):
@@ -183,7 +184,7 @@ def _plot(
     result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = 350, **look: Any
 ) -> None:
     """Draw a thinned line of force against displacement, in SI, in the display units."""
-    rows = extremes(y, bins=bins)
+    rows = find_extremes(y, bins=bins)
     across, up = _scales(result)
     axes.plot(x[rows] * across.factor, y[rows] * up.factor, **look)
 
@@ -198,7 +199,7 @@ def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:
     """Mark the highest force of each cycle with an open triangle."""
     across, up = _scales(result)
     look: dict[str, Any] = {"marker": "v", "markerfacecolor": "white", "linestyle": ""}
-    colours = cycle_colours(int(curve.cycle.max(initial=0)))
+    colours = choose_cycle_colours(int(curve.cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
         inside = np.flatnonzero((curve.cycle == number) & ~np.isnan(curve.force))
         if len(inside):
@@ -209,16 +210,20 @@ def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:
         add_key(axes, "peak", color=GREY if len(colours) > 1 else colours[0], **look)
 
 
-def cycle_colours(count: int) -> list[str]:
+def choose_cycle_colours(count: int) -> list[str]:
     """Return the colour of each cycle: of the style for a few, of a colour map for many."""
-    return style_colours()[:count] if count <= _MAX_CYCLE_COLOURS else map_colours(count, 0.92)
+    return (
+        list_style_colours()[:count]
+        if count <= _MAX_CYCLE_COLOURS
+        else sample_colour_map(count, 0.92)
+    )
 
 
 def _draw_colour_bar(page: Figure, panels: list[Axes], count: int) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
-    colours = ListedColormap(cycle_colours(count))
+    colours = ListedColormap(choose_cycle_colours(count))
     key = ScalarMappable(Normalize(0.5, count + 0.5), colours)
     bar = page.colorbar(key, ax=panels, pad=0.01, aspect=30, label="Cycle")
     bar.set_ticks(np.unique(np.linspace(1, count, min(count, 6)).round()).tolist())
@@ -230,15 +235,17 @@ def draw_stiffness_lines(result: TestResult) -> Figure:
     branches = _branches(result)
     first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
     if result.curve is None or first is None:
-        reason = why_missing(result, "loading branch")
-        return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
-    page = new_page(height_mm=92, width_mm=DOUBLE_COLUMN)
+        reason = explain_missing(result, "loading branch")
+        return make_empty_page(
+            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
+        )
+    page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     axes = page.subplots()
     _plot_loading(result, result.curve, slice(first.start, first.stop), axes)
     _plot_lines(result, axes)
     _mark_points(result, axes)
     _label_axes(result, axes)
-    return titled(page, title(result), footnote(result))
+    return add_title(page, write_title(result), write_footnote(result))
 
 
 def _plot_loading(result: TestResult, curve: Curve, part: slice, axes: Axes) -> None:
@@ -257,7 +264,7 @@ def _plot_lines(result: TestResult, axes: Axes) -> None:
     across, up = _scales(result)
     names = list(dict.fromkeys(line.result for line in result.lines))
     windows = [name for name in names if not name.startswith("segment")]
-    colours = style_colours()[1:]  # the first is that of the curve
+    colours = list_style_colours()[1:]  # the first is that of the curve
     for line in result.lines:
         x = np.array([line.start, line.stop])
         y = line.level + line.slope * (x - line.start)
@@ -265,19 +272,19 @@ def _plot_lines(result: TestResult, axes: Axes) -> None:
         if line.result in windows:
             colour = colours[windows.index(line.result) % len(colours)]
             look = {"color": colour, "linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt"}
-        label = _slope_words(result, line)
+        label = _describe_slope(result, line)
         axes.plot(x * across.factor, y * up.factor, label=label, zorder=4, **look)
 
 
-def _slope_words(result: TestResult, line: FittedLine) -> str:
+def _describe_slope(result: TestResult, line: FittedLine) -> str:
     """Write the name and the slope of a line, with the interval of the result, if any."""
-    stiffness = scale(result, "stiffness", "N/m")
+    stiffness = choose_unit(result, "stiffness", "N/m")
     fitted = _result(result, line.result)
     slope, ends = line.slope, None
     if fitted is not None and fitted.unit == "N/m" and fitted.value is not None:
         slope, ends = fitted.value, fitted.interval
     number = write_number(slope, ends, stiffness.factor).text
-    return f"{as_label(line.result)}: {number} {unit_words(stiffness.unit)}"
+    return f"{write_label(line.result)}: {number} {typeset_unit(stiffness.unit)}"
 
 
 def _mark_points(result: TestResult, axes: Axes) -> None:
@@ -312,7 +319,7 @@ def _value(result: TestResult, name: str) -> float | None:
 
 
 def _scales(result: TestResult) -> tuple[Scale, Scale]:
-    return scale(result, "displacement", "m"), scale(result, "force", "N")
+    return choose_unit(result, "displacement", "m"), choose_unit(result, "force", "N")
 
 
 _BAND: dict[str, Any] = {"color": "black", "alpha": 0.18, "lw": 0}
@@ -323,9 +330,11 @@ def draw_moment_curvature(result: TestResult) -> Figure:
     """Draw (a) the cloud of all branches with the law and (b) the law's stiffnesses."""
     bending = result.bending
     if bending is None:
-        reason = why_missing(result, "measured moment-curvature")
-        return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
-    page = new_page(height_mm=92, width_mm=DOUBLE_COLUMN)
+        reason = explain_missing(result, "measured moment-curvature")
+        return make_empty_page(
+            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
+        )
+    page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     cloud, stiffness = page.subplots(1, 2)
     _plot_cloud(result, bending, cloud)
     cloud.set_title("Moment", loc="left")
@@ -334,7 +343,7 @@ def draw_moment_curvature(result: TestResult) -> Figure:
     else:
         _plot_stiffness(result, bending.law, stiffness)
     stiffness.set_title("Stiffness of the first loading", loc="left")
-    return titled(page, title(result), footnote(result), columns=5)
+    return add_title(page, write_title(result), write_footnote(result), columns=5)
 
 
 def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
@@ -350,7 +359,7 @@ def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
     x, y = _points_from_rest(bending)
     every = -(-x.size // max_cloud_points)
     look: dict[str, Any] = {"linestyle": "", "marker": "o", "markeredgewidth": 0.4}
-    colours = cycle_colours(int(cloud.cycle.max(initial=1)))
+    colours = choose_cycle_colours(int(cloud.cycle.max(initial=1)))
     for branch in np.unique(cloud.branch)[::-1].tolist():  # the first loading on top
         rows = cloud.branch == branch
         colour = colours[int(cloud.cycle[rows][0]) - 1]
@@ -421,30 +430,30 @@ def _plot_stiffness(result: TestResult, law: MeasuredLaw, axes: Axes) -> None:
 def _bending_scale(result: TestResult, quantity: str) -> Scale:
     """Return the display unit of curvature, moment or stiffness, typeset."""
     si_units = {"curvature": "1/m", "moment": "N*m", "bending_stiffness": "N*m^2"}
-    unit = scale(result, quantity, si_units[quantity])
-    return Scale(unit.factor, unit_words(unit.unit))
+    unit = choose_unit(result, quantity, si_units[quantity])
+    return Scale(unit.factor, typeset_unit(unit.unit))
 
 
 def draw_timeline(result: TestResult) -> Figure:
     """Draw force and motion on one time axis, and the residuals of clock alignment, if any."""
     fit = result.aligned.clock_fit if result.aligned is not None else None
-    page = new_page(height_mm=110 if fit else 80, width_mm=DOUBLE_COLUMN)
+    page = make_page(height_mm=110 if fit else 80, width_mm=DOUBLE_COLUMN)
     ratios = [3, 3, 2] if fit else [1, 1]
     panels = page.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     _plot_force(result, panels[0])
     _plot_motion(result, panels[1])
     if fit is not None:
-        _plot_residuals(fit, scale(result, "time", "s").factor, panels[2])
-    panels[-1].set_xlabel(scale(result, "time", "s").label("Time"))
+        _plot_residuals(fit, choose_unit(result, "time", "s").factor, panels[2])
+    panels[-1].set_xlabel(choose_unit(result, "time", "s").label("Time"))
     for axes in panels:
         axes.locator_params(axis="y", nbins=5)
     page.align_ylabels(list(panels))
-    return titled(page, title(result), footnote(result))
+    return add_title(page, write_title(result), write_footnote(result))
 
 
 def _plot_force(result: TestResult, axes: Axes) -> None:
     """Draw the force against time: as recorded in grey, and the curve over it if it differs."""
-    up = scale(result, "force", "N")
+    up = choose_unit(result, "force", "N")
     aligned, curve = result.aligned, result.curve
     is_untouched = is_as_recorded(result, "force")
     if aligned is not None and "force" in aligned.series and not is_untouched:
@@ -456,7 +465,7 @@ def _plot_force(result: TestResult, axes: Axes) -> None:
         look = {"color": "C0", "linewidth": 0.8, "label": label}
         _plot_over_time(result, axes, curve.time, up.factor * curve.force, **look)
     if not axes.lines:
-        write_reason(axes, why_missing(result, "force"))
+        write_reason(axes, explain_missing(result, "force"))
         return
     axes.set_ylabel(up.label("Force"))
 
@@ -472,10 +481,10 @@ def _plot_motion(result: TestResult, axes: Axes) -> None:
     if curve is not None:
         motions.append(("Displacement", curve.time, curve.displacement))
     if not motions:
-        write_reason(axes, why_missing(result, "motion"))
+        write_reason(axes, explain_missing(result, "motion"))
         return
     word, time, values = motions[0]
-    up, along = scale(result, "displacement", "m"), scale(result, "time", "s")
+    up, along = choose_unit(result, "displacement", "m"), choose_unit(result, "time", "s")
     _plot_over_time(result, axes, time, values * up.factor, color="C0")
     ends = [end for branch in _branches(result) for end in (branch.start_time, branch.stop_time)]
     if ends:
@@ -496,16 +505,16 @@ def _plot_residuals(fit: ClockFit, along: float, axes: Axes) -> None:
         fmt="o", color="C1", markerfacecolor="white", elinewidth=0.7, capsize=1.5,
     )  # fmt: skip
     axes.set_ylabel("Residual (ms)")
-    axes.set_title(_fit_text(fit), loc="right", color=GREY)
+    axes.set_title(_describe_clock_fit(fit), loc="right", color=GREY)
 
 
-def _fit_text(fit: ClockFit) -> str:
+def _describe_clock_fit(fit: ClockFit) -> str:
     """Write offset and drift with half the width of their intervals, and the residual, if any."""
     clock_parameters = 2  # offset and drift
     events = len(fit.event_times_motion)
     left = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
     if events <= clock_parameters:
-        left = f"{count_of(events, 'event')} for two unknowns: no residual"
+        left = f"{write_count(events, 'event')} for two unknowns: no residual"
     offset = _with_half(fit.offset, fit.offset_interval, 1.0)
     drift = _with_half(fit.drift, fit.drift_interval, 1e6)
     return f"offset {offset} s,  drift {drift} ppm,  {left};  bars: 95 % of each event"
@@ -513,17 +522,17 @@ def _fit_text(fit: ClockFit) -> str:
 
 def _with_half(value: float, interval: Interval, factor: float) -> str:
     """Write a number and half the width of its interval, to the second digit of that half."""
-    place = place_of(value, interval, factor)
+    place = find_last_place(value, interval, factor)
     half = 0.5 * (interval.upper - interval.lower)
-    text = f"{rounded(factor * value, place)} ± {rounded(factor * half, place)}"
+    text = f"{round_to_place(factor * value, place)} ± {round_to_place(factor * half, place)}"
     return text.replace("-", "\u2212")
 
 
 def _plot_over_time(
     result: TestResult, axes: Axes, time: Floats, values: Floats, **look: Any
 ) -> None:
-    rows = extremes(values, bins=900)
-    axes.plot(time[rows] * scale(result, "time", "s").factor, values[rows], **look)
+    rows = find_extremes(values, bins=900)
+    axes.plot(time[rows] * choose_unit(result, "time", "s").factor, values[rows], **look)
     axes.margins(x=0.01)
 
 
@@ -595,4 +604,4 @@ def draw_figure(result: TestResult, name: str) -> Figure:
     with style(is_journal=is_for_journal(result)):
         page = FIGURES[name](result)
         finish_layout(page)
-        return with_own_fonts(page)
+        return fix_fonts(page)

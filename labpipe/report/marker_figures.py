@@ -18,14 +18,14 @@ from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     add_key,
-    empty_page,
-    map_colours,
-    new_page,
-    titled,
+    add_title,
+    make_empty_page,
+    make_page,
+    sample_colour_map,
     write_reason,
 )
-from labpipe.report.plot_thinning import extremes, worst
-from labpipe.report.wording import footnote, scale, title, why_missing
+from labpipe.report.plot_records import find_extremes, thin_flags
+from labpipe.report.wording import choose_unit, explain_missing, write_footnote, write_title
 from labpipe.results.beam import BendingStiffness
 
 if TYPE_CHECKING:
@@ -56,20 +56,22 @@ def draw_wire_shapes(result: TestResult) -> Figure:
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
-        reason = why_missing(result, "shape")
-        return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
-    steps, rig = choose_frames(result, shape), rig_of(result)
-    planes = [1] if _first_loading(result) is not None else [1, 2]
+        reason = explain_missing(result, "shape")
+        return make_empty_page(
+            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
+        )
+    steps, rig = choose_frames(result, shape), read_rig(result)
+    planes = [1] if _find_first_loading(result) is not None else [1, 2]
     heights = [panel_width_mm * _aspect_ratio(shape, steps, plane, rig) for plane in planes]
     height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
-    page = new_page(height_mm=height, width_mm=DOUBLE_COLUMN)
+    page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for axes, plane in zip(panels, planes, strict=True):
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
             axes.set_title(f"x-{'xyz'[plane]} view", loc="left")
-    note = " ".join(filter(None, (_offset_note(result, shape, rig), footnote(result))))
-    return titled(page, title(result), note)
+    note = " ".join(filter(None, (_offset_note(result, shape, rig), write_footnote(result))))
+    return add_title(page, write_title(result), note)
 
 
 def choose_frames(result: TestResult, shape: Shape) -> Steps:
@@ -91,7 +93,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     way, word = _tip_path(result, shape)
     if np.isnan(way).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), word)
-    factor = scale(result, "displacement", "m").factor
+    factor = choose_unit(result, "displacement", "m").factor
     steps = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
     levels = np.asarray(steps.tick_values(0.0, factor * float(np.nanmax(way)))) / factor
     # the first frame at a level: later ones may belong to another motion
@@ -100,7 +102,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     return Steps(frames, levels[: len(frames)], word)
 
 
-def _first_loading(result: TestResult) -> tuple[float, float] | None:
+def _find_first_loading(result: TestResult) -> tuple[float, float] | None:
     branches = result.curve.branches if result.curve is not None else ()
     loadings = (branch for branch in branches if branch.direction is Direction.LOADING)
     return next(((branch.start_time, branch.stop_time) for branch in loadings), None)
@@ -108,7 +110,7 @@ def _first_loading(result: TestResult) -> tuple[float, float] | None:
 
 def _tip_path(result: TestResult, shape: Shape) -> tuple[Floats, str]:
     """Return the deflection of the tip in every frame, m; NaN outside the first loading."""
-    loading = _first_loading(result)
+    loading = _find_first_loading(result)
     if loading is None or result.curve is None:
         tip = shape.positions[:, _last_tracked(shape)]
         tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
@@ -194,7 +196,7 @@ def _offset_note(result: TestResult, shape: Shape, rig: Rig) -> str:
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
     if not is_clamped or abs(rig.centre_offset) < min_offset or not shape.coefficients.shape[2]:
         return ""
-    across = scale(result, "displacement", "m")
+    across = choose_unit(result, "displacement", "m")
     return (
         f"Centres of markers are {abs(rig.centre_offset) * across.factor:.3g} {across.unit} beside "
         "the axis, which is the curve."
@@ -213,9 +215,9 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     shape = result.shape
     if shape is None:
         return
-    steps, rig = choose_frames(result, shape), rig_of(result)
-    way = scale(result, "displacement", "m")
-    colours = map_colours(len(steps.frames))
+    steps, rig = choose_frames(result, shape), read_rig(result)
+    way = choose_unit(result, "displacement", "m")
+    colours = sample_colour_map(len(steps.frames))
     for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
         x, up = _fitted_curve(shape, int(frame))[[0, plane]] * way.factor
         axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
@@ -275,12 +277,12 @@ def draw_marker_quality(result: TestResult) -> Figure:
     row_mm, lower_mm, frames_mm = 4.2, 25.0, 30.0
     rows = 0 if result.shape is None else int(_is_marker(result.shape).sum())
     upper = max(rows * row_mm, lower_mm)
-    page = new_page(width_mm=DOUBLE_COLUMN, height_mm=upper + lower_mm + frames_mm)
+    page = make_page(width_mm=DOUBLE_COLUMN, height_mm=upper + lower_mm + frames_mm)
     flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, lower_mm])
     plot_flags(result, flags)
     plot_tracking(result, lower)
-    lower.set_xlabel(scale(result, "time", "s").label("Time"))
-    return titled(page, title(result), footnote(result))
+    lower.set_xlabel(choose_unit(result, "time", "s").label("Time"))
+    return add_title(page, write_title(result), write_footnote(result))
 
 
 def plot_flags(result: TestResult, axes: Axes) -> None:
@@ -294,15 +296,15 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     """
     shape = result.shape
     if shape is None or not len(shape.time):
-        write_reason(axes, why_missing(result, "shape"))
+        write_reason(axes, explain_missing(result, "shape"))
         return
     from matplotlib.collections import PolyCollection
 
     mine = _is_marker(shape)
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
-    flags = worst(shape.flags[:, mine], _rank(), bins=_PIXEL_BINS)
+    flags = thin_flags(shape.flags[:, mine], _rank(), bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
-    edges *= scale(result, "time", "s").factor
+    edges *= choose_unit(result, "time", "s").factor
     for flag, colour in FLAG_COLOURS.items():
         if (flags == flag).any():
             bars = list(_bar_corners(flags == flag, edges))
@@ -326,15 +328,15 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
     """
     tracks = next((one.markers for one in result.recordings.values() if one.markers), None)
     if tracks is None or not len(tracks.time):
-        write_reason(axes, why_missing(result, "take"))
+        write_reason(axes, explain_missing(result, "take"))
         return
-    time = tracks.time * scale(result, "time", "s").factor
+    time = tracks.time * choose_unit(result, "time", "s").factor
     bodies = [body for body in tracks.bodies if np.isfinite(body.error).any()]
     if bodies:
         _plot_errors(result, axes, time, bodies)
     else:
         visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-        rows = extremes(visible, bins=_PIXEL_BINS)
+        rows = find_extremes(visible, bins=_PIXEL_BINS)
         axes.plot(time[rows], visible[rows], drawstyle="steps-post")
         axes.set_ylabel("Visible markers")
         axes.set_ylim(0, len(tracks.names) + 0.5)
@@ -343,10 +345,10 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
 
 
 def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[RigidBody]) -> None:
-    up = scale(result, "displacement", "m")
+    up = choose_unit(result, "displacement", "m")
     for body in bodies:
         error = body.error * up.factor
-        rows = extremes(error, bins=_PIXEL_BINS)
+        rows = find_extremes(error, bins=_PIXEL_BINS)
         axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
     axes.set_ylabel(up.label("Body error"))
     axes.set_ylim(bottom=0.0)
@@ -403,7 +405,7 @@ class Rig(NamedTuple):
         return self.roller_radius + self.section_radius
 
 
-def rig_of(result: TestResult) -> Rig:
+def read_rig(result: TestResult) -> Rig:
     """Return the rig of a test from its protocol.
 
     Parameters

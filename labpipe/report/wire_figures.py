@@ -17,19 +17,19 @@ from labpipe.report.figure_page import (
     DOTTED,
     DOUBLE_COLUMN,
     GREY,
+    FigureToSave,
     add_key,
-    empty_page,
+    add_title,
+    choose_line_looks,
     label_log_axis,
-    line_looks,
-    new_page,
-    panel_grid,
+    list_style_colours,
+    make_empty_page,
+    make_page,
+    make_panels,
     require_room,
     split_pages,
-    style_colours,
-    titled,
 )
-from labpipe.report.plot_thinning import split_doubtful
-from labpipe.report.saving import FigureToSave
+from labpipe.report.plot_records import split_doubtful
 from labpipe.report.wording import Scale, write_number
 
 if TYPE_CHECKING:
@@ -49,20 +49,20 @@ MAX_WIRES = 12
 """Wires on one page: more could not be distinguished."""
 
 
-def stiffness_scale(tables: Sequence[WireTable]) -> Scale:
+def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
     """Return the unit for the stiffnesses of a page: N·mm², or N·m² from 1 N·m²."""
     largest = max(table.stick_stiffness for table in tables)
     return STIFFNESS if largest < 1.0 else _LARGE_STIFFNESS
 
 
-def short_name(table: WireTable) -> str:
+def shorten_name(table: WireTable) -> str:
     """Shorten the name of a wire for a line with other texts."""
     max_name_length = 24
     name = " ".join(table.name.split())
     return name if len(name) <= max_name_length else name[: max_name_length - 1] + "…"
 
 
-def strand_words(table: WireTable) -> str:
+def describe_strands(table: WireTable) -> str:
     """Describe strands, such as ``19 × 0.24 mm``; different ones layer by layer.
 
     Examples
@@ -79,22 +79,22 @@ def strand_words(table: WireTable) -> str:
     return " + ".join(f"{count} \u00d7 {size}" for count, size in groups) + f" {LENGTH.unit}"
 
 
-def wire_title(table: WireTable) -> str:
+def write_wire_title(table: WireTable) -> str:
     """Write name, strands, layout and diameter of a wire in one line."""
     diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
     return (
-        f"{short_name(table)}  ·  wire model  ·  {strand_words(table)}, {table.layout.kind}"
+        f"{shorten_name(table)}  ·  wire model  ·  {describe_strands(table)}, {table.layout.kind}"
         f"  ·  wire {diameter:.3g} {LENGTH.unit}"
     )
 
 
-def warnings_of(table: WireTable) -> str:
+def join_warnings(table: WireTable) -> str:
     """Join the warnings and errors of the notes as sentences."""
     messages = [note.message for note in table.notes if note.severity is not Severity.INFO]
     return " ".join(f"{note[0].upper()}{note[1:].rstrip('.')}." for note in messages)
 
 
-def is_bent(table: WireTable) -> Flags:
+def is_curved(table: WireTable) -> Flags:
     """Return which points of a table have a positive curvature, for a logarithmic axis."""
     return np.asarray(table.curvature > 0.0)
 
@@ -120,7 +120,7 @@ _MAX_SIZE_RATIO = 2.5
 _OUTLINE_STYLE: dict[str, Any] = {"edgecolor": "black", "linewidth": 0.4}
 
 
-def section_figure(tables: Sequence[WireTable]) -> Figure:
+def draw_sections(tables: Sequence[WireTable]) -> Figure:
     """Draw the sections of several wires side by side.
 
     Parameters
@@ -145,23 +145,25 @@ def section_figure(tables: Sequence[WireTable]) -> Figure:
     columns = min(sections_per_row, len(tables))
     rows = math.ceil(len(tables) / columns)
     width = DOUBLE_COLUMN if columns > 2 else DOUBLE_COLUMN * 2 / 3
-    page = new_page(height_mm=rows * (cell_mm + text_mm) + 8.0, width_mm=width)
-    panels = panel_grid(page, len(tables), columns=columns)
-    unit = stiffness_scale(tables)
+    page = make_page(height_mm=rows * (cell_mm + text_mm) + 8.0, width_mm=width)
+    panels = make_panels(page, len(tables), columns=columns)
+    unit = choose_stiffness_unit(tables)
     radii = [table.layout.wire_radius for table in tables]
-    reaches = [max(radii)] * len(radii) if _is_one_scale(tables) else radii
+    reaches = [max(radii)] * len(radii) if _has_common_scale(tables) else radii
     for table, axes, reach in zip(tables, panels, reaches, strict=True):
         plot_section(table, axes, reach=reach, unit=unit)
     scale = ""
     if len(tables) > 1:
-        scale = ", all to the same scale" if _is_one_scale(tables) else ", each to its own scale"
+        scale = (
+            ", all to the same scale" if _has_common_scale(tables) else ", each to its own scale"
+        )
     note = ""
     if any(table.layout.kind == "compressed" for table in tables):
         note = (
             "Compressed strands: sectors of rings with the area of each strand, without gaps; dots:"
             " centroids used by the model."
         )
-    return titled(page, f"Cross-sections of the wire model{scale}", note)
+    return add_title(page, f"Cross-sections of the wire model{scale}", note)
 
 
 def plot_section(
@@ -178,23 +180,28 @@ def plot_section(
     """
     layout = table.layout
     edge = LENGTH.factor * 1.06 * (reach or layout.wire_radius)
-    for patch in [*strand_patches(layout, table.spec.orientation), *_wall_patches(layout)]:
+    for patch in [
+        *make_strand_patches(layout, table.spec.orientation),
+        *_make_wall_patches(layout),
+    ]:
         axes.add_patch(patch)
     if layout.kind == "compressed":
-        x, y = _rotated_centres(layout, table.spec.orientation)
+        x, y = _rotate_centres(layout, table.spec.orientation)
         axes.plot(x, y, ".", color="black", markersize=2.0)
     look: dict[str, Any] = {"color": "black", "linewidth": 0.5, "linestyle": (0, (8, 2, 1.5, 2))}
     axes.plot([-edge, edge], [0.0, 0.0], label="neutral axis", **look)
-    for label, style in _layer_styles(layout).items():
+    for label, style in _choose_layer_styles(layout).items():
         add_key(axes, label, is_area=True, **style)
     axes.set_aspect("equal", anchor="S")  # free room is between key and titles
     axes.set(xlim=(-edge, edge), ylim=(-1.22 * edge, edge))
     axes.set_axis_off()
-    axes.set_title(_section_title(table, unit or stiffness_scale([table])), linespacing=1.25)
+    axes.set_title(
+        _write_section_title(table, unit or choose_stiffness_unit([table])), linespacing=1.25
+    )
     _draw_scale_bar(axes, edge)
 
 
-def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
+def make_strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
     """Return the outlines of the strands in mm, with the neutral axis as x axis.
 
     Parameters
@@ -209,18 +216,18 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
     """
     from matplotlib.patches import Circle, Wedge
 
-    colours = style_colours()
+    colours = list_style_colours()
     looks = [
         {"facecolor": colours[layer % len(colours)], **_OUTLINE_STYLE} for layer in layout.layer
     ]
-    x, y = _rotated_centres(layout, orientation)
+    x, y = _rotate_centres(layout, orientation)
     if layout.kind != "compressed":
         radii = LENGTH.factor * layout.diameter / 2.0
         return [
             Circle((across, up), radius, **look)
             for across, up, radius, look in zip(x, y, radii, looks, strict=True)
         ]
-    outer = _ring_edges(layout)
+    outer = _compute_ring_radii(layout)
     angle = np.degrees(np.arctan2(y, x))
     half = 180.0 / np.bincount(layout.layer)[layout.layer]
     return [
@@ -231,7 +238,7 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
     ]
 
 
-def _rotated_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
+def _rotate_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
     """Return centres in mm, rotated so that the neutral axis is the x axis."""
     cosine, sine = math.cos(orientation), math.sin(orientation)
     x = LENGTH.factor * (cosine * layout.x - sine * layout.y)
@@ -239,13 +246,13 @@ def _rotated_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Fl
     return x, y
 
 
-def _ring_edges(layout: WireLayout) -> Floats:
+def _compute_ring_radii(layout: WireLayout) -> Floats:
     """Return the radii of rings with the areas of their strands without gaps, mm, from 0."""
     areas = np.bincount(layout.layer, weights=layout.diameter**2)
     return np.asarray(LENGTH.factor * np.sqrt(np.concatenate([[0.0], np.cumsum(areas)])) / 2.0)
 
 
-def _wall_patches(layout: WireLayout) -> list[Patch]:
+def _make_wall_patches(layout: WireLayout) -> list[Patch]:
     from matplotlib.patches import Annulus, Circle
 
     outer, bore = LENGTH.factor * layout.wire_radius, LENGTH.factor * layout.bore_radius
@@ -257,14 +264,14 @@ def _wall_patches(layout: WireLayout) -> list[Patch]:
     ]
 
 
-def _section_title(table: WireTable, unit: Scale) -> str:
+def _write_section_title(table: WireTable, unit: Scale) -> str:
     diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
     stick, slip = (
         write_number(value, None, unit.factor, digits=3).value
         for value in (table.stick_stiffness, table.slip_stiffness)
     )
     return (
-        f"{short_name(table)}\n{strand_words(table)}\n"
+        f"{shorten_name(table)}\n{describe_strands(table)}\n"
         f"{table.layout.kind}, wire {diameter:.3g} {LENGTH.unit}\n"
         f"stick {stick}, slip {slip} {unit.unit}"
     )
@@ -280,15 +287,15 @@ def _draw_scale_bar(axes: Axes, edge: float) -> None:
     axes.text(length - edge + 0.05 * edge, level, f"{length:g} {LENGTH.unit}", va="center")
 
 
-def _is_one_scale(tables: Sequence[WireTable]) -> bool:
+def _has_common_scale(tables: Sequence[WireTable]) -> bool:
     radii = [table.layout.wire_radius for table in tables]
     return max(radii) <= _MAX_SIZE_RATIO * min(radii)
 
 
-def _layer_styles(layout: WireLayout) -> dict[str, dict[str, Any]]:
+def _choose_layer_styles(layout: WireLayout) -> dict[str, dict[str, Any]]:
     """Return the style of each layer of strands by its name."""
     has_core = np.sum(layout.layer == 0) == 1
-    colours = style_colours()
+    colours = list_style_colours()
     names = [f"ring {number + (not has_core)}" for number in range(int(layout.layer.max()) + 1)]
     if has_core:
         names[0] = "core"
@@ -312,7 +319,7 @@ _MOMENT_PART_STYLES = (
 """Parts of a moment from the bottom of the stack: name, colour, hatch."""
 
 
-def stiffness_figure(table: WireTable) -> Figure:
+def draw_stiffness(table: WireTable) -> Figure:
     """Draw secant and tangent stiffness against curvature, both axes logarithmic.
 
     Parameters
@@ -324,15 +331,15 @@ def stiffness_figure(table: WireTable) -> Figure:
     A page with the limits for sticking strands and for slip without friction, the curvatures at
     which strands begin to slip, and the spread of the secant stiffness over all orientations.
     """
-    page = new_page(height_mm=76.0)
+    page = make_page(height_mm=76.0)
     axes = page.subplots()
-    use = is_bent(table)
-    across, unit = table.curvature[use], stiffness_scale([table])
+    use = is_curved(table)
+    across, unit = table.curvature[use], choose_stiffness_unit([table])
     up = unit.factor
     lowest, highest = (
         up * moment[use] / across for moment in (table.lowest_moment, table.highest_moment)
     )
-    colour, dashed = style_colours()[0], (0, (5, 1.5))
+    colour, dashed = list_style_colours()[0], (0, (5, 1.5))
     secant, elastic = table.secant_stiffness[use], (table.moment - table.plastic)[use] / across
     axes.plot(across, up * secant, color=colour, linewidth=1.5, zorder=4, label="secant")
     axes.plot(across, up * table.tangent_stiffness[use], "C1", linestyle=dashed, label="tangent")
@@ -356,7 +363,7 @@ def stiffness_figure(table: WireTable) -> Figure:
         label = "a strand begins to slip"
         axes.plot(onsets, np.full(len(onsets), 0.035), label=label, **sign, **place)
     _shade_doubtful(table, axes)
-    return titled(page, wire_title(table), warnings_of(table))
+    return add_title(page, write_wire_title(table), join_warnings(table))
 
 
 def _shade_doubtful(table: WireTable, axes: Axes) -> None:
@@ -378,21 +385,26 @@ def _mark_limits(table: WireTable, axes: Axes, unit: Scale) -> None:
     stick, slip = (unit.factor * value for value in (table.stick_stiffness, table.slip_stiffness))
     low, high = axes.get_ylim()
     axes.set_ylim(low, max(high, headroom * stick))
-    names = {stick: f"all stick\n{_four_digits(stick)}", slip: f"all slip\n{_four_digits(slip)}"}
+    names = {
+        stick: f"all stick\n{_write_four_digits(stick)}",
+        slip: f"all slip\n{_write_four_digits(slip)}",
+    }
     for level in (stick, slip):
         axes.axhline(level, label="limits without yielding", **_LIMIT_LINE_STYLE)
     if stick < label_ratio * slip:
-        names = {slip: f"all stick\n{_four_digits(stick)}\nall slip\n{_four_digits(slip)}"}
+        names = {
+            slip: f"all stick\n{_write_four_digits(stick)}\nall slip\n{_write_four_digits(slip)}"
+        }
     beside = axes.get_yaxis_transform()
     for level, label in names.items():
         axes.text(1.01, level, label, transform=beside, va="center")
 
 
-def _four_digits(value: float) -> str:
+def _write_four_digits(value: float) -> str:
     return write_number(value, None, digits=4).value
 
 
-def moment_figure(table: WireTable) -> Figure:
+def draw_moment(table: WireTable) -> Figure:
     """Draw the moment against curvature with its parts, and the shares of the parts.
 
     Parameters
@@ -404,28 +416,28 @@ def moment_figure(table: WireTable) -> Figure:
     A page with two panels: stacked moments against curvature; shares of the moment against
     curvature on a logarithmic axis, which shows the change from stick to slip.
     """
-    page = new_page(height_mm=62.0)
+    page = make_page(height_mm=62.0)
     left, right = page.subplots(1, 2)
     left.set_title("moment", loc="left")
     right.set_title("shares of the moment", loc="left")
     _plot_parts(table, left)
-    use = is_bent(table)
+    use = is_curved(table)
     across = table.curvature[use]
-    _stack(right, across, [100.0 * part[use] / table.moment[use] for part in moment_parts(table)])
+    _stack(right, across, [100.0 * part[use] / table.moment[use] for part in split_moment(table)])
     right.set_xscale("log")
     right.set_xlim(across[0], across[-1])
     label_log_axis(right.xaxis)
     right.set_ylim(0.0, 100.0)
     right.set(xlabel=CURVATURE.label("Curvature"), ylabel="Share of the moment (%)")
     _shade_doubtful(table, right)
-    return titled(page, wire_title(table), warnings_of(table))
+    return add_title(page, write_wire_title(table), join_warnings(table))
 
 
 def _plot_parts(table: WireTable, axes: Axes) -> None:
     """Stack the parts of the moment; a dotted line is the moment without yielding."""
     max_elastic_moments = 2.0  # top of the panel, in largest moments
     across, up = table.curvature, MOMENT.factor
-    _stack(axes, across, [up * part for part in moment_parts(table)])
+    _stack(axes, across, [up * part for part in split_moment(table)])
     axes.plot(across, up * table.moment, "k", linewidth=1.2, zorder=4, label="total moment")
     elastic = up * (table.moment - table.plastic)
     look: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": DOTTED}
@@ -436,7 +448,7 @@ def _plot_parts(table: WireTable, axes: Axes) -> None:
     _shade_doubtful(table, axes)
 
 
-def moment_parts(table: WireTable) -> tuple[Floats, Floats, Floats, Floats]:
+def split_moment(table: WireTable) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the moments of insulation, yielding strands, slipping and sticking strands, N m."""
     return table.insulation, table.bending + table.plastic, table.slip, table.stick
 
@@ -449,7 +461,7 @@ def _stack(axes: Axes, across: Floats, parts: Sequence[Floats]) -> None:
         floor = floor + part
 
 
-def cantilever_figure(table: WireTable) -> Figure:
+def draw_cantilever(table: WireTable) -> Figure:
     """Draw the end load against the deflection of the tip.
 
     Parameters
@@ -462,10 +474,12 @@ def cantilever_figure(table: WireTable) -> Figure:
     / length^3: all strands stick, all slip without friction.
     """
     margin_factor = 1.08
-    note = " ".join([_setting_note(table), warnings_of(table)]).strip()
+    note = " ".join([_describe_cantilever(table), join_warnings(table)]).strip()
     if len(table.tip_deflection) < 2:  # rest alone
-        return empty_page(wire_title(table), "There is no cantilever curve to draw.", note)
-    page = new_page(height_mm=70.0)
+        return make_empty_page(
+            write_wire_title(table), "There is no cantilever curve to draw.", note
+        )
+    page = make_page(height_mm=70.0)
     axes = page.subplots()
     across, up = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
     axes.plot(across, up, color="C0", linewidth=1.5, zorder=3, label="wire model")
@@ -481,10 +495,10 @@ def cantilever_figure(table: WireTable) -> Figure:
     axes.set(xlabel=LENGTH.label("Tip deflection"), ylabel=FORCE.label("End load"))
     if table.doubtful_deflection < table.tip_deflection[-1]:
         _fade_range(axes, LENGTH.factor * table.doubtful_deflection, float(across[-1]))
-    return titled(page, wire_title(table), note)
+    return add_title(page, write_wire_title(table), note)
 
 
-def _setting_note(table: WireTable) -> str:
+def _describe_cantilever(table: WireTable) -> str:
     length, rest = LENGTH.factor * table.spec.length, table.rest
     held = ""
     if rest is not None:
@@ -502,7 +516,7 @@ _COMPARISON_NOTE = (
 )
 
 
-def comparison_figure(tables: Sequence[WireTable]) -> Figure:
+def draw_wire_comparison(tables: Sequence[WireTable]) -> Figure:
     """Draw secant stiffness and moment of several wires against curvature, one line each.
 
     Parameters
@@ -515,18 +529,18 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
         If there is no wire, or more than fit in one figure.
     """
     require_room(len(tables), MAX_WIRES, "wires")
-    page = new_page(height_mm=76.0)
+    page = make_page(height_mm=76.0)
     left, right = page.subplots(1, 2)
-    unit = stiffness_scale(tables)
-    for table, look in zip(tables, line_looks(len(tables)), strict=True):
-        style: dict[str, Any] = {**look._asdict(), "label": short_name(table)}
+    unit = choose_stiffness_unit(tables)
+    for table, look in zip(tables, choose_line_looks(len(tables)), strict=True):
+        style: dict[str, Any] = {**look._asdict(), "label": shorten_name(table)}
         secant, moment = unit.factor * table.secant_stiffness, MOMENT.factor * table.moment
         sure = table.curvature <= table.doubtful_curvature
         for use, fade in split_doubtful(sure):
-            drawn = use & is_bent(table)
+            drawn = use & is_curved(table)
             left.plot(table.curvature[drawn], secant[drawn], **style, alpha=fade)
             right.plot(table.curvature[use], moment[use], **style, alpha=fade)
-    curvatures = np.concatenate([table.curvature[is_bent(table)] for table in tables])
+    curvatures = np.concatenate([table.curvature[is_curved(table)] for table in tables])
     set_log_axes(left, np.array([curvatures.min(), curvatures.max()]))
     left.set_ylabel(unit.label("Secant bending stiffness"))
     right.set_xlim(left=0.0)
@@ -534,18 +548,18 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     right.set(xlabel=CURVATURE.label("Curvature"), ylabel=MOMENT.label("Bending moment"))
     left.set_title("secant stiffness", loc="left")
     right.set_title("moment", loc="left")
-    return titled(page, "Wires compared  ·  wire model", _COMPARISON_NOTE)
+    return add_title(page, "Wires compared  ·  wire model", _COMPARISON_NOTE)
 
 
 _INVALID_IN_FILE_NAME = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
 _WIRE_FIGURES: dict[str, Callable[[WireTable], Figure]] = {
-    "stiffness": stiffness_figure,
-    "moment": moment_figure,
-    "cantilever": cantilever_figure,
+    "stiffness": draw_stiffness,
+    "moment": draw_moment,
+    "cantilever": draw_cantilever,
 }
 
 
-def wire_drawings(tables: Sequence[WireTable]) -> Iterator[FigureToSave]:
+def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[FigureToSave]:
     """List the figures of a sheet of wires.
 
     Parameters
@@ -559,16 +573,16 @@ def wire_drawings(tables: Sequence[WireTable]) -> Iterator[FigureToSave]:
     of a single wire.
     """
     for number, page_tables in enumerate(split_pages(tables, MAX_WIRES), start=1):
-        yield FigureToSave(f"sections-{number}", partial(section_figure, page_tables))
+        yield FigureToSave(f"sections-{number}", partial(draw_sections, page_tables))
         if len(page_tables) > 1:
-            yield FigureToSave(f"comparison-{number}", partial(comparison_figure, page_tables))
+            yield FigureToSave(f"comparison-{number}", partial(draw_wire_comparison, page_tables))
     for table in tables:
-        names = figure_names(table.name)
+        names = list_figure_names(table.name)
         for name, draw in zip(names, _WIRE_FIGURES.values(), strict=True):
             yield FigureToSave(name, partial(draw, table))
 
 
-def figure_names(name: str) -> list[str]:
+def list_figure_names(name: str) -> list[str]:
     """Return the names of the figures of one wire, without endings.
 
     Parameters

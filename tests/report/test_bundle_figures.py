@@ -16,22 +16,22 @@ from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
     MAX_ROWS,
-    bundle_figure,
+    draw_bundle,
+    draw_loop,
     draw_places,
     has_bundles,
-    loop_figure,
-    place_figures,
-    place_table,
+    list_place_figures,
+    make_place_table,
 )
 from labpipe.report.figure_page import style
-from labpipe.report.harness_figure import (
+from labpipe.report.harness_figures import (
     DrawnHarness,
     DrawnMark,
     DrawnShape,
     DrawnSweep,
-    harness_figure,
+    draw_harness,
+    draw_sweep,
     plot_view,
-    sweep_figure,
 )
 from labpipe.report.wording import Scale
 from tests.approved import Approve
@@ -123,7 +123,7 @@ def test_many_rows_are_several_figures() -> None:
     name = "between-slipping-and-sticking"
     for count, names in ((len(places), [f"{name}-1", f"{name}-2"]), (4, [name]), (0, [])):
         campaign = Campaign("Synthetic", tuple(groups), places=tuple(places[:count]))
-        assert [figure.name for figure in place_figures(campaign)] == names
+        assert [figure.name for figure in list_place_figures(campaign)] == names
 
 
 def test_table_of_places(approved: Approve) -> None:
@@ -135,10 +135,10 @@ def test_table_of_places(approved: Approve) -> None:
     lacking = BundlePlace(NAME, "t-2", 0.006, None, reasons=absent)
     failed = replace(bare, test="t-3", value=None, share=float("nan"), reasons=short)
     campaign = Campaign("Synthetic", GROUPS, wire_sheet="wires.xlsx")
-    table = place_table(replace(campaign, places=(ROW, bare, lacking, failed)))
+    table = make_place_table(replace(campaign, places=(ROW, bare, lacking, failed)))
     assert table is not None
     approved(table_words(table))
-    assert place_table(campaign) is None
+    assert make_place_table(campaign) is None
     assert has_bundles(campaign)
     assert not has_bundles(build_campaign())
 
@@ -148,13 +148,13 @@ def test_words(approved: Approve) -> None:
     plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), marks=(), planes=())
     with style():
         pages = {
-            "bundle": bundle_figure(MIXED),
-            "bundle of one wire": bundle_figure(ALIKE),
+            "bundle": draw_bundle(MIXED),
+            "bundle of one wire": draw_bundle(ALIKE),
             "places": draw_places([PLACE, replace(PLACE, test="", interval=None), lacking], SCALE),
-            "cycles of a bundle": loop_figure("TWB-1", FIT),
-            "harness": harness_figure(HARNESS),
-            "harness without a band": harness_figure(plain),
-            "sweep": sweep_figure(SWEEP),
-            "sweep without a band": sweep_figure(replace(SWEEP, radius_band=None)),
+            "cycles of a bundle": draw_loop("TWB-1", FIT),
+            "harness": draw_harness(HARNESS),
+            "harness without a band": draw_harness(plain),
+            "sweep": draw_sweep(SWEEP),
+            "sweep without a band": draw_sweep(replace(SWEEP, radius_band=None)),
         }
     approved(all_words(pages))

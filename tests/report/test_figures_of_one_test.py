@@ -196,7 +196,7 @@ def between_rollers(result: TestResult, monkeypatch: pytest.MonkeyPatch) -> Test
     coefficients[:, 1, 2] = -coefficients[:, 1, 1]
     flags = np.full_like(result.shape.flags, PointFlag.MEASURED)
     shape = replace(result.shape, coefficients=coefficients, flags=flags)
-    monkeypatch.setattr(marker_figures, "rig_of", lambda _: SPAN)
+    monkeypatch.setattr(marker_figures, "read_rig", lambda _: SPAN)
     return replace(result, shape=shape)
 
 

@@ -39,16 +39,16 @@ from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Status
-from labpipe.report.harness_figure import (
+from labpipe.report.figure_page import save_pages
+from labpipe.report.harness_figures import (
     FIGURE,
     SWEEP_FIGURE,
     DrawnHarness,
     DrawnMark,
     DrawnShape,
     DrawnSweep,
-    harness_drawings,
+    list_harness_figures,
 )
-from labpipe.report.saving import save_pages
 from labpipe.store.replace import locked, replacing, replacing_together, storing
 from labpipe.store.summaries import (
     FAILURE_FILE,
@@ -174,7 +174,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
         if figures:
             drawn = drawn_harness(solution)
             into = stage / FIGURES_FOLDER
-            written += save_pages(harness_drawings(drawn, drawn_sweep(solution)), into, png=png)
+            written += save_pages(list_harness_figures(drawn, drawn_sweep(solution)), into, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(solution, files=files)
 

@@ -25,8 +25,8 @@ from labpipe.mechanics.studies.wire_sheets import (
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.saving import pngs_of, save_pages
-from labpipe.report.wire_figures import figure_names, wire_drawings
+from labpipe.report.figure_page import list_pngs, save_pages
+from labpipe.report.wire_figures import list_figure_names, list_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
 
@@ -104,13 +104,13 @@ def model_wires(
         modelled = ModelledWires(sheet, folder, tables, refused, (), removed, read.curves)
         owned = _wire_files((*refused, *removed))
         if figures:
-            owned += pngs_of(wire_drawings(tables), FIGURES_FOLDER)
+            owned += list_pngs(list_wire_figures(tables), FIGURES_FOLDER)
         with locked(folder), replacing_together(folder, owned=owned) as stage:
             say("tables and decks")
             with storing(folder):
                 written = _write(modelled, [wire.decks for wire in modelled_wires], stage, pool)
             if figures:
-                drawings = wire_drawings(tables)
+                drawings = list_wire_figures(tables)
                 written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
             files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
@@ -253,7 +253,7 @@ def _wire_files(names: Iterable[str]) -> list[str]:
     files: list[str] = []
     for name in names:
         files += [path.as_posix() for path in deck_paths(name, Path())]
-        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in figure_names(name)]
+        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in list_figure_names(name)]
         files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
     return files
 

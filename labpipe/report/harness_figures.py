@@ -13,12 +13,12 @@ from labpipe.report.figure_page import (
     DASHED,
     DOUBLE_COLUMN,
     GREY,
+    FigureToSave,
+    add_title,
     label_log_axis,
-    map_colours,
-    new_page,
-    titled,
+    make_page,
+    sample_colour_map,
 )
-from labpipe.report.saving import FigureToSave
 from labpipe.report.wire_figures import LENGTH
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class DrawnHarness:
     allowed: float
 
 
-def harness_drawings(drawn: DrawnHarness, sweep: DrawnSweep | None) -> list[FigureToSave]:
+def list_harness_figures(drawn: DrawnHarness, sweep: DrawnSweep | None) -> list[FigureToSave]:
     """List the figures of a harness: its shape, and its sweep, if any.
 
     Parameters
@@ -119,20 +119,20 @@ def harness_drawings(drawn: DrawnHarness, sweep: DrawnSweep | None) -> list[Figu
     drawn : the harness
     sweep : several lengths of it
     """
-    pages = [FigureToSave(FIGURE, partial(harness_figure, drawn))]
+    pages = [FigureToSave(FIGURE, partial(draw_harness, drawn))]
     if sweep is not None:
-        pages.append(FigureToSave(SWEEP_FIGURE, partial(sweep_figure, sweep)))
+        pages.append(FigureToSave(SWEEP_FIGURE, partial(draw_sweep, sweep)))
     return pages
 
 
-def harness_figure(drawn: DrawnHarness) -> Figure:
+def draw_harness(drawn: DrawnHarness) -> Figure:
     """Draw a line from three sides, and its bend radius along it.
 
     Parameters
     ----------
     drawn : the harness
     """
-    page = new_page(height_mm=118.0, width_mm=DOUBLE_COLUMN)
+    page = make_page(height_mm=118.0, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(2, 2, width_ratios=(1.35, 1.0)).ravel()
     lines: list[LineCollection] = []
     for panel, (view, across, up) in zip(panels, _VIEWS, strict=False):
@@ -142,7 +142,7 @@ def harness_figure(drawn: DrawnHarness) -> Figure:
     label_log_axis(bar.ax.yaxis)
     _plot_radius(drawn, panels[3])
     panels[3].set_title("Along the line", loc="left")
-    return titled(page, f"{drawn.name}  ·  shape", drawn.note)
+    return add_title(page, f"{drawn.name}  ·  shape", drawn.note)
 
 
 def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineCollection:
@@ -322,14 +322,14 @@ class DrawnSweep:
     is_doubtful: Flags
 
 
-def sweep_figure(sweep: DrawnSweep) -> Figure:
+def draw_sweep(sweep: DrawnSweep) -> Figure:
     """Draw (a) the lines of several lengths and (b) their smallest bend radius.
 
     Parameters
     ----------
     sweep : the lengths
     """
-    page = new_page(height_mm=76.0, width_mm=DOUBLE_COLUMN)
+    page = make_page(height_mm=76.0, width_mm=DOUBLE_COLUMN)
     shapes, radii = page.subplots(1, 2, width_ratios=(1.2, 1.0))
     every = np.vstack(sweep.shapes)
     side, _, top = _VIEWS  # that shows most of the lines
@@ -338,13 +338,17 @@ def sweep_figure(sweep: DrawnSweep) -> Figure:
     _plot_sweep(sweep, radii)
     shapes.set_title(f"From the {view}, by length", loc="left")
     radii.set_title("Smallest bend radius", loc="left")
-    return titled(page, f"{sweep.name}  ·  length against bend radius", sweep.note)
+    return add_title(page, f"{sweep.name}  ·  length against bend radius", sweep.note)
 
 
 def _plot_lengths(sweep: DrawnSweep, pair: list[int], axes: Axes) -> None:
     """Draw the lines of a sweep from one side; a doubtful one is dashed."""
     for positions, length, colour, is_doubtful in zip(
-        sweep.shapes, sweep.length, map_colours(len(sweep.shapes)), sweep.is_doubtful, strict=True
+        sweep.shapes,
+        sweep.length,
+        sample_colour_map(len(sweep.shapes)),
+        sweep.is_doubtful,
+        strict=True,
     ):
         if len(positions):
             label = f"{LENGTH.factor * length:.6g} {LENGTH.unit}"
