@@ -19,7 +19,13 @@ from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.records.arrays import AXIS_LABELS
 from labpipe.records.curve import Series
 from labpipe.report.wording import Scale, find_display_unit
-from labpipe.store.layout import UNSTATED_UNIT, Field, find_scales, list_datasets, make_link_name
+from labpipe.store.layout import (
+    UNSTATED_UNIT,
+    DatasetSpec,
+    find_scales,
+    list_datasets,
+    make_link_name,
+)
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:

@@ -248,7 +248,7 @@ def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
     shift = _difference_words(difference, find_display(pair.first))
     return (
         Cell(f"{name_field(pair.field)}: {after} against {before}", alike),
-        Cell(str(difference.verdict).upper(), difference.why),
+        Cell(str(difference.verdict).upper(), difference.verdict_reason),
         Cell(f"{write_heading(difference.name, '1')} {shift}"),
         Cell(" v ".join(_count(group, difference.name) for group in (pair.second, pair.first))),
     )

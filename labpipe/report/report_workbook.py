@@ -360,7 +360,7 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
-        "question": difference.question,
+        "question": difference.single_field,
         "differ in": describe_fields(difference),
         "level (%)": make_percent_cell(ends, "level"),
         "irrelevant below": make_number_cell(difference.margin, None, scale.factor),
