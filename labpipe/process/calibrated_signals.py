@@ -116,7 +116,7 @@ def calibrate(
             signal = _signal(channel, source, clock, role, protocol.specimen.gauge_length)
             if channel.name in reversed_channels:
                 signal = replace(signal, values=-signal.values)
-            signals = signals.with_new(channel.name, signal)
+            signals = signals.add_signal(channel.name, signal)
             quantity = signals.quantities.get(channel.name, channel.name)
             findings += _missing(channel.name, signal, quantity)
             findings += _peak(channel.name, signal, quantity, source.peak_range)

@@ -53,7 +53,7 @@ def align_signals(test: ReducedTest) -> Aligned:
     time = test.displacement.time
     series = {
         test.signals.quantities.get(name, name): Series(
-            test.clocks.sampled(signal, time), signal.unit
+            test.clocks.interpolate(signal, time), signal.unit
         )
         for name, signal in test.signals.raw.items()
     }
@@ -73,7 +73,7 @@ def build_curve(
     """
     displacement = test.displacement
     time = displacement.time
-    force = test.clocks.sampled(unfiltered, time)  # filtered after its corners are known
+    force = test.clocks.interpolate(unfiltered, time)  # filtered after its corners are known
     if np.isnan(force).all():
         note = Finding.of(
             "process.no_overlap",
@@ -169,12 +169,12 @@ def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Co
     if curve is None:
         return test, []
     value = compliance.value
-    signal = test.displacement.changed(lambda displacement: displacement - value * curve.force)
+    signal = test.displacement.map_values(lambda displacement: displacement - value * curve.force)
     _refuse_backwards(test, curve, signal.values, value)
     if compliance.uncertainty:
         higher = value * (1.0 + compliance.uncertainty)
         other = curve.displacement - higher * curve.force
-        signal = replace(signal, moved={**signal.moved, COMPLIANCE: other})
+        signal = replace(signal, perturbed={**signal.perturbed, COMPLIANCE: other})
     largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     where, size = test.signals.displacement, 1e6 * value
     note = Finding.of("process.compliance_removed", where, size=size, largest=largest)
@@ -268,15 +268,17 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
     for quantity, name in names.items():
         if name in signals.filters:
             cuts = cuts_of(test.clocks, ends, raw[name])
-            filtered_signal = raw[name].changed(
+            filtered_signal = raw[name].map_values(
                 partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
             )
             filtered = replace(
-                signals.filtered[name], values=filtered_signal.values, moved=filtered_signal.moved
+                signals.filtered[name],
+                values=filtered_signal.values,
+                perturbed=filtered_signal.perturbed,
             )
             signals = signals.with_filtered(name, filtered)
             time = signals.filtered[signals.displacement].time
-            curve_values[quantity] = test.clocks.sampled(filtered, time)
+            curve_values[quantity] = test.clocks.interpolate(filtered, time)
     corrected = replace(
         curve, force=curve_values["force"], displacement=curve_values["displacement"]
     )
@@ -363,7 +365,9 @@ def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
         return test, [note]
     offset = slack.value
     corrected = replace(
-        _with_displacement(test, curve, test.displacement.changed(lambda values: values - offset)),
+        _with_displacement(
+            test, curve, test.displacement.map_values(lambda values: values - offset)
+        ),
         replicates=test.replicates and counted_from_taut(test.replicates, decide, slack),
         slips=tuple(_shift_slip(slip, offset) for slip in test.slips),
     )
@@ -388,7 +392,7 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     if isinstance(measured, Failure):
         return measured
     slack, trace = measured[0], traced(test)
-    if np.isnan(slack.off).mean() > max_falling_share:
+    if np.isnan(slack.deviations).mean() > max_falling_share:
         return Failure.of("process.not_rising")
     start = loading_of(trace).start
     first, load = float(trace.displacement[start]), float(trace.force[start])

@@ -302,8 +302,8 @@ class ReducedTest:
         name = {"force": signals.force, "displacement": signals.displacement}.get(
             doubt.quantity, ""
         )
-        if name in signals.zeroed or name in signals.lined:
-            zero = signals.zeroed.get(name) or signals.lined[name]
+        if name in signals.zero_stretches or name in signals.moving_zero_stretches:
+            zero = signals.zero_stretches.get(name) or signals.moving_zero_stretches[name]
             first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
