@@ -19,7 +19,13 @@ from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.records.arrays import AXIS_LABELS
 from labpipe.records.curve import Series
 from labpipe.report.wording import Scale, find_display_unit
-from labpipe.store.layout import UNSTATED_UNIT, Field, find_scales, list_datasets, make_link_name
+from labpipe.store.layout import (
+    UNSTATED_UNIT,
+    DatasetSpec,
+    find_scales,
+    list_datasets,
+    make_link_name,
+)
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
@@ -97,9 +103,16 @@ def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     def row(result: Result) -> list[object]:
         factor, unit = units.of_result(result.name, result.unit)
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
-        numbers = (result.value, result.likely, *ends)
+        numbers = (result.value, result.best_estimate, *ends)
         scaled = [np.nan if number is None else number * factor for number in numbers]
-        return [result.name, *scaled, unit, result.status, ", ".join(result.codes), result.why]
+        return [
+            result.name,
+            *scaled,
+            unit,
+            result.status,
+            ", ".join(result.codes),
+            result.reason_text,
+        ]
 
     return _table(_RESULTS, map(row, results)).set_index("name")
 
@@ -309,7 +322,7 @@ def _of_record(record: object) -> Dataset:
     return _dataset({name: np.asarray(getattr(record, name)) for name in fields}, fields)
 
 
-def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field]) -> Dataset:
+def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, DatasetSpec]) -> Dataset:
     """Make a Dataset whose dimensions have the names of the scales in a result file."""
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
@@ -331,7 +344,7 @@ def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field]) -> D
 
 def _of_aligned(aligned: Aligned) -> Dataset:
     series = {"time": Series(aligned.time, aligned.time_unit), **aligned.series}
-    fields = {name: Field(("sample",), one.unit) for name, one in series.items()}
+    fields = {name: DatasetSpec(("sample",), one.unit) for name, one in series.items()}
     return _dataset({name: one.values for name, one in series.items()}, fields)
 
 

@@ -323,7 +323,7 @@ def _row(result: Result, test: TestResult) -> str:
     value = float("nan") if result.value is None else result.value
     written = write_number(value, result.interval, factor, estimate=result.distinct_estimate)
     number = f"{written.value} {typeset_unit(unit)}" if result.value is not None else written.value
-    state = "" if result.status is Status.OK else f"{result.status}: {result.why}"
+    state = "" if result.status is Status.OK else f"{result.status}: {result.reason_text}"
     cells = [write_label(result.name), number, written.interval, state]
     inner = "".join(f'<td style="{_CELL}">{_safe(cell)}</td>' for cell in cells)
     return f"<tr>{inner}</tr>"

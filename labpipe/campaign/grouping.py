@@ -399,7 +399,7 @@ def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
 def _question_rank(pair: Sequence[Difference]) -> tuple[int, str]:
     """Return the place of a pair by its field: others follow, then the type, then several."""
     order = (*_ORDER, None, TYPE, "")
-    question = pair[0].question
+    question = pair[0].single_field
     return (order.index(question), "") if question in order else (len(_ORDER), question)
 
 

@@ -14,10 +14,10 @@ from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Output
 from labpipe.records.group import Sample, SampleCurve
 from labpipe.records.result import Specimen, TestResult
-from labpipe.store.read import Drawable
+from labpipe.store.read import ReportedTest
 
 
-def sample_of(read: Drawable, *, source: str, label: str = "") -> Sample:
+def sample_of(read: ReportedTest, *, source: str, label: str = "") -> Sample:
     """Reduce a processed test to its data for a report.
 
     Parameters

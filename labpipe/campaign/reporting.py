@@ -61,7 +61,7 @@ from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, make_grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
 from labpipe.statistics.outliers import mark_outliers
-from labpipe.store.read import read_drawable, read_result
+from labpipe.store.read import read_reported, read_result
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
@@ -268,7 +268,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
     for file in files:
         say(file.parent.name)
         try:
-            drawable = read_drawable(file, frames_at_steps)
+            drawable = read_reported(file, frames_at_steps)
             result = drawable.result
             check_summary(result, file.parent / SUMMARY_FILE)
             # Group settings come from the protocol stored in each result.
@@ -282,9 +282,9 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
         read.decisions.extend(decided.get(file, ()))
         decision = applicable_decision(decided.get(file, ()), run=result.run)
         if decision is not None:
-            sample = replace(sample, decided=decision_sentence(decision))
+            sample = replace(sample, decision=decision_sentence(decision))
         if decision is not None and decision.decision == REJECT:
-            read.rejected[str(file)] = sample.decided
+            read.rejected[str(file)] = sample.decision
             read.rejected_samples.append(sample)
             continue
         read.styles.add(protocol.report.style)

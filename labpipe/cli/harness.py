@@ -114,7 +114,7 @@ def _line(result: Result) -> str:
     name_width = 32
     factor, unit = _DISPLAY_UNITS[result.unit]
     if result.value is None:
-        return f"  {result.name:<{name_width}}{'-':>11}  {result.why}"
+        return f"  {result.name:<{name_width}}{'-':>11}  {result.reason_text}"
     written = make_number_writer(result.value, result.interval, factor)
     line = f"  {result.name:<{name_width}}{written(result.value):>11} {typeset_unit(unit):<5}"
     if result.interval is not None:

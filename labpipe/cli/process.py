@@ -104,7 +104,9 @@ def table(processed: Processed) -> str:
     reasons: dict[str, list[str]] = {}
     for quantity in result.results:
         if quantity.reasons:
-            reasons.setdefault(f"{quantity.status}: {quantity.why}", []).append(quantity.name)
+            reasons.setdefault(f"{quantity.status}: {quantity.reason_text}", []).append(
+                quantity.name
+            )
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
     warnings = [note for note in result.quality if note.severity != "info"]
     lines += [f"  {note.severity}: {_placed(note)}" for note in warnings]

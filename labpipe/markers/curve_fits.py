@@ -227,14 +227,14 @@ class FrameFits:
     gain : shape (frames, 3), standard error of the last point per standard deviation of one
         coordinate of one marker
     freedom : shape (frames,), degrees of freedom per coordinate
-    needed : least number of markers in a frame
+    min_markers : least number of markers in a frame
     """
 
     coefficients: Floats
     misfit: Floats
     gain: Floats
     freedom: Ints
-    needed: int
+    min_markers: int
 
     @property
     def last_point(self) -> Floats:
@@ -242,9 +242,9 @@ class FrameFits:
         return np.asarray(self.coefficients.sum(axis=2), dtype=np.float64)
 
     @property
-    def spare(self) -> int:
+    def n_spare(self) -> int:
         """Return the number of further coefficients that all markers would allow."""
-        return int(self.misfit.shape[2]) - self.needed
+        return int(self.misfit.shape[2]) - self.min_markers
 
     @property
     def residual(self) -> Floats:
@@ -320,7 +320,7 @@ def fit_frames(
         misfit=np.full((frames, 2, count), np.nan),
         gain=np.full((frames, 3), np.nan),
         freedom=np.zeros(frames, dtype=np.int64),
-        needed=basis.unknowns,
+        min_markers=basis.unknowns,
     )
     for pattern, chosen in _patterns(is_in_sight(markers)):
         if pattern.sum() >= basis.unknowns:

@@ -46,8 +46,8 @@ class ShapeFit:
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
     tip_systematic : shape (frames, 3), m, change of the last point with one more coefficient; NaN
         if the markers do not allow one more
-    tip_moved : by cause, shape (frames,), m, height of the last point over the first with an offset
-        one standard uncertainty longer; empty for a specimen without a clamp
+    perturbed_tip : by cause, shape (frames,), m, height of the last point over the first with an
+        offset one standard uncertainty longer; empty for a specimen without a clamp
     notes : quality notes
     """
 
@@ -57,7 +57,7 @@ class ShapeFit:
     marker_noise: float
     tip_gain: Floats
     tip_systematic: Floats
-    tip_moved: Mapping[str, Floats]
+    perturbed_tip: Mapping[str, Floats]
     notes: tuple[QualityNote, ...]
 
 
@@ -76,7 +76,7 @@ class Offsets:
     pull: float = 0.0
     centre: float = 0.0
 
-    def moved(self, by: Offsets) -> dict[str, Offsets]:
+    def perturb(self, by: Offsets) -> dict[str, Offsets]:
         """Return the offsets with each one increased separately, by cause, without exact ones.
 
         Parameters
@@ -155,13 +155,13 @@ def fit_shape(
     straight = _mean_at_rest(relative[:, settled], rest)
     begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
-    others = offsets.moved(uncertainties) if clamped else {}
+    others = offsets.perturb(uncertainties) if clamped else {}
     models = [(*begin(other, settled=tolerance), other.centre) for other in others.values()]
     heights = compute_tip_heights(relative[:, settled], models, terms=terms)
     relative = relative - (at_rest.clamped_end if clamped else 0.0)
     model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)
     fit = fit_frames(*model, terms=terms)
-    finer = fit_frames(*model, terms=terms + 1) if fit.spare > 0 else None
+    finer = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
     points = _Points(relative[:, settled], flags[:, settled], _kept(names, settled), at_rest)
     return ShapeFit(
         shape=_shape(points, fit, time, rotation_lab_to_specimen, conditions, clamped=clamped),
@@ -172,7 +172,7 @@ def fit_shape(
         tip_systematic=(
             np.full_like(fit.gain, np.nan) if finer is None else finer.last_point - fit.last_point
         ),
-        tip_moved=dict(zip(others, heights, strict=True)),
+        perturbed_tip=dict(zip(others, heights, strict=True)),
         notes=_notes(names, settled, fit, time),
     )
 
@@ -318,7 +318,7 @@ def _notes(
             *find_run_times(gone, time),
             share=share,
             span=span,
-            needed=fit.needed,
+            needed=fit.min_markers,
         )
         notes.append(note)
     return tuple(notes)

@@ -97,7 +97,7 @@ class SpanShape(ArrayRecord):
 
     Parameters
     ----------
-    bent : the axis in every frame; x from mid-span
+    axis : the axis in every frame; x from mid-span
     mid_span : m, position of mid-span on the x axis of the sections
     centres : shape (frames, sections, 3), m, points on the axis, x from mid-span
     twist : shape (frames, sections), rad; NaN where unknown
@@ -106,7 +106,7 @@ class SpanShape(ArrayRecord):
     side_share : relative change of the curvature with the markers on the other side
     """
 
-    bent: BentAxis
+    axis: BentAxis
     mid_span: float
     centres: Annotated[Floats, "frames", "sections", 3]
     twist: Annotated[Floats, "frames", "sections"]
@@ -159,7 +159,7 @@ def fit_span(
     for towards in SIDES[facing]:
         axis = fit_rest_axis(sections, radius=radius, towards=towards)
         middle, misfit = _find_middle(few, axis, span, radius)
-        curvature = float(np.nanmean(_fit(few, axis, middle, span, radius).bent.mid_span))
+        curvature = float(np.nanmean(_fit(few, axis, middle, span, radius).axis.mid_span))
         fits.append((misfit, axis, middle, curvature))
     fits.sort(key=lambda fit: fit[0])
     _, axis, middle, curvature = fits[0]
@@ -204,7 +204,7 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
     guess = float(np.average(few.at_rest[:, 0], weights=np.nan_to_num(weight) + 1e-30))
 
     def misfit(middle: float) -> float:
-        bent = _fit(few, axis, middle, span, radius).bent
+        bent = _fit(few, axis, middle, span, radius).axis
         return float(np.nanmean(bent.residual**2))
 
     lowest = misfit(guess)

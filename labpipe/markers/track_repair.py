@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.marker_names import Chain, Naming, name_chains
-from labpipe.markers.repair_notes import Take, make_repair_notes
+from labpipe.markers.repair_notes import TrackletTake, make_repair_notes
 from labpipe.markers.tracklets import (
     Links,
     Tracklets,
@@ -103,7 +103,7 @@ def repair_tracks(
         min_distance=double_share * max_jump,
     )
     _require_markers(names, naming)
-    take = Take(names, tracks.frames, tracks.time, pieces)
+    take = TrackletTake(names, tracks.frames, tracks.time, pieces)
     positions, flags = _assemble(measured, pieces, naming)
     holes = _holes(pieces, links, naming, len(measured))
     _fill(positions, flags, base, tracks.time, holes)

@@ -111,7 +111,7 @@ def turn_into_specimen(
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
         travel = travel - np.nanmean(travel[rest])
-        signals = signals.with_new("travel", take.signal_of(tracks.time, travel))
+        signals = signals.add_signal("travel", take.signal_of(tracks.time, travel))
     return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), findings
 
 
@@ -162,10 +162,12 @@ def fit_shapes(
     off, angle = 1e3 * misfit, float(np.degrees(fit.clamp_angle))
     findings.append(Finding.of("process.shape_fit", take.role, off=off, angle=angle))
     if take.clamp is not None:
-        signals = signals.with_new("deflection", _deflection(fit, rest, take))
+        signals = signals.add_signal("deflection", _deflection(fit, rest, take))
         stretch = tracks.time[rest]
         at_rest_for = (float(stretch[0]), float(stretch[-1]))
-        signals = replace(signals, zeroed={**signals.zeroed, "deflection": at_rest_for})
+        signals = replace(
+            signals, zero_stretches={**signals.zero_stretches, "deflection": at_rest_for}
+        )
     return replace(prepared, signals=signals, shape=fit.shape), findings
 
 
@@ -180,10 +182,10 @@ def _deflection(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     _, error = mean_level(values[rest & seen], values[~rest])
     change = fit.tip_systematic[:, 1]
     usable = not np.isnan(change[rest]).all()
-    moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.tip_moved.items()}
+    moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.perturbed_tip.items()}
     if usable:
         moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
-    return replace(take.signal_of(fit.shape.time, values), zero_error=error, moved=moved)
+    return replace(take.signal_of(fit.shape.time, values), zero_error=error, perturbed=moved)
 
 
 def _shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
@@ -338,7 +340,7 @@ def bend_between_supports(
         return _without_span(prepared, Failure("too_few_markers", str(error)))
     bent = replace(
         prepared,
-        signals=prepared.signals.with_new("mid_span", _mid_span(shape, tracks.time, rest, take)),
+        signals=prepared.signals.add_signal("mid_span", _mid_span(shape, tracks.time, rest, take)),
         shape=_span_shape(sections, shape, tracks.time, repaired.flags),
         span=SpanBend(shape, tracks.time, rest),
     )
@@ -347,7 +349,7 @@ def bend_between_supports(
         take.role,
         count=sections.count,
         around=int((shape.lever > 0.0).sum()),
-        noise=1e6 * shape.bent.noise,
+        noise=1e6 * shape.axis.noise,
     )
     return bent, [note]
 
@@ -358,7 +360,7 @@ def _without_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[F
 
 
 def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
-    compute_deflection = shape.bent.deflection
+    compute_deflection = shape.axis.deflection
     at_rest = compute_deflection[rest & np.isfinite(compute_deflection)]
     zero = float(np.sqrt(estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)))
     return replace(take.signal_of(time, compute_deflection - at_rest.mean()), zero_error=zero)
@@ -386,7 +388,7 @@ def _span_shape(
     share = np.linspace(0.0, 1.0, 61)
     drawn = x[0] + share * (x[-1] - x[0])
     to_terms = np.linalg.pinv(np.vander(share, degree + 1, increasing=True))
-    height = shape.bent.y(drawn) @ to_terms.T
+    height = shape.axis.y(drawn) @ to_terms.T
     coefficients = np.zeros((len(time), 3, degree + 1))
     coefficients[:, 0, :2] = [x[0], x[-1] - x[0]]
     coefficients[:, 1] = height

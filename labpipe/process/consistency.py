@@ -190,7 +190,11 @@ def _check_rest_force(
     """Report the force before the motion if no step zeroes it."""
     min_samples, min_share = 8, 1e-4  # share of the largest force
     name, before = signals.force, _finite(curve.force[: curve.branches[0].start])
-    if name in signals.zeroed or name in signals.lined or len(before) < min_samples:
+    if (
+        name in signals.zero_stretches
+        or name in signals.moving_zero_stretches
+        or len(before) < min_samples
+    ):
         return
     level, error = median(before), estimate_noise_level(curve.force) / sqrt(len(before))
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * largest):

@@ -146,7 +146,7 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
     if not motion.branches:
         return
     begins, ends = motion.branches[0].start_time, motion.branches[-1].stop_time
-    for name, stretch in signals.zeroed.items():
+    for name, stretch in signals.zero_stretches.items():
         start, stop = (motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
         if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
             yield Finding.of(
@@ -215,7 +215,7 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     if curve is None or not motion.branches:
         return []
     time = displacement.time
-    force = motion.clocks.sampled(signals.raw[signals.force], time)
+    force = motion.clocks.interpolate(signals.raw[signals.force], time)
     parts = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
     sizes = [np.abs(_means(force[part])) for part in parts]
     growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
@@ -307,7 +307,7 @@ def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     if returns or not _is_loaded(force[inside], path[inside], float(np.ptp(path)), share):
         return
     # The slack correction restores the zero of displacement if the zero of the force is correct.
-    lined = [name for name in signals.quantities if name in signals.lined]
+    lined = [name for name in signals.quantities if name in signals.moving_zero_stretches]
     restored = () if signals.force in lined or not has_slack else (signals.displacement,)
     doubtful = [signals.quantities[name] for name in lined if name not in restored]
     first = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
@@ -333,7 +333,8 @@ def _first_branch(signals: Signals, motion: Motion) -> tuple[Floats, Floats, Flo
     noise_factor, min_samples = 5.0, 4
     time = signals.raw[signals.displacement].time
     force, path = (
-        motion.clocks.sampled(signals.raw[name], time) + signals.taken_off.get(name, 0.0)
+        motion.clocks.interpolate(signals.raw[name], time)
+        + signals.subtracted_levels.get(name, 0.0)
         for name in (signals.force, signals.displacement)
     )
     is_finite = np.isfinite(force) & np.isfinite(path)

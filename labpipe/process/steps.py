@@ -89,7 +89,7 @@ def travel_from_speed(
 
     values = travel(0.0)
     moved = {TURN: travel(corner.time_error), SPEED: (1.0 + step.speed_uncertainty) * values}
-    signal = Signal(time, values, "m", force.clock, moved=moved)
+    signal = Signal(time, values, "m", force.clock, perturbed=moved)
     note = Finding.of(
         "process.displacement_from_speed",
         step.channel,
@@ -101,7 +101,7 @@ def travel_from_speed(
     delay = float(force.time[0]) - start
     within = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
     late = Finding.of("process.start_missed", "force", "force", delay=delay, within=within)
-    return signals.with_new(step.channel, signal), [note, late] if delay > within else [note]
+    return signals.add_signal(step.channel, signal), [note, late] if delay > within else [note]
 
 
 def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
@@ -273,11 +273,13 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
         raise ShortStretchError(message, (min_samples + 0.5) * time_step)
     stretch = {name: (start, start + duration)}
     if step.by == "mean":
-        signals = replace(signals, zeroed={**signals.zeroed, **stretch})
+        signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
         level, error = mean_level(finite, other_values)
         method = f"the mean over {duration:.4g} s"
     else:
-        signals = replace(signals, lined={**signals.lined, **stretch})
+        signals = replace(
+            signals, moving_zero_stretches={**signals.moving_zero_stretches, **stretch}
+        )
         values = finite if step.at == "start" else finite[::-1]
         level, error, rest_samples = line_zero(values, other_values)
         rest_time = duration * rest_samples / len(values)
@@ -295,7 +297,7 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
         end=step.at,
         count=len(finite),
     )
-    return signals.without_level(name, level, error), [note]
+    return signals.subtract_level(name, level, error), [note]
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
@@ -335,7 +337,7 @@ def _filter(
             filter_step, kept = (Smoothing(window), step.factor), step.factor
             findings = [Finding.of("process.decimated", name, kept=kept, method=step.method)]
     signal = replace(signal, time=signal.time[:: filter_step[1]])
-    signal = signal.changed(lambda values: filter_pieces(values, (), [filter_step]))
+    signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
     return signals.with_filtered(name, signal, filter_step), findings
 
 

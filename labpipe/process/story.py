@@ -225,7 +225,8 @@ def _reduced_test(
 ) -> ReducedTest:
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
-    sizes = {"length": specimen.length, "span": specimen.span, **section}
+    lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
+    sizes = {**dict(lengths), "span": specimen.span, **section}
     setup = Setup(
         sizes={name: size for name, size in sizes.items() if size is not None},
         mass_per_length=specimen.mass_per_length,

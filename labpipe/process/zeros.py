@@ -138,7 +138,7 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     """
     findings: list[Finding] = []
     branches = motion.branches
-    for name, (start, stop) in signals.zeroed.items() if branches else ():
+    for name, (start, stop) in signals.zero_stretches.items() if branches else ():
         raw = signals.raw[name]
         begins, ends = (
             motion.clocks.from_curve(end, raw.clock)
@@ -154,8 +154,8 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
         rest_values = raw.values[inside & ~np.isnan(raw.values)]
         if len(rest_values) >= MIN_SAMPLES_NOISE_UNKNOWN:
             level, error = mean_level(rest_values, raw.values[~inside])
-            zeroed = {**signals.zeroed, name: rest}
-            signals = replace(signals.without_level(name, level, error), zeroed=zeroed)
+            zeroed = {**signals.zero_stretches, name: rest}
+            signals = replace(signals.subtract_level(name, level, error), zero_stretches=zeroed)
             duration, stated = rest[1] - rest[0], stop - start
             findings.append(
                 Finding.of("process.short_rest", name, duration=duration, stated=stated)

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, field_v
 
 from labpipe.errors import Fault, UsageError, format_error
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.source import Role, SizeUncertainties
+from labpipe.protocol.source import Role, Section, SizeUncertainties
 from labpipe.protocol.values import (
     Day,
     FileStem,
@@ -264,6 +264,7 @@ class SheetSpecimen(Block):
     mass_per_length: LinearMass | None = Field(
         None, description="Mass per length; overrides the protocol's"
     )
+    section: Section | None = Field(None, description="Sizes of the cross-section, or its area")
     uncertainty: SizeUncertainties | None = Field(
         None, description="Standard uncertainties of sizes; override the protocol's"
     )

@@ -124,7 +124,7 @@ class Result:
             raise ValueError(message)
 
     @property
-    def how(self) -> str:
+    def full_method(self) -> str:
         """Return the method with the remark of this test."""
         return "; ".join(filter(None, (self.method, self.remark)))
 
@@ -152,7 +152,7 @@ class Result:
         )
 
     @property
-    def likely(self) -> float | None:
+    def best_estimate(self) -> float | None:
         """Return the estimate, or else the value."""
         return self.value if self.estimate is None else self.estimate
 
@@ -161,7 +161,9 @@ class Result:
         """Return the SHA-256 over its numbers, the same in every file of the test."""
         ends = self.interval
         span = (None, None, None) if ends is None else (ends.lower, ends.upper, ends.level)
-        return compute_seal(self.name, self.unit, self.status, (self.value, *span, self.likely))
+        return compute_seal(
+            self.name, self.unit, self.status, (self.value, *span, self.best_estimate)
+        )
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -169,7 +171,7 @@ class Result:
         return tuple(dict.fromkeys(reason.code for reason in self.reasons))
 
     @property
-    def why(self) -> str:
+    def reason_text(self) -> str:
         """Return the reasons in words, such as ``not_reached: the branch ends at 4.2 mm``."""
         return join_reasons(self.reasons)
 

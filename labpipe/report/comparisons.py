@@ -53,7 +53,7 @@ class Pair:
     @property
     def field(self) -> str:
         """Return the one field in which they differ; empty for several or none."""
-        return self.differences[0].question
+        return self.differences[0].single_field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,7 +248,7 @@ def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
     shift = _difference_words(difference, find_display(pair.first))
     return (
         Cell(f"{name_field(pair.field)}: {after} against {before}", alike),
-        Cell(str(difference.verdict).upper(), difference.why),
+        Cell(str(difference.verdict).upper(), difference.verdict_reason),
         Cell(f"{write_heading(difference.name, '1')} {shift}"),
         Cell(" v ".join(_count(group, difference.name) for group in (pair.second, pair.first))),
     )

@@ -433,7 +433,7 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
             remaining.setdefault(spool, []).append(result.value)
     if not remaining:
         return Effect(all_values_effect, f"all values of {name}")
-    before, half = mean.chosen.mean, mean.chosen.half
+    before, half = mean.chosen.mean, mean.chosen.half_width
     moved = float(np.mean([np.mean(values) for values in remaining.values()])) - before
     without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"
     share = f"{100.0 * abs(moved / before):.2g} % " if before else ""

@@ -439,7 +439,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     decisions = []
     for cause in causes:
         named = (tests.by_name.get(concern.test) for concern in cause.issues)
-        open_ones = (test for test in named if test is not None and not test.sample.decided)
+        open_ones = (test for test in named if test is not None and not test.sample.decision)
         undecided = tuple(dict.fromkeys(open_ones))
         if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
             decisions.append(OpenDecision(cause, undecided))

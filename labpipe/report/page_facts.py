@@ -55,7 +55,7 @@ class PageTests:
         rejected = []
         for number, sample in enumerate(campaign.rejected_samples, start=len(included)):
             stem = homes.get(find_group_of_rejected(sample, campaign), "")
-            why = campaign.rejected.get(sample.source, sample.decided)
+            why = campaign.rejected.get(sample.source, sample.decision)
             rejected.append(PageTest(number, sample, stem, "rejected", why))
         self.every = (*included, *rejected)
 

@@ -319,7 +319,7 @@ def make_spool_table(group: Group) -> Table:
                 text, small = write_mean(mean, unit.factor), f"n = {mean.n}"
             cells.append(Cell(text, small))
         decision = str(number.mean.decision)
-        done, because = number.mean.decision.done, "; ".join(number.mean.decision.because)
+        done, because = number.mean.decision.action, "; ".join(number.mean.decision.grounds)
         cells.append(Cell("as above") if decision == above else Cell(done, because))
         rows.append(tuple(cells))
         above = decision
@@ -424,8 +424,8 @@ def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str
             "test": test,
             "group": stems.get(test.stem, ""),
             "first": _first_number_cell(test, mains.get(test.stem, "")),
-            "decided": "reject" if test.why else "accept" if test.sample.decided else "",
-            "words": test.why or test.sample.decided,
+            "decided": "reject" if test.why else "accept" if test.sample.decision else "",
+            "words": test.why or test.sample.decision,
             "page": (page := name_page_file(test.sample.label or test.sample.test)),
             "address": quote(page, errors="replace"),
             "why": describe_problems(test),

@@ -156,7 +156,7 @@ def _answer(pair: Pair) -> Record:
         "difference": record["second minus first"],
         "n": counts[1],
         "n against": counts[0],
-        "why": difference.why,
+        "why": difference.verdict_reason,
         **{head: record[head] for head in ("unit", "irrelevant below", "level (%)")},
         "first": difference.first,
         "second": difference.second,
@@ -275,7 +275,7 @@ def _test(group: str, sample: Sample) -> Record:
         "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
         "failed numbers": sum(result.status is Status.FAILED for result in main),
         **numbers,
-        "decision": sample.decided,
+        "decision": sample.decision,
         "key of the run": sample.run,
     }
 
@@ -288,9 +288,9 @@ def _result(sample: Sample, result: Result) -> Record:
         **make_interval_cells(result.value, result.interval, scale.factor, name="value"),
         "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
         "status": str(result.status),
-        "reason": result.why,
+        "reason": result.reason_text,
         "result": result.name,
-        "method": result.how,
+        "method": result.full_method,
     }
 
 
@@ -360,7 +360,7 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
-        "question": difference.question,
+        "question": difference.single_field,
         "differ in": describe_fields(difference),
         "level (%)": make_percent_cell(ends, "level"),
         "irrelevant below": make_number_cell(difference.margin, None, scale.factor),
@@ -368,7 +368,7 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
         "equivalent, p": make_number_cell(difference.p_equivalent, None),
         "family": difference.family,
         "in family": difference.tests or None,
-        "why": "; ".join(filter(None, (difference.why, *difference.caveats))),
+        "why": "; ".join(filter(None, (difference.verdict_reason, *difference.caveats))),
         "reason": str(shift.reason or ""),
         "result": difference.name,
     }

@@ -419,7 +419,7 @@ class BendingTest:
         return SpecimenAtRest(
             markers=markers,
             coefficients=fit.coefficients.mean(axis=0)[None],
-            finer=self.layout.fit(markers[None], more=min(fit.spare, 1)).coefficients,
+            finer=self.layout.fit(markers[None], more=min(fit.n_spare, 1)).coefficients,
             frames=n_frames,
             noise=fit.noise(slice(None)),
         )
@@ -442,7 +442,7 @@ class BendingTest:
         usable = np.isfinite(fit.coefficients).all(axis=(1, 2)) & np.isfinite(means.force)
         if not usable.any():
             raise ValueError(format_sentence("results.no_means"))
-        finer = self.layout.fit(means.markers, more=1) if fit.spare > 0 else None
+        finer = self.layout.fit(means.markers, more=1) if fit.n_spare > 0 else None
         return FittedFrames(
             means=means.part(usable),
             coefficients=fit.coefficients[usable],

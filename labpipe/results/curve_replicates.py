@@ -201,7 +201,7 @@ def _forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats
 def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """Sample a signal at the times of the curve, a faster one by means around them."""
     if len(signal.time) < 2 * len(time):
-        return test.clocks.sampled(signal, time)
+        return test.clocks.interpolate(signal, time)
     step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
     # Ends of the means less half a step: each sample is the mean of a step around it.
     ends = np.array([time - half, time + half])
@@ -223,7 +223,7 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
         counts = around((~is_blank).astype(np.float64))
     sums, mean = around(np.where(is_blank, 0.0, signal.values)), np.full(len(time), np.nan)
     mean[is_inside] = np.where(counts > 0.5, sums / np.where(counts > 0.5, counts, 1.0), np.nan)
-    return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
+    return np.where(np.isnan(mean), test.clocks.interpolate(signal, time), mean)
 
 
 def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
@@ -257,13 +257,13 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats])
     yield from _scales_and_zeros(test)
     yield from _levels_of_force(test, starts)
     displacement, time = test.displacement, test.known_curve.time
-    for cause, signal in displacement.moved.items():
+    for cause, signal in displacement.perturbed.items():
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(displaced, by=change), law=law)
-    for cause, clocks in test.clocks.moved.items():
-        later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
+    for cause, clocks in test.clocks.perturbed.items():
+        later = clocks.to_force_times(time) - test.clocks.to_force_times(time)
         yield Input(cause, partial(_later, by=_means(later, starts)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
@@ -360,11 +360,11 @@ def _zeroed_at(test: ReducedTest) -> float:
     """
     signals, time = test.signals, test.known_curve.time
     name, clock = signals.force, signals.raw[signals.force].clock
-    if name in signals.zeroed:
-        return test.clocks.to_curve(0.5 * sum(signals.zeroed[name]), clock)
-    if name not in signals.lined:
+    if name in signals.zero_stretches:
+        return test.clocks.to_curve(0.5 * sum(signals.zero_stretches[name]), clock)
+    if name not in signals.moving_zero_stretches:
         return float(time[0])
-    first, last = (test.clocks.to_curve(end, clock) for end in signals.lined[name])
+    first, last = (test.clocks.to_curve(end, clock) for end in signals.moving_zero_stretches[name])
     return first if first - time[0] < time[-1] - last else last
 
 
@@ -398,7 +398,7 @@ def _later(trace: Trace, x: float, *, by: Floats) -> Trace:
 
 def _beyond(trace: Trace, x: float, *, step: float) -> Trace:
     """End a trace a step of the curve later, a share of a step of the grid."""
-    return replace(trace, beyond=x * step)
+    return replace(trace, steps_beyond=x * step)
 
 
 def _added_back(trace: Trace, x: float, *, by: float, sample: int) -> Trace:

@@ -494,7 +494,9 @@ def work_over(trace: Trace, stretch: slice) -> Reading:
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])
     correction = (energy_of(displacement, force) - coarse) / 3.0
-    return Reading(read_part(energy_of, stretch), len(force), between=(float(correction),))
+    return Reading(
+        read_part(energy_of, stretch), len(force), sampling_correction=(float(correction),)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -592,7 +594,7 @@ def _largest(
 
     def numbers(trace: Trace) -> tuple[Floats]:
         signed = sense * getattr(trace, quantity)[..., stretch]
-        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.beyond * reach),)
+        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.steps_beyond * reach),)
 
     @cache
     def samples() -> SampleNoise | None:

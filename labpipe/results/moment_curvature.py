@@ -366,7 +366,7 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
         return Failure.of("results.no_bent_loading"), []
     if not test.setup.has_markers:
         return Failure.of("results.no_marker_block"), []
-    start, stop = test.signals.zeroed["deflection"]
+    start, stop = test.signals.zero_stretches["deflection"]
     rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
     pull, other, notes = _tip_pull(test, curve, shape, first, rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)

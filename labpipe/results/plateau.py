@@ -409,10 +409,10 @@ class Plateau(Kind):
         steeper = self._one_step_on(trace, tangents)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.beyond * steeper
+            end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.steps_beyond * steeper
             return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
 
-        return Reading(numbers, len(tangents.last), is_cut=slope.is_cut)
+        return Reading(numbers, len(tangents.last), ends_at_samples=slope.ends_at_samples)
 
     def _one_step_on(self, trace: Trace, tangents: Tangents) -> float:
         """Return the change of the slope at the end with one more sampling step, N/m.

@@ -21,6 +21,7 @@ from labpipe.uncertainty.replicates import Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
+    from labpipe.results.tension import Pull
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +150,7 @@ class ReducedTest:
     slips : the slip ledger
     compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement
     slack : displacement before the specimen was taut, m; None if not requested
+    pull : stress and strain with the elastic line, or why there are none; None if not requested
     cut_at : by quantity, s on the clock of the curve, where its record ends within a branch
     stiffnesses : by name, of earlier results
     findings : so far
@@ -169,6 +171,7 @@ class ReducedTest:
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
     slack: Measured | Failure | None = None
+    pull: Pull | Failure | None = None
     cut_at: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
@@ -299,8 +302,8 @@ class ReducedTest:
         name = {"force": signals.force, "displacement": signals.displacement}.get(
             doubt.quantity, ""
         )
-        if name in signals.zeroed or name in signals.lined:
-            zero = signals.zeroed.get(name) or signals.lined[name]
+        if name in signals.zero_stretches or name in signals.moving_zero_stretches:
+            zero = signals.zero_stretches.get(name) or signals.moving_zero_stretches[name]
             first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)

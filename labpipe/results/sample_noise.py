@@ -162,7 +162,7 @@ def _signal_of(test: ReducedTest, quantity: Quantity) -> Signal:
         return test.force
     curve = test.known_curve
     values = curve.force if quantity == "force" else curve.displacement
-    return replace(test.displacement, time=curve.time, values=values, moved={})
+    return replace(test.displacement, time=curve.time, values=values, perturbed={})
 
 
 def _has_single_samples(test: ReducedTest, quantity: Quantity) -> bool:

@@ -242,7 +242,7 @@ class MidSpan(Window):
                 return_failure(self._stiffness)(parts, curvature),
                 return_failure(_at_turn)(curvature, frames, "mid-span curvature"),
             )
-            for curvature in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
+            for curvature in (bend.shape.axis.mid_span, bend.shape.fewer_terms)
         )
         errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
@@ -265,7 +265,7 @@ class MidSpan(Window):
                 "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
             )
         inside &= (travelled >= self.start) & (travelled <= self.stop)
-        bent = bend.shape.bent
+        bent = bend.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
         moment = 0.25 * bent.span * force
         if "large-deflection" in self.corrections:

@@ -655,7 +655,7 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
         stop_share=stop_share,
     )
     slack = read_part(zero_of_line, (stretch, region))
-    return Reading(slack, len(trace.force[stretch][region]), is_cut=True)
+    return Reading(slack, len(trace.force[stretch][region]), ends_at_samples=True)
 
 
 def counted_from_taut(
@@ -678,7 +678,9 @@ def counted_from_taut(
     """
     without_inputs = measured(replace(replicates, inputs=()), slack)
     draws = np.where(
-        np.isnan(without_inputs[0].off), np.nanmean(without_inputs[0].off), without_inputs[0].off
+        np.isnan(without_inputs[0].deviations),
+        np.nanmean(without_inputs[0].deviations),
+        without_inputs[0].deviations,
     )
     error = float(np.std(draws))
     inputs = tuple(
@@ -686,10 +688,10 @@ def counted_from_taut(
     )
     corrected = replace(replicates, inputs=inputs)
     if not error:
-        return corrected.displaced(-measured_slack.value)
+        return corrected.shift_displacement(-measured_slack.value)
     moved = partial(displaced, by=-error)
     of_slack = Input(SLACK, moved, draws=draws / error, doubts=doubts_of_slack(measured_slack))
-    return corrected.displaced(-measured_slack.value, of_slack)
+    return corrected.shift_displacement(-measured_slack.value, of_slack)
 
 
 def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
@@ -698,12 +700,12 @@ def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     if isinstance(base, Failure):
         return quantity
     decided = SmoothNumbers.of(return_failure(slack), smooth, base)
-    less, more = (float(decided.changed(quantity, x)[0]) for x in (-1.0, 1.0))
+    less, more = (float(decided.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
-        return displaced(quantity.moved(trace, x), x, by=less if x <= 0.0 else -more)
+        return displaced(quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more)
 
-    return replace(quantity, moved=moved)
+    return replace(quantity, perturb=moved)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

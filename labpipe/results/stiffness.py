@@ -563,7 +563,7 @@ class LoadingStiffness(OfCycle):
             parts, branch = on_branch(trace, part), slice(part.start, part.stop)
             fit = loading_slope(*parts, length=self.over, like=like, steps=trace.steps)
             numbers, in_noise = read_part(fit.of, branch), read_part(fit.of_each, branch)
-            return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
+            return Reading(numbers, fit.slope.n, in_noise, ends_at_samples=True)
 
         return decide
 
@@ -706,7 +706,7 @@ def _secant(trace: Trace, low: float, high: float) -> Reading:
         return fit.of(path, force, middle - path[..., fit.window].mean(axis=-1))
 
     numbers, in_noise = read_part(fit.of, branch), read_part(with_own_window, branch)
-    return Reading(numbers, fit.n, in_noise, is_cut=True)
+    return Reading(numbers, fit.n, in_noise, ends_at_samples=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -780,7 +780,9 @@ class LineStiffness(Window):
         chosen = self.samples(trace)
         require_samples(len(chosen), MIN_LINE_SAMPLES)
         require_travel(trace.displacement[chosen])
-        return Reading(read_part(slope_of_line, as_slice(chosen)), len(chosen), is_cut=True)
+        return Reading(
+            read_part(slope_of_line, as_slice(chosen)), len(chosen), ends_at_samples=True
+        )
 
 
 class Context(NamedTuple):
@@ -962,4 +964,4 @@ class ComplianceResult(Kind):
         if slope <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=slope)
         compliance = read_part(lambda d, f: slope_of_line(f, d), (stretch, window))
-        return Reading(compliance, len(d[window]), is_cut=True)
+        return Reading(compliance, len(d[window]), ends_at_samples=True)

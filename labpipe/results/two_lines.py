@@ -395,7 +395,7 @@ class _TwoLines(Window):
             if isinstance(reading, Reading):
                 smooth = Segments(*reading.numbers(test.replicates.smooth))
         drawn = Segments(
-            *(value + number.off for value, number in zip(smooth, numbers, strict=True))
+            *(value + number.deviations for value, number in zip(smooth, numbers, strict=True))
         )
         require(measured, smooth, drawn, hinges)
         return _TwoLineFit(numbers, hinges)
@@ -416,7 +416,7 @@ class _TwoLines(Window):
         def numbers(trace: Trace) -> Segments:
             return hinges.fitted(trace.force[..., part], trace.displacement[..., part])
 
-        return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
+        return Reading(numbers, len(hinges.scan.d), ends_at_samples=True, depends_on_corners=True)
 
     def one_of(self, trace: Trace, *, number: int) -> Reading:
         """Choose the places for one of the numbers.

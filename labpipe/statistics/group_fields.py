@@ -195,7 +195,7 @@ _OF_BUNDLES = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Subset:
     """Samples of a type that have the same fields.
 
     Parameters
@@ -208,7 +208,7 @@ class Part:
     samples: tuple[Sample, ...]
 
 
-def divide_samples(samples: Sequence[Sample]) -> list[Part]:
+def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
     """Divide samples by every dimension and every field of the specimen that differs.
 
     Parameters
@@ -234,7 +234,7 @@ def divide_samples(samples: Sequence[Sample]) -> list[Part]:
         if len(set(finer)) > len(set(keys)):
             keys, named = finer, [*named, name]
     return [
-        Part(
+        Subset(
             dict(zip(named, word, strict=True)),
             tuple(sample for sample, key in zip(samples, keys, strict=True) if key == word),
         )

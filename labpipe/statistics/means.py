@@ -389,7 +389,7 @@ def sort_causes(causes: Iterable[str]) -> list[str]:
 def _of_mean(mean: MeanInterval) -> dict[str, float]:
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return {}
-    normal = Interval.normal_95(0.0, 1.0).upper / mean.half
+    normal = Interval.normal_95(0.0, 1.0).upper / mean.half_width
     common = {
         contribution.cause: (normal * contribution.change) ** 2
         for contribution in mean.common
@@ -444,7 +444,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     causes = tuple(contribution.cause for contribution in chosen.common)
     because = (f"its interval holds what all tests of a rig share: {', '.join(causes)}",)
     decision = replace(
-        mean.decision, because=(*mean.decision.because, *(because if causes else ()))
+        mean.decision, grounds=(*mean.decision.grounds, *(because if causes else ()))
     )
     return replace(
         mean,
@@ -590,6 +590,6 @@ def _log_interval(mean: MeanInterval) -> MeanInterval:
     max_exponent = 300.0  # keeps the ends finite and above zero
     if mean.interval is None or not mean.middle > 0.0:
         return mean
-    factor = exp(min(mean.half / mean.middle, max_exponent))
+    factor = exp(min(mean.half_width / mean.middle, max_exponent))
     ends = Interval(mean.middle / factor, mean.middle * factor, mean.interval.level)
     return replace(mean, interval=ends, is_log=True)

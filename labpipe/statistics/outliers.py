@@ -30,9 +30,9 @@ _METHODS = {
 class _Step:
     """The furthest of the remaining values, its p-value, and equally far values."""
 
-    where: int
+    index: int
     p: float
-    twins: tuple[int, ...]
+    ties: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Suspects:
         """Return the smallest p-value, or NaN without a test."""
         return min((step.p for step in self.steps), default=float("nan"))
 
-    def below(self, level: float) -> tuple[Outlier, ...]:
+    def select_outliers(self, level: float) -> tuple[Outlier, ...]:
         """Return the outliers with a p-value below a level, furthest first.
 
         Parameters
@@ -67,7 +67,7 @@ class Suspects:
         chances = [min(step.p for step in self.steps[number:]) for number in range(len(self.steps))]
         pairs = zip(self.steps, chances, strict=True)
         marked = [(step, chance) for step, chance in pairs if chance < level]
-        single_places = {step.where for step, _ in marked}
+        single_places = {step.index for step, _ in marked}
         return tuple(
             Outlier(
                 self.names[where],
@@ -139,7 +139,7 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
             numbers=tuple(
                 replace(
                     number,
-                    outliers=suspect.below(
+                    outliers=suspect.select_outliers(
                         level / next(corrected).divisor / max(1, len(suspect.steps))
                     ),
                 )
@@ -161,7 +161,7 @@ def _suspects(group: Group, number: GroupNumber) -> Suspects:
 
 def _shared(step: _Step, single_places: set[int]) -> list[tuple[int, list[int]]]:
     """Return the value of a step and equally suspect ones, each with the others."""
-    every = [step.where, *(twin for twin in step.twins if twin not in single_places)]
+    every = [step.index, *(twin for twin in step.ties if twin not in single_places)]
     return [(where, [other for other in every if other != where]) for where in every]
 
 

@@ -235,7 +235,7 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
     if contrast is None:
         reason = difference.difference.reason
         why = reason.message if reason else "there is no interval"
-        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, why=why)
+        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=why)
     outside = (1.0 - LEVEL) / unlike.divisor
     half = compute_half_width(contrast, outside)
     ends = Interval(contrast.difference - half, contrast.difference + half, 1.0 - outside)
@@ -254,7 +254,12 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
             beyond = f"not shown to be within {_relative(difference)}"
             why = f"the interval holds zero, {beyond}{_needed(contrast, outside)}"
     return replace(
-        difference, family=family, tests=unlike.tests, interval=ends, verdict=verdict, why=why
+        difference,
+        family=family,
+        tests=unlike.tests,
+        interval=ends,
+        verdict=verdict,
+        verdict_reason=why,
     )
 
 

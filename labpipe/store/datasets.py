@@ -34,7 +34,7 @@ from labpipe.store.hdf5_objects import (
     set_text,
     set_texts,
 )
-from labpipe.store.layout import Field, find_scales
+from labpipe.store.layout import DatasetSpec, find_scales
 from labpipe.store.replace import is_cut_off
 
 CHUNK_BYTES = 1 << 18
@@ -143,14 +143,14 @@ class Target:
     pool: Executor
     written: dict[str, NDArray[Any]] = field(default_factory=dict)
     packed: Packed = field(default_factory=dict)
-    datasets: dict[str, tuple[Any, Field]] = field(default_factory=dict)
+    datasets: dict[str, tuple[Any, DatasetSpec]] = field(default_factory=dict)
 
-    def inside(self, name: str) -> Target:
+    def open_group(self, name: str) -> Target:
         """Return a subgroup, creating it if needed."""
         return Target(self.group.require_group(name), self.pool, self.written, self.packed)
 
-    def array(
-        self, name: str, values: NDArray[Any] | tuple[str, ...], spec: Field, unit: str = ""
+    def write_array(
+        self, name: str, values: NDArray[Any] | tuple[str, ...], spec: DatasetSpec, unit: str = ""
     ) -> Any:
         """Write numbers or texts as a chunked dataset with its unit and axes.
 
@@ -187,12 +187,12 @@ class Target:
         self.datasets[name] = dataset, spec
         return dataset
 
-    def link(self, name: str, dataset: Any, spec: Field) -> None:
+    def link_dataset(self, name: str, dataset: Any, spec: DatasetSpec) -> None:
         """Add a dataset of another group to this one."""
         self.group[name] = dataset
         self.datasets[name] = self.group[name], spec
 
-    def scaled(self) -> None:
+    def attach_scales(self) -> None:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
 
         An axis without a dataset of its own (`layout.find_scales`) gets one of its name, with the
@@ -210,7 +210,7 @@ class Target:
                 unique = f"{scale}_{n_before + 1}" if n_before else scale
                 if unique not in opened_scales:
                     opened_scales[unique] = self._scale(unique, scale, axis, dataset.shape[place])
-                self.attach(dataset, place, opened_scales[unique])
+                self.attach_scale(dataset, place, opened_scales[unique])
 
     def _scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, creating it if needed."""
@@ -218,12 +218,12 @@ class Target:
             return self.group[name]
         if name != scale:
             same, spec = self.datasets[scale]
-            return self.array(name, self.written[same.name], spec)
+            return self.write_array(name, self.written[same.name], spec)
         if axis in AXIS_LABELS:
-            return self.array(name, AXIS_LABELS[axis], Field((axis,), layout.TEXT))
-        return self.array(name, np.arange(size), Field((axis,), "1"))
+            return self.write_array(name, AXIS_LABELS[axis], DatasetSpec((axis,), layout.TEXT))
+        return self.write_array(name, np.arange(size), DatasetSpec((axis,), "1"))
 
-    def attach(self, dataset: Any, place: int, scale: Any) -> None:
+    def attach_scale(self, dataset: Any, place: int, scale: Any) -> None:
         """Make a dataset the dimension scale of an axis of another one.
 
         Parameters
@@ -236,7 +236,7 @@ class Target:
             h5ds.set_scale(scale.id, scale.name.rpartition("/")[2].encode())
         h5ds.attach_scale(dataset.id, scale.id, place)
 
-    def texts(self, name: str, values: tuple[str, ...]) -> None:
+    def write_texts(self, name: str, values: tuple[str, ...]) -> None:
         """Write an attribute that is a list of strings."""
         set_texts(self.group, name, values)
 
@@ -313,7 +313,7 @@ def _utf8_text(value: object) -> str:
     return string
 
 
-def read_array(group: Any, name: str, spec: Field) -> Any:
+def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
     dataset = _checked_dataset(group, name, spec)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
@@ -326,7 +326,7 @@ def read_array(group: Any, name: str, spec: Field) -> Any:
     )
 
 
-def read_array_rows(group: Any, name: str, spec: Field, chosen: Ints) -> NDArray[Any]:
+def read_array_rows(group: Any, name: str, spec: DatasetSpec, chosen: Ints) -> NDArray[Any]:
     """Read rows of a dataset, as `read_array`.
 
     Parameters
@@ -338,7 +338,7 @@ def read_array_rows(group: Any, name: str, spec: Field, chosen: Ints) -> NDArray
     return values
 
 
-def _checked_dataset(group: Any, name: str, spec: Field) -> Any:
+def _checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Return a dataset after checking unit, axes, number type and storage."""
     dataset = group[name]
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):

@@ -119,7 +119,7 @@ def read_outcome(path: Path) -> TestResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawable:
+class ReportedTest:
     """The parts of a result file for a report.
 
     Parameters
@@ -134,9 +134,9 @@ class Drawable:
     law: DrawnLaw | None
 
 
-def read_drawable(
+def read_reported(
     path: Path, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
-) -> Drawable:
+) -> ReportedTest:
     """Read the parts of a result file for a report: outcome, few shapes and measured law.
 
     Parameters
@@ -152,7 +152,7 @@ def read_drawable(
     """
     with open_result(path) as root:
         result = _read_reported(root)
-        return Drawable(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
+        return ReportedTest(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
 
 
 def _read_drawn_shapes(

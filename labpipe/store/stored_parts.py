@@ -16,7 +16,7 @@ from labpipe.records.result import Specimen
 from labpipe.store import layout
 from labpipe.store.datasets import Target, read_array, read_text, read_texts
 from labpipe.store.hdf5_objects import set_text
-from labpipe.store.layout import Field, list_datasets, make_link_name
+from labpipe.store.layout import DatasetSpec, list_datasets, make_link_name
 from labpipe.store.stored_records import (
     read_attributes,
     read_record,
@@ -28,11 +28,11 @@ from labpipe.store.stored_records import (
 
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
 """Attributes of the root."""
-_WIRE_TYPE: Final = Field(("type",), layout.TEXT, layout.TEXT)
-_WIRE_NUMBER: Final = Field(("type",), "1", "int64")
-_WIRE_DIAMETER: Final = Field(("type",), "m")
-_WIRE_POSITION: Final = Field(("wire", "xy"), "m")
-_CHANNEL: Final = Field(("sample",), None)
+_WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
+_WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
+_WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
+_WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
+_CHANNEL: Final = DatasetSpec(("sample",), None)
 _CHANNEL_TEXTS: Final = {
     "name": "name",
     "path": "name_in_file",
@@ -53,15 +53,15 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     """
     for name, attribute in _SPECIMEN_TEXTS.items():
         set_text(target.group, attribute, getattr(specimen, name))
-    target = target.inside(layout.SPECIMEN)
-    target.texts("dimensions", tuple(specimen.dimensions))
+    target = target.open_group(layout.SPECIMEN)
+    target.write_texts("dimensions", tuple(specimen.dimensions))
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
     target.group.attrs["unit"] = "m"
     if specimen.labels:
-        target.texts("labels", tuple(specimen.labels))
-        target.texts("label_words", tuple(specimen.labels.values()))
+        target.write_texts("labels", tuple(specimen.labels))
+        target.write_texts("label_words", tuple(specimen.labels.values()))
     if specimen.bundle is not None:
-        _write_bundle(target.inside("bundle"), specimen.bundle)
+        _write_bundle(target.open_group("bundle"), specimen.bundle)
 
 
 def _write_bundle(target: Target, bundle: Bundle) -> None:
@@ -70,12 +70,12 @@ def _write_bundle(target: Target, bundle: Bundle) -> None:
     target.group.attrs["conduit_bore_unit"] = "m"
     numbers = np.array([wire.number for wire in bundle.wires], dtype=np.int64)
     diameters = np.array([_number(wire.diameter) for wire in bundle.wires])
-    target.array("wire_types", tuple(wire.type for wire in bundle.wires), _WIRE_TYPE)
-    target.array("wire_numbers", numbers, _WIRE_NUMBER)
-    target.array("wire_diameters", diameters, _WIRE_DIAMETER)
+    target.write_array("wire_types", tuple(wire.type for wire in bundle.wires), _WIRE_TYPE)
+    target.write_array("wire_numbers", numbers, _WIRE_NUMBER)
+    target.write_array("wire_diameters", diameters, _WIRE_DIAMETER)
     if bundle.positions:
-        target.array("positions", np.array(bundle.positions), _WIRE_POSITION)
-    target.scaled()
+        target.write_array("positions", np.array(bundle.positions), _WIRE_POSITION)
+    target.attach_scales()
 
 
 def read_specimen(root: Any) -> Specimen:
@@ -155,10 +155,12 @@ def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
     for clock in clocks:
         wanted = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
         names.append(make_link_name(wanted, target.group))
-        dataset = target.array(names[-1], clock.time, list_datasets(Clock)["time"], clock.unit)
+        dataset = target.write_array(
+            names[-1], clock.time, list_datasets(Clock)["time"], clock.unit
+        )
         set_text(dataset, "clock", clock.name)
         scales[clock.name] = dataset
-    target.texts("clocks", tuple(names))
+    target.write_texts("clocks", tuple(names))
     return scales
 
 
@@ -170,23 +172,25 @@ def _write_channels(
     for channel in channels:
         names.append(make_link_name(channel.name, [*target.group, *reserved]))
         unit = layout.UNSTATED_UNIT if channel.unit is None else channel.unit
-        dataset = target.array(names[-1], channel.values, _CHANNEL, unit)
+        dataset = target.write_array(names[-1], channel.values, _CHANNEL, unit)
         for field_name, attribute in _CHANNEL_TEXTS.items():
             set_text(dataset, attribute, getattr(channel, field_name))
-        target.attach(dataset, 0, scales[channel.clock])
-    target.texts("channels", tuple(names))
+        target.attach_scale(dataset, 0, scales[channel.clock])
+    target.write_texts("channels", tuple(names))
 
 
 def _write_markers(target: Target, tracks: MarkerTracks) -> None:
-    markers, bodies = target.inside(_MARKERS), target.inside(_BODIES)
+    markers, bodies = target.open_group(_MARKERS), target.open_group(_BODIES)
     write_record(markers, tracks)
     names: list[str] = []
     for body in tracks.bodies:
         names.append(make_link_name(body.name, names))
-        inside = bodies.inside(names[-1])
-        inside.link(layout.TIME, markers.group[layout.TIME], list_datasets(MarkerTracks)["time"])
+        inside = bodies.open_group(names[-1])
+        inside.link_dataset(
+            layout.TIME, markers.group[layout.TIME], list_datasets(MarkerTracks)["time"]
+        )
         write_record(inside, body)
-    bodies.texts("bodies", tuple(names))
+    bodies.write_texts("bodies", tuple(names))
 
 
 def read_recording(group: Any) -> Recording:

@@ -16,7 +16,7 @@ from labpipe.store.datasets import Target, read_array, read_text, read_texts
 from labpipe.store.hdf5_objects import get_number, has_attribute, set_number, set_text, set_texts
 from labpipe.store.layout import (
     TEXT,
-    Attribute,
+    AttributeSpec,
     find_stem,
     list_attributes,
     list_columns,
@@ -65,8 +65,8 @@ def write_arrays(target: Target, record: Any) -> None:
         values = getattr(record, name)
         if field.dtype == "uint8":
             values = values.astype(np.uint8)
-        target.array(name, values, field, getattr(record, field.stated_in, ""))
-    target.scaled()
+        target.write_array(name, values, field, getattr(record, field.stated_in, ""))
+    target.attach_scales()
 
 
 def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
             _write_attribute(target.group, name, attribute, getattr(record, name))
 
 
-def _write_attribute(group: Any, name: str, attribute: Attribute, value: Any) -> None:
+def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any) -> None:
     kind, unit, _ = attribute
     if kind in _REASONS:
         reasons = value if isinstance(value, tuple) else (value,) if value else ()
@@ -133,7 +133,7 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
     return {name: _read_attribute(group, name, of) for name, of in attributes if name not in skip}
 
 
-def _read_attribute(group: Any, name: str, attribute: Attribute) -> Any:
+def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
     kind, _, is_optional = attribute
     if kind in _REASONS:
         pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
@@ -162,7 +162,7 @@ def write_table(
     rows : any number
     unit : of the columns whose unit the layout does not define
     """
-    table = target.inside(name)
+    table = target.open_group(name)
     for column, (source, end, field) in list_columns(kind).items():
         cells = [getattr(row, source) for row in rows]
         if end:
@@ -170,8 +170,8 @@ def write_table(
         values: Any = tuple(map(_text_of, cells))
         if field.dtype != TEXT:
             values = np.array([nan if cell is None else cell for cell in cells], field.dtype)
-        table.array(column, values, field, unit)
-    table.scaled()
+        table.write_array(column, values, field, unit)
+    table.attach_scales()
 
 
 def _text_of(value: Any) -> str:
@@ -200,7 +200,7 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     return tuple(kind(**{field: _cell(row, field, of) for field, of in fields}) for row in rows)
 
 
-def _cell(row: Mapping[str, Any], name: str, of: Attribute) -> Any:
+def _cell(row: Mapping[str, Any], name: str, of: AttributeSpec) -> Any:
     """Return one field of a record from a row."""
     if of.kind is Interval:
         return Interval(*(row[find_stem(name) + end] for end in ("lower", "upper")))

@@ -116,13 +116,13 @@ def build_result_entry(result: Result) -> dict[str, object]:
         "lower": ends and ends.lower,
         "upper": ends and ends.upper,
         "level": ends and ends.level,
-        "estimate": result.likely,
+        "estimate": result.best_estimate,
         "status": result.status,
         "seal": result.seal,
         "code": ", ".join(result.codes),
-        "reason": result.why,
+        "reason": result.reason_text,
         "reasons": result.reasons,
-        "method": result.how,
+        "method": result.full_method,
         "budget": [
             {"cause": row.cause, "change": row.change, "share": share, "common": row.is_common}
             for row, share in shares

@@ -98,7 +98,7 @@ def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class SpectrumGrid:
     """Grid of correlation times.
 
     Parameters
@@ -133,7 +133,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StretchLikelihood:
+class SpectrumLikelihood:
     """Likelihood of each of g spectra by stretches of a signal with the same basis.
 
     Parameters
@@ -156,7 +156,9 @@ class StretchLikelihood:
     unit: Floats
 
     @classmethod
-    def of(cls, basis: Floats, values: Floats, grid: Grid, n_cosines: int) -> StretchLikelihood:
+    def from_values(
+        cls, basis: Floats, values: Floats, grid: SpectrumGrid, n_cosines: int
+    ) -> SpectrumLikelihood:
         """Compute the likelihood by the slowest cosines of stretches.
 
         Parameters
@@ -170,10 +172,10 @@ class StretchLikelihood:
         spent, count = basis.shape
         terms = min(count, n_cosines)
         cosines = transform_to_cosines(np.vstack([basis, values]), terms)
-        return cls.of_waves(_spectra(grid, count, terms), cosines[spent:], cosines[:spent].T)
+        return cls.from_cosines(_spectra(grid, count, terms), cosines[spent:], cosines[:spent].T)
 
     @classmethod
-    def of_waves(cls, spectra: Floats, waves: Floats, columns: Floats) -> StretchLikelihood:
+    def from_cosines(cls, spectra: Floats, waves: Floats, columns: Floats) -> SpectrumLikelihood:
         """Compute the restricted likelihood in cosines (Harville, JASA 72 (1977) 320).
 
         Parameters
@@ -207,7 +209,7 @@ class StretchLikelihood:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+class SpectrumPosterior:
     """Probability of each of g spectra from all stretches.
 
     Parameters
@@ -222,7 +224,7 @@ class Noise:
     freedom: int
 
     @classmethod
-    def of(cls, stretches: Sequence[StretchLikelihood], prior: Floats) -> Noise:
+    def combine(cls, stretches: Sequence[SpectrumLikelihood], prior: Floats) -> SpectrumPosterior:
         """Multiply the likelihoods, with one variance for all, and the prior of the spectra."""
         freedom = sum(stretch.freedom for stretch in stretches)
         squares = np.sum([stretch.squares for stretch in stretches], axis=0)
@@ -309,7 +311,7 @@ def build_cubic_basis(count: int) -> Floats:
     return np.ascontiguousarray(basis)
 
 
-def compute_covariance(basis: Floats, grid: Grid) -> Floats:
+def compute_covariance(basis: Floats, grid: SpectrumGrid) -> Floats:
     """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p)."""
     spent, count = basis.shape
     covariances = _covariances(grid, count)
@@ -323,7 +325,7 @@ def compute_covariance(basis: Floats, grid: Grid) -> Floats:
     return unit
 
 
-def _covariances(grid: Grid, count: int) -> Floats:
+def _covariances(grid: SpectrumGrid, count: int) -> Floats:
     """Return autocovariances of noise with the spectra of `_spectra`, shape (g, count)."""
     lags, factors = np.arange(count), np.exp(-1.0 / grid.times)[:, None]
     slow = (1.0 - factors) / (1.0 + factors) * factors**lags
@@ -339,7 +341,7 @@ def _products(waves: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _spectra(grid: Grid, count: int, terms: int) -> Floats:
+def _spectra(grid: SpectrumGrid, count: int, terms: int) -> Floats:
     """Return spectra of autoregressive noise at the cosines, 1 at frequency zero.
 
     Each with white noise from zero to a third below: a load cell has both, and a pure first-order

@@ -14,9 +14,9 @@ from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
 from labpipe.uncertainty.autocorrelation import (
     MAX_COSINES,
-    Grid,
-    Noise,
-    StretchLikelihood,
+    SpectrumGrid,
+    SpectrumLikelihood,
+    SpectrumPosterior,
     build_cubic_basis,
     compute_covariance,
 )
@@ -101,11 +101,13 @@ def fit_linear(
     plain = basis @ values
     residuals = values - plain @ basis
     max_samples = max([count, *map(len, beside)])
-    grid = Grid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
-    window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
+    grid = SpectrumGrid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
+    window = SpectrumLikelihood.from_values(
+        basis, residuals, grid, count if weighted else MAX_COSINES
+    )
     lengths = sorted(set(map(len, beside)))
     others = [
-        StretchLikelihood.of(
+        SpectrumLikelihood.from_values(
             build_cubic_basis(length),
             np.stack([x for x in beside if len(x) == length]),
             grid,
@@ -113,7 +115,7 @@ def fit_linear(
         )
         for length in lengths
     ]
-    noise = Noise.of([window, *others], grid.prior)
+    noise = SpectrumPosterior.combine([window, *others], grid.prior)
     shifts, unit = window.shifts[:, 0], window.unit
     if not weighted:
         shifts = np.zeros_like(shifts)
@@ -150,7 +152,7 @@ def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
     return np.ascontiguousarray(columns.T), np.linalg.inv(triangle) / scale[:, None]
 
 
-def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
+def _half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
     """Return half widths that contain 95 % of the mixture of t-distributions.
 
     By Newton's method: the coverage is concave in the half width, so it does not overshoot.

@@ -19,8 +19,11 @@ from scipy import fft
 from scipy.special import chdtri
 
 from labpipe.records.arrays import Flags, Floats, Ints, Singles
-from labpipe.uncertainty.autocorrelation import Noise as _Posterior
-from labpipe.uncertainty.autocorrelation import StretchLikelihood, compute_autoregressive_spectra
+from labpipe.uncertainty.autocorrelation import (
+    SpectrumLikelihood,
+    SpectrumPosterior,
+    compute_autoregressive_spectra,
+)
 
 _PIECES_PER_BRANCH = 12
 """Pieces of the longest branch: with 8, the curve counts as noise, and intervals are 3 to 5 times
@@ -121,7 +124,7 @@ def _processes(longest: int, count: int) -> _Processes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+class NoiseModel:
     """Probable processes of the noise of a signal.
 
     Parameters
@@ -219,7 +222,7 @@ def estimate_noise(
     *,
     copies: int = 1,
     has_steps: bool = False,
-) -> Noise:
+) -> NoiseModel:
     """Estimate the noise of a signal from short pieces of its branches, and from whole rests.
 
     Parameters
@@ -295,8 +298,8 @@ def estimate_noise(
     is_level = power <= _CORNER_VARIANCE_RATIO * np.median(power)
     is_alike = is_level.copy()
     for _ in range(max_rounds):
-        seen = StretchLikelihood.of_waves(spectra, waves[is_alike], columns)
-        best = spectra[np.argmax(_Posterior.of([seen], processes.prior).chances)]
+        seen = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
+        best = spectra[np.argmax(SpectrumPosterior.combine([seen], processes.prior).chances)]
         whitened = _whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
         odd = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
@@ -315,21 +318,21 @@ def estimate_noise(
 
 
 def _probable_noise(
-    parts: Sequence[StretchLikelihood],
+    parts: Sequence[SpectrumLikelihood],
     prior: Floats,
     samples: tuple[int, int],
     fast: tuple[Floats, Floats],
     more: float = 1.0,
-) -> Noise:
+) -> NoiseModel:
     """Return the probability of each process, with `more` variance; improbable ones have none.
 
     samples : of the longest branch, and of all; fast : angles and power of fast waves
     """
-    posterior = _Posterior.of(parts, prior)
+    posterior = SpectrumPosterior.combine(parts, prior)
     chances = posterior.chances
     chances[chances < 1e-4 * chances.max()] = 0.0
     squares = posterior.variances * posterior.freedom * more
-    return Noise(chances / chances.sum(), squares, posterior.freedom, *samples, *fast)
+    return NoiseModel(chances / chances.sum(), squares, posterior.freedom, *samples, *fast)
 
 
 def _seen_in_pieces(processes: _Processes, width: int) -> Flags:
@@ -355,7 +358,7 @@ def _seen_in_pieces(processes: _Processes, width: int) -> Flags:
 
 def _short_record_noise(
     branches: Sequence[Floats], rests: Sequence[tuple[Floats, Floats]], longest: int, count: int
-) -> Noise:
+) -> NoiseModel:
     """Estimate the noise from residuals of polynomials through the branches."""
     parts = [
         (branch[start:stop], _legendre(stop - start, degree + 1))
@@ -376,13 +379,13 @@ def _short_record_noise(
     return _probable_noise(likelihoods, prior, (longest, count), (none, none))
 
 
-def _part_likelihood(processes: _Processes, part: Floats, basis: Floats) -> StretchLikelihood:
+def _part_likelihood(processes: _Processes, part: Floats, basis: Floats) -> SpectrumLikelihood:
     """Return the likelihood of samples with a basis (samples, columns) of what is not noise."""
     terms = min(_HALF_WAVES, len(part))
     waves = fft.dct(part - basis @ (basis.T @ part), norm="ortho")[None, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
     spectra = processes.spectra(np.pi * np.arange(terms) / len(part))
-    return StretchLikelihood.of_waves(spectra, waves, columns)
+    return SpectrumLikelihood.from_cosines(spectra, waves, columns)
 
 
 def _rest_middles(
@@ -416,9 +419,9 @@ def _without_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
     return (values - curve)[is_finite], np.zeros(int(is_finite.sum()))
 
 
-def _no_noise(longest: int) -> Noise:
+def _no_noise(longest: int) -> NoiseModel:
     none = np.zeros(0)
-    return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
+    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
 
 
 def _polynomials(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:

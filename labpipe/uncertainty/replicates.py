@@ -25,7 +25,7 @@ from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.noise_model import (
     MIN_NOISE_SAMPLES,
     SHORT_RECORD_SAMPLES,
-    Noise,
+    NoiseModel,
     cut_into_polynomials,
     estimate_noise,
 )
@@ -49,7 +49,7 @@ class Input:
     Parameters
     ----------
     cause : such as ``gain of the load cell``
-    moved : returns a trace with the input changed by a number of standard uncertainties
+    perturb : returns a trace with the input changed by a number of standard uncertainties
     law : its distribution
     moves_curve : whether it changes the curve, so that windows are chosen again
     draws : shape (replicates,), in standard uncertainties, if the input was drawn before
@@ -58,7 +58,7 @@ class Input:
     """
 
     cause: str
-    moved: Callable[[Trace, float], Trace]
+    perturb: Callable[[Trace, float], Trace]
     law: Law = "normal"
     moves_curve: bool = True
     draws: Floats | None = None
@@ -67,7 +67,7 @@ class Input:
 
     @property
     def deviation(self) -> float:
-        """Return the standard deviation of its draws, in the unit of `moved`."""
+        """Return the standard deviation of its draws, in the unit of `perturb`."""
         return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.law, 1.0)
 
 
@@ -98,7 +98,7 @@ class Replicates:
     force: Floats
     inputs: tuple[Input, ...]
     seed: bytes
-    noises: Mapping[str, Noise]
+    noises: Mapping[str, NoiseModel]
     curves: Curves = field(init=False, default_factory=dict)
 
     def traces(self) -> Iterator[Trace]:
@@ -108,7 +108,7 @@ class Replicates:
             displacement, force = self.displacement[rows], self.force[rows]
             yield replace(self.smooth, displacement=displacement, force=force)
 
-    def draws(self, quantity: Input) -> Floats:
+    def draw_input(self, quantity: Input) -> Floats:
         """Return the draws of an input, in standard uncertainties, shape (replicates,).
 
         Parameters
@@ -137,7 +137,7 @@ class Replicates:
         noise = np.nanstd(getattr(self, name)[:_BATCH_REPLICATES] - smooth)
         return bool(noise > 1e-4 * (np.nanmax(smooth) - np.nanmin(smooth)))
 
-    def displaced(self, by: float, *inputs: Input) -> Replicates:
+    def shift_displacement(self, by: float, *inputs: Input) -> Replicates:
         """Return the curves with another zero of displacement.
 
         Parameters
@@ -364,7 +364,7 @@ def _noisy_and_filtered(curve: Floats, noise: Singles | None, act: Filter) -> Fl
 
 def _record_noise(
     values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int], *, has_steps: bool
-) -> Noise:
+) -> NoiseModel:
     """Estimate the noise of a record from its branches up to the failure, or from all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
     pieces = _pieces(cuts, last)

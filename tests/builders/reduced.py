@@ -117,7 +117,7 @@ def recorded(
         ("displacement", "one", "m", filters_of_displacement, time, displacement),
     ):
         raw = Signal(stamps, values, unit, clock)
-        signals = signals.with_new(name, raw)
+        signals = signals.add_signal(name, raw)
         if made:
             cuts = np.searchsorted(stamps, ends, side="right").tolist()
             stride = int(np.prod([size for _, size in made]))
@@ -125,7 +125,7 @@ def recorded(
             filtered = replace(raw, time=stamps[::stride], values=done)
             signals = signals.with_filtered(name, filtered, *made)
     way = signals.filtered["displacement"]
-    pull = clocks.sampled(signals.filtered["force"], way.time)
+    pull = clocks.interpolate(signals.filtered["force"], way.time)
     number = np.zeros(len(way.time), dtype=np.int64)
     corrected = way.values - compliance * pull if compliance else way.values
     curve = Curve(way.time, corrected, pull, number, number + 1, branches)

@@ -186,9 +186,9 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     found = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, bent_most=bent_most)
 
     top = int(np.argmin(np.abs(made.time - record.cameras_early - record.lasts)))
-    assert found.bent.mid_span[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
-    assert found.bent.deflection[top] == pytest.approx(STROKE, rel=5e-3)
-    assert found.bent.residual[top] < 3e-6
+    assert found.axis.mid_span[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
+    assert found.axis.deflection[top] == pytest.approx(STROKE, rel=5e-3)
+    assert found.axis.residual[top] < 3e-6
     # Markers ahead of the axis are carried sideways by the twist, which tilts y by 12 mrad.
     close = 1e-3 if facing == "side" else 2.5e-3
     assert np.abs(found.twist[top]) == pytest.approx(np.full(15, 0.05), abs=close)

@@ -108,7 +108,7 @@ def test_other_offsets_make_other_tips() -> None:
     askew = Rotation.from_euler("z", 3.0, degrees=True).as_matrix()
     markers = with_gaps(bent("hardening", 58)) @ askew.T
     usual = Offsets(0.006, 0.004, CENTRE_OFFSET)
-    found = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).tip_moved
+    found = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).perturbed_tip
     longer = {
         "grip offset": replace(usual, grip=0.0062),
         "pull offset": replace(usual, pull=0.0041),
@@ -223,8 +223,8 @@ def test_a_curve_of_the_basis_is_met_exactly() -> None:
     expected[:, 1, 2] = np.linspace(0, 1, 5) * 0.085**2
     np.testing.assert_allclose(fits.coefficients, expected, atol=1e-14)
     np.testing.assert_allclose(fits.residual, 0.0, atol=1e-14)
-    assert fits.needed == 2
-    assert fits.spare == 6
+    assert fits.min_markers == 2
+    assert fits.n_spare == 6
     assert fits.freedom.tolist() == 5 * [6]
 
 

@@ -89,7 +89,7 @@ def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
 
 def test_decided_and_rejected() -> None:
     samples = six_samples(slips=0)
-    kept = replace(samples[0], decided="fine (me)", date=date(2026, 3, 2), operator="me")
+    kept = replace(samples[0], decision="fine (me)", date=date(2026, 3, 2), operator="me")
     out = replace(samples[1], label="c/x")
     group = build_group("A", [kept])
     campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
@@ -109,7 +109,7 @@ def test_what_is_to_be_decided_until_somebody_did() -> None:
     assert {decision.cause.heading for decision in open_ones} == {"Failed", "Doubtful", "Outlier"}
     assert describe_campaign(campaign, open_ones).endswith(" 3 to decide")
     first = campaign.groups[0]
-    decided = tuple(replace(sample, decided="fine (me)") for sample in first.samples)
+    decided = tuple(replace(sample, decision="fine (me)") for sample in first.samples)
     settled = replace(campaign, groups=(replace(first, samples=decided),))
     assert not find_open_decisions(find_causes(settled), PageTests(settled, ["a"]))
     assert describe_campaign(settled, []).endswith(" 0 to decide")

@@ -54,14 +54,14 @@ def table(book: Workbook, name: str) -> list[dict[str, Any]]:
 def test_day_operator_and_decision_of_tests_and_rejected_ones_last(tmp_path: Path) -> None:
     first, second, *_ = six_samples()
     known = replace(first, date=date(2026, 3, 2), operator="A. Lab", run="k1")
-    out = replace(second, decided="rejected: grip slid (by A. Lab, 2026-03-03)")
+    out = replace(second, decision="rejected: grip slid (by A. Lab, 2026-03-03)")
     campaign = Campaign("S", (build_group("A", [known]),), rejected={"f": "grip slid"})
     campaign = replace(campaign, rejected_samples=(out,))
     book = saved(campaign, tmp_path)
     one, other = table(book, "tests")
     assert (one["day"], one["operator"], one["key of the run"]) == ("2026-03-02", "A. Lab", "k1")
     assert (other["state"], other["group"], other["day"]) == ("rejected", None, None)
-    assert other["decision"] == out.decided
+    assert other["decision"] == out.decision
     lines = [cell.value for cell in book["read me"]["A"]]
     assert lines[1:3] == ["1 test in 1 group, 1 test rejected.", "Tested 2026-03-02; A. Lab."]
     page: Any = book["tests"]

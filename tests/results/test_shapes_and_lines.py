@@ -70,8 +70,8 @@ def test_a_tip_that_was_hardly_seen() -> None:
     few = np.full_like(seen.positions, np.nan)
     few[:4] = seen.positions[:4]
     found = travel(replace(seen, positions=few))
-    assert found.why == "too_few_samples: the tip is seen in 4 frames"
-    assert travel(None).why == "no_shape: the protocol fits no shape"
+    assert found.reason_text == "too_few_samples: the tip is seen in 4 frames"
+    assert travel(None).reason_text == "no_shape: the protocol fits no shape"
 
 
 @pytest.mark.slow

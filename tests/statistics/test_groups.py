@@ -14,7 +14,7 @@ from labpipe.records.group import Group, GroupNumber, Sample, SampleCurve, Verdi
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, Severity, join_reasons
 from labpipe.records.result import Contribution, Result, Status
-from labpipe.statistics.group_fields import Part, divide_samples, find_differing_fields
+from labpipe.statistics.group_fields import Subset, divide_samples, find_differing_fields
 from labpipe.statistics.group_fields import make_field_sort_key as field_order
 from labpipe.statistics.group_notes import (
     find_other_methods,
@@ -103,7 +103,7 @@ def wires(*lengths: float | None, **labels: Sequence[str]) -> list[Sample]:
     ]
 
 
-def divided(parts: Sequence[Part]) -> list[tuple[Mapping[str, str], list[str]]]:
+def divided(parts: Sequence[Subset]) -> list[tuple[Mapping[str, str], list[str]]]:
     return [(part.fields, [sample.test for sample in part.samples]) for part in parts]
 
 

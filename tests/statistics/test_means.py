@@ -102,7 +102,7 @@ def test_an_interval_as_a_spreadsheet_gives_it() -> None:
     assert found.mean == 11.0
     assert ends(found) == pytest.approx((11.0 / 1.8176, 11.0 * 1.8176), rel=1e-4)
     assert found.is_log
-    assert found.half == pytest.approx(6.5724, rel=1e-4)
+    assert found.half_width == pytest.approx(6.5724, rel=1e-4)
 
 
 def test_nothing_is_put_where_there_is_no_interval_or_no_positive_middle() -> None:
@@ -163,7 +163,7 @@ def test_a_cause_that_all_share_is_added_in_quadrature() -> None:
     assert ends(mean.chosen) == pytest.approx((11.0 - half, 11.0 + half))
     assert (mean.chosen.mean, mean.chosen.estimate) == (11.0, None)
     assert mean.chosen.deviation == pytest.approx(np.sqrt(2.0))
-    assert mean.decision.because[-1].endswith("what all tests of a rig share: scale of the force")
+    assert mean.decision.grounds[-1].endswith("what all tests of a rig share: scale of the force")
     spool = [measured(10.0, force=0.4, frame=0.3), measured(12.0, force=0.4, frame=-0.1)]
     half = hypot(T_1, NORMAL * np.sqrt(0.17))
     assert ends(averaged({"a": spool}).chosen) == pytest.approx((11.0 - half, 11.0 + half))

@@ -126,7 +126,7 @@ def test_verdicts_of_one_comparison(
 ) -> None:
     difference = alone(compared(FIRST, second, margin))
     assert difference.verdict is verdict
-    assert message in difference.words
+    assert message in difference.verdict_text
 
 
 def test_many_comparisons_are_corrected() -> None:
@@ -142,7 +142,7 @@ def test_many_comparisons_are_corrected() -> None:
     assert family[0].interval.lower < 0.0 < family[0].interval.upper
     sure = judge_family("family", [compared(FIRST, [20.0, 21.0, 20.5])] * 10)
     assert {each.verdict for each in sure} == {Verdict.DIFFERENT}
-    assert sure[0].why.endswith(", corrected for 10 comparisons")
+    assert sure[0].verdict_reason.endswith(", corrected for 10 comparisons")
 
 
 def test_how_many_samples_would_tell() -> None:
@@ -183,7 +183,7 @@ def outliers_of(
     values: Mapping[str, float], spools: Mapping[str, str], *, level: float = 0.05
 ) -> tuple[Outlier, ...]:
     """Of one number alone."""
-    return find_suspects(values, spools).below(level)
+    return find_suspects(values, spools).select_outliers(level)
 
 
 def one_spool(values: list[float]) -> tuple[dict[str, float], dict[str, str]]:
@@ -274,7 +274,7 @@ def marks(groups: list[Group]) -> list[tuple[str, str]]:
 def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
     """p of 1, 1.1, 0.9, 1.05, 1.7 is 0.02: below 5 % alone, and not among ten numbers."""
     odd, plain = [1.0, 1.1, 0.9, 1.05, 1.7], [1.0, 1.4, 0.7, 1.2, 0.9]
-    (suspect,) = find_suspects(*one_spool(odd)).below(0.05)
+    (suspect,) = find_suspects(*one_spool(odd)).select_outliers(0.05)
     assert 0.01 < suspect.p < 0.04
     alone = mark_outliers([group_of("A", {"k": odd})])
     assert marks(alone) == [("k", "A-4")]

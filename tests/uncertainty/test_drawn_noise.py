@@ -1,4 +1,4 @@
-"""Noise that is judged by a record and drawn anew, against noise made by plain numpy."""
+"""Noise that is estimated from a record and drawn again, against noise made by plain numpy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy import linalg, signal
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.uncertainty.noise_model import (
-    Noise,
+    NoiseModel,
     _processes,
     _whitened_squares,
     cut_into_polynomials,
@@ -31,19 +31,19 @@ def autoregressive(factor: float, shape: Sequence[int], seed: int) -> Floats:
     return found
 
 
-def judged(values: Floats, *more: Floats) -> Noise:
+def judged(values: Floats, *more: Floats) -> NoiseModel:
     """Of records whose smooth curve is zero."""
     branches = [values, *more]
     return estimate_noise(branches, [np.zeros(len(branch)) for branch in branches])
 
 
-def known(variance: float, longest: int) -> Noise:
+def known(variance: float, longest: int) -> NoiseModel:
     """White noise of a variance that is known for sure."""
     chances = np.zeros(1 + 9 * 24)
     chances[0] = 1.0
     freedom, none = 10**9, np.zeros(0)
     squares = np.full(len(chances), variance * freedom)
-    return Noise(chances, squares, freedom, longest, longest, none, none)
+    return NoiseModel(chances, squares, freedom, longest, longest, none, none)
 
 
 def test_white_noise_has_its_variance_everywhere() -> None:
@@ -129,7 +129,7 @@ def cosines(count: int, terms: int) -> Floats:
 
 
 def judged_by_contrasts(
-    parts: Sequence[tuple[Floats, int]], noise: Noise, is_possible: Flags
+    parts: Sequence[tuple[Floats, int]], noise: NoiseModel, is_possible: Flags
 ) -> tuple[Floats, Floats, int]:
     """Chances, squares and freedom by dense matrices, of 48 half waves of each part.
 
@@ -208,7 +208,7 @@ def test_correlation_times_are_those_of_the_spectra() -> None:
     )
     none = np.zeros(0)
     times = [
-        Noise(chances, chances, 1, 2000, 8000, none, none).correlation_time
+        NoiseModel(chances, chances, 1, 2000, 8000, none, none).correlation_time
         for chances in np.eye(len(means))
     ]
     np.testing.assert_allclose(times, 0.5 / means, rtol=1e-9)

@@ -41,13 +41,13 @@ def test_the_interval_is_the_spread_turned_around() -> None:
     (found,) = measured(trace_of(RNG(0).normal(size=100)), largest)
     assert found.interval.upper == found.value  # beside the draws, and inside the interval
     above = found.value - found.interval.lower
-    assert np.mean(found.off > above) == pytest.approx(0.025, abs=0.003)
+    assert np.mean(found.deviations > above) == pytest.approx(0.025, abs=0.003)
     (found,) = measured(trace_of(RNG(0).normal(size=100)), mean)
     below, above = found.value - found.interval.upper, found.value - found.interval.lower
-    assert np.mean(found.off < below) == pytest.approx(0.025, abs=0.003)
-    assert np.mean(found.off > above) == pytest.approx(0.025, abs=0.003)
-    assert found.estimate == pytest.approx(found.value - found.off.mean())
-    assert found.error == pytest.approx(np.std(found.off))
+    assert np.mean(found.deviations < below) == pytest.approx(0.025, abs=0.003)
+    assert np.mean(found.deviations > above) == pytest.approx(0.025, abs=0.003)
+    assert found.estimate == pytest.approx(found.value - found.deviations.mean())
+    assert found.error == pytest.approx(np.std(found.deviations))
     plain = found.as_estimate
     assert (plain.value, plain.error, plain.n) == (found.value, found.error, 100)
     assert plain.interval == found.interval
@@ -104,7 +104,7 @@ def test_what_moves_together_cancels() -> None:
 
     one, three, *cancelled = measured(trace_of(FORCE), both, Input(SCALE_OF_FORCE, gained))
     assert budget(three)[SCALE_OF_FORCE] == pytest.approx(3.0 * budget(one)[SCALE_OF_FORCE])
-    assert three.off == pytest.approx(3.0 * one.off)
+    assert three.deviations == pytest.approx(3.0 * one.deviations)
     assert [number.error for number in cancelled] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
@@ -120,9 +120,11 @@ def test_a_rectangular_input() -> None:
     assert budget(found) == pytest.approx({ZERO_OF_FORCE: -0.3})
 
     def end(trace: Trace) -> tuple[Floats]:
-        return (trace.force[..., -1] + 4.0 * trace.beyond,)
+        return (trace.force[..., -1] + 4.0 * trace.steps_beyond,)
 
-    later = Input(STEP, lambda trace, x: replace(trace, beyond=x), law="step", moves_curve=False)
+    later = Input(
+        STEP, lambda trace, x: replace(trace, steps_beyond=x), law="step", moves_curve=False
+    )
     (found,) = measured(trace_of(FORCE), end, later)
     assert found.interval.lower == 50.0  # the value itself
     assert found.interval.upper == pytest.approx(53.9, abs=0.02)
@@ -217,7 +219,9 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
 
     def below(trace: Trace) -> Reading:
         chosen = slice(0, int(np.sum(trace.displacement <= 4.5)))
-        return Reading(lambda each: (each.force[..., chosen].mean(axis=-1),), 5, is_cut=is_cut)
+        return Reading(
+            lambda each: (each.force[..., chosen].mean(axis=-1),), 5, ends_at_samples=is_cut
+        )
 
     trace = trace_of(2.0 * np.arange(20.0), np.arange(20.0))
     off = Input(

@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.autocorrelation import (
-    Grid,
-    Noise,
-    StretchLikelihood,
+    SpectrumGrid,
+    SpectrumLikelihood,
+    SpectrumPosterior,
     build_cubic_basis,
     compute_covariance,
     cut_smooth_stretches,
@@ -76,7 +76,7 @@ def test_slowest_cosines(count: int) -> None:
 
 def test_probable_spectra_and_their_covariances() -> None:
     """Mirrored, white, remembering, and these on white floors; a window of twelve samples."""
-    grid, angle, lags = Grid(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
+    grid, angle, lags = SpectrumGrid(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
     times = np.geomspace(100.0 / 240.0, 20.0, 23)
     a = np.exp(-1.0 / times)[:, None]
     slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
@@ -93,7 +93,7 @@ def test_probable_spectra_and_their_covariances() -> None:
         np.concatenate([prior[::-1], [1.0], prior / 2.0, np.tile(prior / 10.0, 5)])
     )
     values = noise(3, 100, 5.0)
-    stretch = StretchLikelihood.of(build_cubic_basis(100), values, grid, 60)
+    stretch = SpectrumLikelihood.from_values(build_cubic_basis(100), values, grid, 60)
     np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
     found = compute_covariance(build_cubic_basis(12), grid)
     wanted = [
@@ -116,8 +116,13 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.likelihood[number] == pytest.approx(-0.5 * logs)
         assert stretch.plain_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
-    other = StretchLikelihood.of(build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60)
-    both, squares = Noise.of([stretch, other], grid.prior), stretch.squares + other.squares
+    other = SpectrumLikelihood.from_values(
+        build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60
+    )
+    both, squares = (
+        SpectrumPosterior.combine([stretch, other], grid.prior),
+        stretch.squares + other.squares,
+    )
     logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
     chances = grid.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(both.chances, chances / chances.sum(), rtol=1e-9)
@@ -145,7 +150,7 @@ def test_too_few_samples() -> None:
 @pytest.mark.parametrize(("freedom", "offset"), [(2, 2.0), (40, 0.0)])
 def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -> None:
     """Of t-distributions of the deviations 1 and 3, the second perhaps moved aside."""
-    noise = Noise(np.array([0.6, 0.4]), np.ones(2), freedom)
+    noise = SpectrumPosterior(np.array([0.6, 0.4]), np.ones(2), freedom)
     deviations, offsets = np.array([1.0, 3.0]), np.array([0.0, offset])
     (half,) = _half_widths(noise, deviations[:, None] ** 2, offsets[:, None])
     between = [stats.t.cdf((end * half - offsets) / deviations, freedom) for end in (-1.0, 1.0)]

@@ -72,7 +72,7 @@ def unmoved(trace: Trace, x: float) -> Trace:
 def test_draws_of_an_input(law: Law, low: float, high: float) -> None:
     """Few of a normal one are beyond 1.96, none of a rectangle."""
     given = Input("zero of the force", unmoved, law=law)
-    drawn = replicates_of(trace_of(TIME)).draws(given)
+    drawn = replicates_of(trace_of(TIME)).draw_input(given)
     mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
     assert drawn.shape == (N_REPLICATES,)
     assert low <= drawn.min() < drawn.max() <= high
@@ -218,15 +218,15 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     trace = replace(trace_of(np.array([1.0, 2.0, 6.0, 0.0]), way), failed_at=2)
     first, second = trace.branches[0], trace.branches[0]
     both = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
-    finer = replace(trace, branches=both).finer(2)
+    finer = replace(trace, branches=both).refine(2)
     assert finer.force.tolist() == [1.0, 1.5, 2.0, 4.0, 6.0, 3.0, 0.0]
     assert finer.time == pytest.approx(0.005 * np.arange(7))
     assert np.isnan(finer.displacement[1:4]).all()
     assert finer.displacement[[0, 4, 5, 6]].tolist() == [0.0, 2.0, 3.0, 4.0]
     assert [(branch.start, branch.stop) for branch in finer.branches] == [(0, 5), (4, 7)]
     assert finer.failed_at == 4
-    assert trace.finer(1) is trace
-    assert (trace.steps, finer.steps, finer.finer(3).steps) == (1, 2, 6)
+    assert trace.refine(1) is trace
+    assert (trace.steps, finer.steps, finer.refine(3).steps) == (1, 2, 6)
 
 
 def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:
@@ -236,13 +236,13 @@ def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:
     for sign in (1.0, -1.0):
         knee = sign * np.minimum(4.0 * fine, 9.0 + 0.5 * (fine - 2.25))
         trace = trace_of(knee[::4], 1e-3 * fine[::4])
-        finer = trace.finer(4, has_corners=True)
+        finer = trace.refine(4, has_corners=True)
         assert finer.force == pytest.approx(knee)
         assert finer.displacement == pytest.approx(1e-3 * fine)
     uneven = np.array([0.0, 1.0, 4.0, 5.0, np.nan, 7.0, 9.0])
     trace = trace_of(uneven, np.arange(7.0))
     assert np.array_equal(
-        trace.finer(2, has_corners=True).force, trace.finer(2).force, equal_nan=True
+        trace.refine(2, has_corners=True).force, trace.refine(2).force, equal_nan=True
     )
 
 
@@ -269,25 +269,25 @@ def test_in_noise_each_part_is_read_as_in_noise() -> None:
             lambda each: (each.force.max(axis=-1),), 3, lambda each: (each.force[..., 0],)
         )
 
-    assert moved(TRACE).drawn(TRACE)[0] == 1.0
-    assert largest(TRACE).drawn(TRACE)[0] == 6.0
+    assert moved(TRACE).replicate_numbers(TRACE)[0] == 1.0
+    assert largest(TRACE).replicate_numbers(TRACE)[0] == 6.0
     found = combine_numbers(shared, moved, reach)(TRACE)
     assert isinstance(found, Reading)
     assert found.numbers(TRACE)[0] == 12.0
-    assert found.drawn(TRACE)[0] == 2.0
+    assert found.replicate_numbers(TRACE)[0] == 2.0
 
 
 def test_draws_that_are_given_and_displacements_from_elsewhere() -> None:
     found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
     given = Input("slack", unmoved)
-    draws = found.draws(given)
-    assert np.array_equal(draws, found.draws(given))
-    other = found.draws(replace(given, cause="scale of the force"))
+    draws = found.draw_input(given)
+    assert np.array_equal(draws, found.draw_input(given))
+    other = found.draw_input(replace(given, cause="scale of the force"))
     assert abs(np.corrcoef(draws, other)[0, 1]) < 0.2
-    assert np.array_equal(found.draws(replace(given, cause="section", stream="slack")), draws)
+    assert np.array_equal(found.draw_input(replace(given, cause="section", stream="slack")), draws)
     known = np.arange(float(N_REPLICATES))
-    assert found.draws(replace(given, draws=known)) is known
-    moved = found.displaced(-2e-3, given)
+    assert found.draw_input(replace(given, draws=known)) is known
+    moved = found.shift_displacement(-2e-3, given)
     for before, after in ((found.measured, moved.measured), (found.smooth, moved.smooth)):
         assert after.displacement == pytest.approx(before.displacement - 2e-3, abs=1e-15)
         assert np.array_equal(after.force, before.force)

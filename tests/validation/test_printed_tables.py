@@ -82,11 +82,15 @@ VALUES = """
 def test_outliers_of_rosner() -> None:
     """Three are marked; one alone is not: the other two make the scatter large."""
     named = {str(at): float(value) for at, value in enumerate(VALUES.split())}
-    suspects = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=10).below(0.05)
+    suspects = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=10).select_outliers(
+        0.05
+    )
     assert [suspect.value for suspect in suspects] == [6.01, 5.42, 5.34]
     assert {suspect.method for suspect in suspects} == {"generalised ESD test"}
     # 3.118 where 3.158 is needed
-    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=1).below(0.1)
+    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=1).select_outliers(
+        0.1
+    )
     assert alone.value == 6.01
     assert 0.05 < alone.p < 0.1
 

@@ -453,7 +453,7 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
         raise NotUsableError(message)
     peak = next((result for result in result.results if result.name == "peak_force.1"), None)
     if peak is not None and peak.status is Status.FAILED:
-        message = f"its first loading failed: {peak.why}"
+        message = f"its first loading failed: {peak.reason_text}"
         raise NotUsableError(message)
     return curve, first[0]
 
@@ -461,7 +461,7 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
 def _doubt_notes(result: TestResult) -> list[QualityNote]:
     """Return notes on doubtful results of the first cycle that depend on the whole curve."""
     reasons = {
-        result.why
+        result.reason_text
         for result in result.results
         if result.status is Status.DOUBTFUL
         and result.name in ("peak_force.1", "peak_displacement.1", "energy.1")
