@@ -34,7 +34,7 @@ from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import read_overview, run_test
 from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.protocol_match import load_all_protocols
 from labpipe.process.run import SUMMARY_FILE, draw_figures
 from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
@@ -447,10 +447,10 @@ class Watcher:
         moving = self._files.moving_for(path)
         test, file = _printable(candidate.name), _printable(path.name)
         if is_locked and moving > self.plan.patience:
-            self._say_once(sentence("campaign.locked_file", test=test, file=file))
+            self._say_once(format_sentence("campaign.locked_file", test=test, file=file))
         if moving > REMINDER_DELAY:
             self._say_once(
-                sentence(
+                format_sentence(
                     "campaign.long_locked_file" if is_locked else "campaign.long_growing_file",
                     test=test, file=file,
                 )
@@ -500,9 +500,11 @@ class Watcher:
             stood = self._still_for(candidate.files.get(name, candidate.folder / name))
             file = _printable(name)
             if stood > self.plan.patience:
-                self._say_once(sentence("campaign.unread_file", test=label, file=file, why=why))
+                self._say_once(
+                    format_sentence("campaign.unread_file", test=label, file=file, why=why)
+                )
             if stood > REMINDER_DELAY:
-                self._say_once(sentence("campaign.long_unread_file", test=label, file=file))
+                self._say_once(format_sentence("campaign.long_unread_file", test=label, file=file))
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits

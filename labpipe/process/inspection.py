@@ -19,7 +19,7 @@ from labpipe.readers.recording_checks import (
     longest,
     unchanged,
 )
-from labpipe.records.arrays import Floats, median, stretches_of
+from labpipe.records.arrays import Floats, find_runs, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
@@ -174,7 +174,7 @@ def _markers(tracks: MarkerTracks) -> dict[str, Any]:
 def _gaps(track: Floats) -> dict[str, Any]:
     max_ranges = 100  # the count in the output is of all gaps
     missing = blank(track)
-    gaps = stretches_of(missing)
+    gaps = find_runs(missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
     return {"count": len(gaps), "longest": longest(missing), "ranges": ranges}
 

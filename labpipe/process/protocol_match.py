@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from labpipe.errors import LabpipeError, ReadError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
@@ -94,12 +94,12 @@ def match_protocols(
     namesakes = [match for match in best if _is_named_in(names, match.protocol.name)]
     same_length = [match for match in best if _has_length(match.protocol, length)]
     rules = [
-        (namesakes, sentence("process.reason_namesake")),
-        (same_length, sentence("process.reason_length")),
+        (namesakes, format_sentence("process.reason_namesake")),
+        (same_length, format_sentence("process.reason_length")),
     ]
     for counts in siblings:
         name = find_majority(counts)
-        text = sentence(
+        text = format_sentence(
             "process.reason_siblings", count=counts.get(name, 0), total=sum(counts.values())
         )
         rules.append(([match for match in best if match.protocol.name == name], text))
@@ -175,7 +175,7 @@ def _match_protocol(
     takes = [recording.markers for recording in recordings if recording.markers is not None]
     has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
     if clamp is not None and takes and not has_clamp:
-        faults.append(sentence("process.match_no_clamp", clamp=clamp))
+        faults.append(format_sentence("process.match_no_clamp", clamp=clamp))
     n_used = sum(map(len, files.values())) + has_clamp
     return ProtocolMatch(protocol, files, tuple(faults), n_used, frozenset(ambiguous_roles))
 
@@ -196,5 +196,5 @@ def _join(parts: Exports) -> Recording | str:
     with suppress(ReadError):
         return join_exports([*parts.values()], names, Path())
     if len(names) > 1:
-        return sentence("process.match_ambiguous_role", names=", ".join(names))
-    return sentence("process.match_no_samples", name=names[0])
+        return format_sentence("process.match_ambiguous_role", names=", ".join(names))
+    return format_sentence("process.match_no_samples", name=names[0])

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from labpipe.errors import Fault, LabpipeError, ReadError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.checking import results_needing_span
 from labpipe.process.protocol_match import ProtocolMatch, load_all_protocols, match_protocols
 from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
@@ -194,7 +194,9 @@ def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str
             ((value, names),) = listed.items()
             agreed[key] = Fact(key, value, names)
         else:
-            contradictions[key] = sentence("process.facts_differ", key=key, statements=statements)
+            contradictions[key] = format_sentence(
+                "process.facts_differ", key=key, statements=statements
+            )
     return agreed, contradictions
 
 
@@ -224,7 +226,7 @@ def read_folder(folder: Path) -> FolderContents:
     contents = FolderContents()
     for path in list_possible_exports(folder):
         if has_control_characters(path.name):
-            contents.others[path.name] = sentence("process.control_characters")
+            contents.others[path.name] = format_sentence("process.control_characters")
             continue
         try:
             path.open("rb").close()  # raises OSError before the format is recognised
@@ -420,15 +422,15 @@ def infer_test(
     remarks += ["; ".join(roles)] if roles else []
     for role, candidates in sorted(ambiguous.items()):
         names = ", ".join(map(_escape, candidates))
-        remarks.append(sentence("process.role_ambiguous", role=role, names=names))
+        remarks.append(format_sentence("process.role_ambiguous", role=role, names=names))
     for source in dict.fromkeys(fact.source for fact in facts.values()):
         listed = ", ".join(f"{x.key} {x.value}" for x in facts.values() if x.source == source)
-        remarks.append(sentence("process.facts_from", facts=listed, source=source))
+        remarks.append(format_sentence("process.facts_from", facts=listed, source=source))
     if "test" not in stated and name != folder_name:
-        remarks.append(sentence("process.test_renamed", name=name))
+        remarks.append(format_sentence("process.test_renamed", name=name))
     remarks += [text for key, text in contradictions.items() if key not in stated]
     if match is not None and not match.ambiguous_roles and "protocol" not in stated:
-        remarks += [sentence("process.look", fault=fault) for fault in match.faults[:3]]
+        remarks += [format_sentence("process.look", fault=fault) for fault in match.faults[:3]]
     remarks += _find_other_names(folder_name, exports)
     used = {file for names in (*files.values(), *ambiguous.values()) for file in names}
     remarks += _describe_unused(folder, contents, used)
@@ -496,14 +498,16 @@ def _assign_files(
 
 def _describe_match(contents: FolderContents, matches: Sequence[ProtocolMatch]) -> str:
     if not matches:
-        return sentence("process.protocol_none" if contents.exports else "process.no_exports")
+        return format_sentence(
+            "process.protocol_none" if contents.exports else "process.no_exports"
+        )
     if len(matches) > 1:
         listed = [f"{match.protocol.name}: {match.protocol.about}" for match in matches]
         names = "\n    ".join(listed)
-        return sentence("process.protocols_alike", count=len(matches), names=names)
+        return format_sentence("process.protocols_alike", count=len(matches), names=names)
     (match,) = matches
-    reason = match.reason or sentence("process.reason_only_one")
-    return sentence("process.protocol_chosen", name=match.protocol.name, reason=reason)
+    reason = match.reason or format_sentence("process.reason_only_one")
+    return format_sentence("process.protocol_chosen", name=match.protocol.name, reason=reason)
 
 
 def _find_other_names(name: str, exports: Mapping[Path, Recording]) -> Iterator[str]:
@@ -511,7 +515,7 @@ def _find_other_names(name: str, exports: Mapping[Path, Recording]) -> Iterator[
     for path, export in exports.items():
         for fact in collect_export_facts(path.name, export):
             if fact.key == "take" and fact.value != name and parse_folder_name(fact.value):
-                yield sentence(
+                yield format_sentence(
                     "process.look_other_name", file=path.name, name=fact.value, folder=name
                 )
 
@@ -521,10 +525,10 @@ def _describe_unused(folder: Path, contents: FolderContents, used: set[str]) -> 
     kinds = {path.name: export.reader for path, export in contents.exports.items()}
     for name, kind in (kinds | contents.unread | contents.others).items():
         if name not in used:
-            yield sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])
+            yield format_sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])
     for name in sorted(used):
         if not (folder / name).exists():
-            yield sentence("process.not_there_yet", names=_escape(name))
+            yield format_sentence("process.not_there_yet", names=_escape(name))
 
 
 def split_file_names(text: str) -> tuple[str, ...]:

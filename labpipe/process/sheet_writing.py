@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labpipe.errors import Fault, ReadError, UsageError, error_text, nearest
-from labpipe.messages import sentence
+from labpipe.errors import Fault, ReadError, UsageError, format_error, sort_by_likeness
+from labpipe.messages import format_sentence
 from labpipe.process.sheet_inference import (
     InferredTest,
     infer_test,
@@ -177,7 +177,7 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
             sheets.append(WrittenSheet(path, kept=True))
             continue
         missing = [name for name in exports if not (test_folder / name).exists()]
-        remark = sentence("process.not_there_yet", names=", ".join(missing))
+        remark = format_sentence("process.not_there_yet", names=", ".join(missing))
         _write(path, data)
         sheets.append(WrittenSheet(path, remarks=(remark,) if missing else ()))
     return sheets
@@ -244,7 +244,7 @@ def _heading_faults(heading: Sequence[Cell], names: Sequence[str], sheet: Path) 
 def _unknown_column(name: str, written: str, file: Path, place: str) -> Iterator[str]:
     """Describe a column that is neither known nor a dotted key."""
     if name not in COLUMNS and "." not in name:
-        columns = nearest(written, list(COLUMNS))
+        columns = sort_by_likeness(written, list(COLUMNS))
         near = ", ".join(map(repr, columns))
         yield str(
             ReadError.about(
@@ -284,7 +284,7 @@ def _describe_faults(
         expected, actual, remedy = fault.expected, fault.found, fault.remedy
         if fault.missing:
             expected, actual, remedy = f"a value for {column!r}", "none", "Fill it in."
-        yield error_text(file, place, expected=expected, found=actual, remedy=remedy).rstrip()
+        yield format_error(file, place, expected=expected, found=actual, remedy=remedy).rstrip()
 
 
 def _column_of_fault(fault: Fault) -> str:

@@ -55,7 +55,7 @@ class UnavailableError(Exception):
         return cls(Failure.of(name, **facts))
 
 
-def or_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
+def return_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
     """Return a function that returns the reason instead of raising `UnavailableError`."""
 
     @wraps(function)

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import Reason
@@ -98,11 +98,11 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     frames = test.frames(branch, per_mean=max(1, count // N_FIT_MEANS))
     n_means = len(frames.means.force)
     if n_means < min_points:
-        raise ValueError(sentence("results.few_means", count=n_means, needed=min_points))
+        raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_points))
     loaded = _loaded(test, frames)
     largest, at_rest = loaded.moment.max(), np.abs(loaded.moment_at_rest).max()
     if not largest > at_rest:
-        raise ValueError(sentence("results.no_moment", largest=largest, at_rest=at_rest))
+        raise ValueError(format_sentence("results.no_moment", largest=largest, at_rest=at_rest))
     fit, change_with_knots = refine_law(loaded)
     return tabulate(
         fit,
@@ -585,7 +585,7 @@ def _uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
     moved = shapes.predict(0.0 * one)[1] @ one
     scale = float((moved**2).sum())
     if not scale > 0.0:
-        raise ValueError(sentence("results.no_change_of_moment"))
+        raise ValueError(format_sentence("results.no_change_of_moment"))
     return np.asarray(one * abs(float((moved * measured).sum())) / scale, dtype=np.float64)
 
 
@@ -616,7 +616,7 @@ def _inverse(normal: Floats) -> Floats:
     max_condition = 1e12
     scale = np.sqrt(np.diag(normal))
     if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > max_condition:
-        raise ValueError(sentence("results.law_not_determined", knots=len(scale)))
+        raise ValueError(format_sentence("results.law_not_determined", knots=len(scale)))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     return np.asarray(inverse, dtype=np.float64)
 

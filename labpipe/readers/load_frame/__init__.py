@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.errors import ReadError, nearest
+from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import ReportOptions, channel_notes, find_in_parts, unique_names
 from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards
 from labpipe.readers.load_frame.column_titles import (
@@ -202,7 +202,7 @@ def _choose_part(tables: list[Table], part: str | None, path: object) -> list[Ta
     if chosen:
         return chosen
     names = [table.part or table.also for table in tables if table.part or table.also]
-    close = ", ".join(f"'{name}'" for name in nearest(part, names))
+    close = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
     raise ReadError.about(
         "readers.no_such_part" if close else "readers.no_parts",
         path,
@@ -347,7 +347,10 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     for name in allowed:
         if name not in cards:
-            close, place = ", ".join(nearest(name, list(cards), limit=3)), f"dialect '{name}'"
+            close, place = (
+                ", ".join(sort_by_likeness(name, list(cards), limit=3)),
+                f"dialect '{name}'",
+            )
             raise ReadError.about(
                 "readers.no_such_card", path, place, count=len(cards), nearest=close
             )
