@@ -12,7 +12,7 @@ from typing import TypeAlias
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
 from labpipe.process.reading import is_empty, join_exports, name_channels
-from labpipe.protocol.load import known_protocols, load_protocol
+from labpipe.protocol.load import list_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Source
 from labpipe.readers import read_export
@@ -46,7 +46,7 @@ class ProtocolMatch:
 def load_all_protocols() -> list[Protocol]:
     """Load all valid protocols; `labpipe check` reports the others."""
     protocols = []
-    for path in known_protocols().values():
+    for path in list_protocols().values():
         with suppress(LabpipeError):
             protocols.append(load_protocol(path))
     return protocols
@@ -81,8 +81,9 @@ def match_protocols(
     Notes
     -----
     The protocols that use most exports without a fault are compared by these rules, in this order:
-    one of `names` contains the name of the protocol; the protocol states this `length` within 5 %;
-    more than half of the `siblings` have it. The first rule that only one protocol meets decides.
+    one of `names` contains the name of the protocol; the metadata of an export name the standard
+    after which the protocol is named; the protocol states this `length` within 5 %; more than half
+    of the `siblings` have it. The first rule that only one protocol meets decides.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
@@ -92,9 +93,16 @@ def match_protocols(
     if len(best) < 2:
         return best
     namesakes = [match for match in best if _is_named_in(names, match.protocol.name)]
+    texts = [str(text) for export in exports.values() for text in export.metadata.values()]
+    standards = [
+        match
+        for match in best
+        if re.search(r"\d{3,}", match.protocol.name) and _is_named_in(texts, match.protocol.name)
+    ]
     same_length = [match for match in best if _has_length(match.protocol, length)]
     rules = [
         (namesakes, format_sentence("process.reason_namesake")),
+        (standards, format_sentence("process.reason_standard")),
         (same_length, format_sentence("process.reason_length")),
     ]
     for counts in siblings:

@@ -18,7 +18,7 @@ from labpipe.process.sheet_inference import (
     split_file_names,
 )
 from labpipe.protocol.load import find_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME, find_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Cell, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
@@ -273,7 +273,7 @@ def _describe_faults(
     open_keys : keys to be filled in, whose faults are not reported
     """
     faults = [
-        fault for fault in test_sheet_faults(data) if not set(map(str, fault.path)) & set(open_keys)
+        fault for fault in find_sheet_faults(data) if not set(map(str, fault.path)) & set(open_keys)
     ]
     protocol = values.get("protocol")
     found = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
