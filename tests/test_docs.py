@@ -24,7 +24,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.reference import kinds_of_notes
+from labpipe.protocol.reference import list_note_kinds
 from labpipe.readers import READERS
 from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
 from labpipe.records.declarations import Step
@@ -291,14 +291,6 @@ def severity_of(node: ast.expr) -> str | None:
     return ast.unparse(node).partition(".")[2].lower() if is_one else None
 
 
-SEVERITIES = {
-    "info_note": "info",
-    "warning": "warning",
-    "doubtful": "warning",
-    "not_available": "error",
-    "blocking": "error",
-}
-"""Of the findings of a test, by the function that makes them."""
 CHOSEN = ("string_at_rest", "time_variable")
 """Notes whose severity depends on the recording."""
 
@@ -313,8 +305,6 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
     match name:
         case "QualityNote" | "note":
             yield text_of(given[0]), severity_of(given[1])
-        case "info_note" | "warning" | "doubtful" | "not_available" | "blocking":
-            yield text_of(given[0]), SEVERITIES[name]
         case "_note" | "group_note":
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
         case "_gap_notes":
@@ -323,7 +313,7 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
 
 @pytest.mark.slow
 def test_every_quality_note_has_a_record_and_no_other() -> None:
-    records = {(kind.code, str(one)) for kind in kinds_of_notes() for one in kind.severities}
+    records = {(kind.code, str(one)) for kind in list_note_kinds() for one in kind.severities}
     in_code = {pair for node in trees() for pair in noted(node)}
     in_code |= {pair for node in trees("statistics") for pair in noted(node, usual="info")}
     in_code |= {(f"slip_{decision}", "warning") for decision in SlipDecision}
@@ -373,21 +363,21 @@ def test_every_key_step_and_reader_is_named(name: str) -> None:
 
 
 def test_the_listing_of_the_result_file_holds_the_names_of_the_layout() -> None:
-    from labpipe.store.layout import ROW_AXES, columns_of, fields_of
+    from labpipe.store.layout import ROW_AXES, list_columns, list_datasets
 
     text = page("docs/reference/result-file.md")
     assert len(ROW_AXES) > 5
-    for name in {name for row in ROW_AXES for name in columns_of(row)}:
+    for name in {name for row in ROW_AXES for name in list_columns(row)}:
         assert f"`{name}`" in text or f"/{name} " in text, name
     listing = "".join(fenced(page("docs/reference/result-file.md"), ""))
     for name in ("lines/slope", "slips/drop", "branches/start"):
         assert f"/curve/{name} " in listing
     fields = {
-        "/curve/": fields_of(Curve),
-        "/shape/": fields_of(Shape),
-        "/aligned/events/": fields_of(ClockFit),
-        "/raw/markers/markers/": fields_of(MarkerTracks),
-        "/raw/markers/rigid_bodies/Clamp/": fields_of(RigidBody),
+        "/curve/": list_datasets(Curve),
+        "/shape/": list_datasets(Shape),
+        "/aligned/events/": list_datasets(ClockFit),
+        "/raw/markers/markers/": list_datasets(MarkerTracks),
+        "/raw/markers/rigid_bodies/Clamp/": list_datasets(RigidBody),
     }
     for group, kinds in fields.items():
         for name, kind in kinds.items():

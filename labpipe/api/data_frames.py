@@ -15,11 +15,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from labpipe.errors import UsageError, nearest
+from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.records.arrays import AXIS_LABELS
 from labpipe.records.curve import Series
-from labpipe.report.wording import Scale, shown_in
-from labpipe.store.layout import NO_UNIT, Field, fields_of, link_name, scales_of
+from labpipe.report.wording import Scale, find_display_unit
+from labpipe.store.layout import (
+    UNSTATED_UNIT,
+    DatasetSpec,
+    find_scales,
+    list_datasets,
+    make_link_name,
+)
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
@@ -48,7 +54,11 @@ class Units:
 
     def of_result(self, name: str, unit: str) -> Scale:
         """Return factor and unit of a result, or of a change of it."""
-        return Scale(1.0, unit) if self.display is None else shown_in(name, unit, self.display)
+        return (
+            Scale(1.0, unit)
+            if self.display is None
+            else find_display_unit(name, unit, self.display)
+        )
 
     def of(self, quantity: str, unit: str) -> Scale:
         """Return factor and unit of a quantity such as ``force``."""
@@ -93,9 +103,16 @@ def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     def row(result: Result) -> list[object]:
         factor, unit = units.of_result(result.name, result.unit)
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
-        numbers = (result.value, result.likely, *ends)
+        numbers = (result.value, result.best_estimate, *ends)
         scaled = [np.nan if number is None else number * factor for number in numbers]
-        return [result.name, *scaled, unit, result.status, ", ".join(result.codes), result.why]
+        return [
+            result.name,
+            *scaled,
+            unit,
+            result.status,
+            ", ".join(result.codes),
+            result.reason_text,
+        ]
 
     return _table(_RESULTS, map(row, results)).set_index("name")
 
@@ -202,7 +219,7 @@ class Recordings(Mapping[str, pd.DataFrame]):
         if not self._tables:
             raise UsageError.about("api.no_recordings", "raw")
         if name not in self._tables:
-            names = ", ".join(nearest(name, list(self._tables)))
+            names = ", ".join(sort_by_likeness(name, list(self._tables)))
             raise UsageError.about("api.no_recording", "raw", name=name, names=names)
         return self._tables[name]()
 
@@ -242,7 +259,7 @@ def _channels(recording: Recording, clock_name: str) -> pd.DataFrame:
     named = {one.name if counts[one.name] == 1 else one.path: one for one in channels}
     columns = {name: channel.values for name, channel in named.items()}
     frame = pd.DataFrame(columns, index=pd.Index(clock.time, name="time"))
-    units = {name: channel.unit or NO_UNIT for name, channel in named.items()}
+    units = {name: channel.unit or UNSTATED_UNIT for name, channel in named.items()}
     frame.attrs["units"] = {"time": clock.unit} | units
     return frame
 
@@ -300,16 +317,16 @@ def _record(result: TestResult, part: str) -> object:
 def _of_record(record: object) -> Dataset:
     fields = {
         name: replace(field, unit=getattr(record, field.stated_in, field.unit))
-        for name, field in fields_of(type(record)).items()
+        for name, field in list_datasets(type(record)).items()
     }
     return _dataset({name: np.asarray(getattr(record, name)) for name in fields}, fields)
 
 
-def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field]) -> Dataset:
+def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, DatasetSpec]) -> Dataset:
     """Make a Dataset whose dimensions have the names of the scales in a result file."""
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
-    scales = scales_of(fields)
+    scales = find_scales(fields)
     for name, values in arrays.items():
         axes = [
             scales.get(axis, axis) + ("_2" if axis in fields[name].axes[:place] else "")
@@ -327,7 +344,7 @@ def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field]) -> D
 
 def _of_aligned(aligned: Aligned) -> Dataset:
     series = {"time": Series(aligned.time, aligned.time_unit), **aligned.series}
-    fields = {name: Field(("sample",), one.unit) for name, one in series.items()}
+    fields = {name: DatasetSpec(("sample",), one.unit) for name, one in series.items()}
     return _dataset({name: one.values for name, one in series.items()}, fields)
 
 
@@ -342,8 +359,8 @@ def _of_recording(recording: Recording) -> Dataset:
         dimension = of_clock[clock.name]
         variables[dimension] = ([dimension], clock.time, {"units": clock.unit})
     for channel in recording.channels:
-        name = link_name(channel.name, variables)
-        about = {"units": channel.unit or NO_UNIT, "name_in_file": channel.path}
+        name = make_link_name(channel.name, variables)
+        about = {"units": channel.unit or UNSTATED_UNIT, "name_in_file": channel.path}
         variables[name] = ([of_clock[channel.clock]], channel.values, about)
     tracks = recording.markers
     if tracks is not None:

@@ -23,20 +23,20 @@ from labpipe.api.data_frames import (
     results_frame,
     shape_frame,
 )
-from labpipe.errors import ProcessingError, UsageError, nearest
+from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.report.wording import (
-    as_label,
-    count_of,
+    find_display_unit,
     is_main,
-    printable,
-    shown_in,
-    unit_words,
+    replace_unprintable,
+    typeset_unit,
+    write_count,
+    write_label,
     write_number,
 )
-from labpipe.store.summaries import summary
+from labpipe.store.summaries import build_summary
 
 if TYPE_CHECKING:
     import datetime
@@ -114,7 +114,7 @@ class Test:
     @property
     def summary(self) -> dict[str, object]:
         """Return the content of ``summary.json``, in SI units."""
-        return summary(self._outcome)
+        return build_summary(self._outcome)
 
     @property
     def display(self) -> Test:
@@ -269,7 +269,7 @@ class Test:
     def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
         if not names:
             return UsageError.about("api.none_of_these", self.name, what=what)
-        examples = ", ".join(nearest(name, names, limit=7))
+        examples = ", ".join(sort_by_likeness(name, names, limit=7))
         return UsageError.about("api.unknown", self.name, what=what, names=examples, found=name)
 
     def _missing(self, what: str) -> ProcessingError:
@@ -308,7 +308,7 @@ def page_of(result: TestResult) -> str:
 
 
 def _safe(text: str) -> str:
-    return escape(printable(text))
+    return escape(replace_unprintable(text))
 
 
 def _what(result: TestResult) -> str:
@@ -319,12 +319,12 @@ def _what(result: TestResult) -> str:
 
 
 def _row(result: Result, test: TestResult) -> str:
-    factor, unit = shown_in(result.name, result.unit, test.display)
+    factor, unit = find_display_unit(result.name, result.unit, test.display)
     value = float("nan") if result.value is None else result.value
     written = write_number(value, result.interval, factor, estimate=result.distinct_estimate)
-    number = f"{written.value} {unit_words(unit)}" if result.value is not None else written.value
-    state = "" if result.status is Status.OK else f"{result.status}: {result.why}"
-    cells = [as_label(result.name), number, written.interval, state]
+    number = f"{written.value} {typeset_unit(unit)}" if result.value is not None else written.value
+    state = "" if result.status is Status.OK else f"{result.status}: {result.reason_text}"
+    cells = [write_label(result.name), number, written.interval, state]
     inner = "".join(f'<td style="{_CELL}">{_safe(cell)}</td>' for cell in cells)
     return f"<tr>{inner}</tr>"
 
@@ -333,7 +333,7 @@ def _rest(result: TestResult, more: int) -> str:
     severities = Counter(note.severity for note in result.quality)
     parts = [f"95 % intervals; {more} more in .results" if more > 0 else "95 % intervals"]
     parts += [
-        count_of(severities[severity], severity.value)
+        write_count(severities[severity], severity.value)
         for severity in (Severity.ERROR, Severity.WARNING)
         if severities[severity]
     ]

@@ -26,16 +26,16 @@ from labpipe.campaign.decisions import (
     label_of,
     parse_decisions,
 )
-from labpipe.errors import LabpipeError, UsageError, refusal
+from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server
-from labpipe.report.page_tables import page_file
-from labpipe.report.wording import count_of
+from labpipe.report.page_tables import name_page_file
+from labpipe.report.wording import write_count
 from labpipe.units import whole_number
 
 LOOPBACK: Final = "127.0.0.1"
 REPORT: Final = "report"
-_TEST_PAGES_FOLDER: Final = page_file("").partition("/")[0]
+_TEST_PAGES_FOLDER: Final = name_page_file("").partition("/")[0]
 _INLINE_CONTENT_TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".svg": "image/svg+xml",
@@ -177,7 +177,7 @@ class _Handler(BaseHTTPRequestHandler):
         except (ConnectionError, TimeoutError):
             raise  # the browser closed the connection
         except OSError as error:
-            reply = _json({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+            reply = _json({"error": describe_system_error(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
         self.send_response(reply.status)
         length = str(len(reply.content))
         own = {"Content-Type": reply.content_type, "Content-Length": length}
@@ -272,7 +272,7 @@ def _find_file(parts: list[str], site: Site) -> Path:
 def _find_test(name: str, site: Site) -> Path:
     """Find the result of a test by the name of its page."""
     for file in files_below(site.folder, RESULT_FILE):
-        if page_file(label_of(file, site.folder)) == name:
+        if name_page_file(label_of(file, site.folder)) == name:
             return file
     raise _not_found()
 
@@ -285,7 +285,7 @@ def _save(body: bytes, site: Site) -> dict[str, Any]:
     taken = import_decisions(site.folder, site.campaign, read.decisions)
     stored = decisions_on(files_below(site.folder, RESULT_FILE))
     entries = [decision_entry(decision) for decisions in stored.values() for decision in decisions]
-    sentences = [f"{count_of(len(taken.added) + taken.n_known, 'decision')} saved."]
+    sentences = [f"{write_count(len(taken.added) + taken.n_known, 'decision')} saved."]
     sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.not_imported]
     sentences += ["They take effect when the report is made again."] * bool(taken.added)
     return {"said": " ".join(sentences), "decisions": entries}

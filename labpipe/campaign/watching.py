@@ -34,8 +34,8 @@ from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import read_overview, run_test
 from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError
-from labpipe.messages import sentence
-from labpipe.process.protocol_match import all_protocols
+from labpipe.messages import format_sentence
+from labpipe.process.protocol_match import load_all_protocols
 from labpipe.process.run import SUMMARY_FILE, draw_figures
 from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
 
@@ -121,7 +121,7 @@ class WarmWorker:
 def _import_all() -> None:
     for name in _MODULES:
         import_module(name)
-    all_protocols()  # parses protocols and units once
+    load_all_protocols()  # parses protocols and units once
 
 
 REMINDER_DELAY = 3600.0
@@ -447,10 +447,10 @@ class Watcher:
         moving = self._files.moving_for(path)
         test, file = _printable(candidate.name), _printable(path.name)
         if is_locked and moving > self.plan.patience:
-            self._say_once(sentence("campaign.locked_file", test=test, file=file))
+            self._say_once(format_sentence("campaign.locked_file", test=test, file=file))
         if moving > REMINDER_DELAY:
             self._say_once(
-                sentence(
+                format_sentence(
                     "campaign.long_locked_file" if is_locked else "campaign.long_growing_file",
                     test=test, file=file,
                 )
@@ -500,9 +500,11 @@ class Watcher:
             stood = self._still_for(candidate.files.get(name, candidate.folder / name))
             file = _printable(name)
             if stood > self.plan.patience:
-                self._say_once(sentence("campaign.unread_file", test=label, file=file, why=why))
+                self._say_once(
+                    format_sentence("campaign.unread_file", test=label, file=file, why=why)
+                )
             if stood > REMINDER_DELAY:
-                self._say_once(sentence("campaign.long_unread_file", test=label, file=file))
+                self._say_once(format_sentence("campaign.long_unread_file", test=label, file=file))
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
@@ -568,7 +570,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         draw = worker.draw if figures else (lambda _: None)
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; press Ctrl+C to stop")
-        all_protocols()  # loads units and grammar before the first verdict
+        load_all_protocols()  # loads units and grammar before the first verdict
         while True:
             began = time.monotonic()
             if not watcher.look():  # on a slow drive, at most a third of the time

@@ -29,7 +29,7 @@ from labpipe.campaign.running import (
 )
 from labpipe.cli.terminal import counting, from_here
 from labpipe.errors import UsageError
-from labpipe.report.wording import count_of
+from labpipe.report.wording import write_count
 from labpipe.store.replace import replacing
 
 _MAX_LISTED = 20
@@ -128,7 +128,9 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
         print(escaped(f"{decision.test}: {decision.decision}: {decision_sentence(decision)}"))
     for decision, why in imported.not_imported:
         print(escaped(f"{decision.test}: {decision.decision} not imported: {why}"), file=sys.stderr)
-    print(f"{count_of(len(imported.added), 'decision')} imported, {imported.n_known} already known")
+    print(
+        f"{write_count(len(imported.added), 'decision')} imported, {imported.n_known} already known"
+    )
     return 2 if faults or imported.not_imported else 0
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Self
 
-from labpipe.messages import code_of_template, sentence, template_of
+from labpipe.messages import find_code, find_template, format_sentence
 
 
 class Severity(StrEnum):
@@ -43,17 +43,17 @@ class Reason:
 
         Parameters
         ----------
-        name, facts : see `labpipe.messages.sentence`
+        name, facts : see `labpipe.messages.format_sentence`
         """
-        return cls(code_of_template(name), sentence(name, **facts))
+        return cls(find_code(name), format_sentence(name, **facts))
 
 
-def worded(reasons: Iterable[Reason]) -> str:
+def join_reasons(reasons: Iterable[Reason]) -> str:
     """Join reasons into one line for people: codes and sentences; empty if there are none.
 
     Examples
     --------
-    >>> worded([Reason("drift", "the zero drifts"), Reason("gap", "4 samples are missing")])
+    >>> join_reasons([Reason("drift", "the zero drifts"), Reason("gap", "4 samples are missing")])
     'drift: the zero drifts; gap: 4 samples are missing'
     """
     return "; ".join(map(str, reasons))
@@ -87,11 +87,11 @@ class QualityNote:
 
         Parameters
         ----------
-        name, facts : see `labpipe.messages.sentence`
+        name, facts : see `labpipe.messages.format_sentence`
         where, stretches : see the class
         """
-        severity = Severity(template_of(name)["severity"].partition(" or ")[0])
-        return cls(code_of_template(name), severity, where, sentence(name, **facts), stretches)
+        severity = Severity(find_template(name)["severity"].partition(" or ")[0])
+        return cls(find_code(name), severity, where, format_sentence(name, **facts), stretches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,42 +159,7 @@ class Finding:
         return self.note.code
 
 
-def info_note(code: str, where: str, message: str) -> Finding:
-    """Make a note without consequences."""
-    return Finding(QualityNote(code, Severity.INFO, where, message))
-
-
-def warning(code: str, where: str, message: str) -> Finding:
-    """Make a note about a repair, or about data that should be checked."""
-    return Finding(QualityNote(code, Severity.WARNING, where, message))
-
-
-def not_available(code: str, where: str, message: str) -> Finding:
-    """Note that something asked for is not available."""
-    return Finding(QualityNote(code, Severity.ERROR, where, message))
-
-
-def doubtful(
-    code: str,
-    where: str,
-    message: str,
-    *quantities: str,
-    during: tuple[float, float] | None = None,
-    clock: str = "",
-) -> Finding:
-    """Make a note that results of some quantities are doubtful.
-
-    Parameters
-    ----------
-    code, where, message : of the note
-    quantities, during, clock : see `Doubt`
-    """
-    note = QualityNote(code, Severity.WARNING, where, message)
-    reason = Reason(code, message)
-    return Finding(note, tuple(Doubt(quantity, reason, during, clock) for quantity in quantities))
-
-
-def doubtful_stretches(
+def doubt_stretches(
     quantity: str, note: QualityNote, clock: str, *, max_stretches: int = 100
 ) -> Finding:
     """Doubt a quantity in the stretches that a note speaks of, or in all of the record.
@@ -213,11 +178,6 @@ def doubtful_stretches(
     return Finding(
         note, tuple(Doubt(quantity, reason, stretch, clock) for stretch in stretches or (None,))
     )
-
-
-def blocking(code: str, where: str, message: str) -> Finding:
-    """Note an error after which later stages are not available."""
-    return Finding(QualityNote(code, Severity.ERROR, where, message), blocks=True)
 
 
 @dataclass(frozen=True, slots=True)

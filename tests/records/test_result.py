@@ -7,21 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.causes import contribution
+from labpipe.records.causes import make_contribution
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, add_errors
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.quality import (
     Doubt,
+    Finding,
     Findings,
     QualityNote,
     Reason,
     Severity,
-    blocking,
-    doubtful,
-    doubtful_stretches,
-    not_available,
-    warning,
+    doubt_stretches,
 )
 from labpipe.records.result import Contribution, Result, Specimen, Status
 
@@ -82,11 +79,12 @@ def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) 
 
 
 def test_a_doubt_of_several_quantities_is_one_note() -> None:
-    found = doubtful("a", "align", "b", "force", "clock", during=(1.0, 2.0), clock="force")
-    assert found.note == QualityNote("a", Severity.WARNING, "align", "b")
-    reason = Reason("a", "b")
-    assert found.doubts == tuple(
-        Doubt(each, reason, (1.0, 2.0), "force") for each in ("force", "clock")
+    name, quantities = "process.alignment_one_event", ("force", "clock")
+    finding = Finding.of(name, "align", *quantities, during=(1.0, 2.0), clock="force")
+    assert finding.note == QualityNote.of(name, "align")
+    reason = Reason("alignment_one_event", finding.note.message)
+    assert finding.doubts == tuple(
+        Doubt(quantity, reason, (1.0, 2.0), "force") for quantity in quantities
     )
 
 
@@ -95,32 +93,39 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
     """Of all of it, of each, and of one long stretch where there are too many."""
     stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
-    found = doubtful_stretches("force", note, "recorder", max_stretches=2)
+    found = doubt_stretches("force", note, "recorder", max_stretches=2)
     assert found.note.severity is Severity.WARNING
     assert [doubt.during for doubt in found.doubts] == during
     assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}
 
 
+def note(code: str, message: str = "") -> QualityNote:
+    return QualityNote(code, Severity.ERROR, "align", message)
+
+
 def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     """Notes and doubts count once."""
-    one, other = doubtful("a", "c", "b", "force"), doubtful("a", "c", "b", "clock")
+    one, other = (
+        Finding(note("a"), (Doubt(quantity, Reason("a", "")),)) for quantity in ("force", "clock")
+    )
     joined = Findings((one, one)) + iter((other,))
     assert (len(joined.entries), joined.notes) == (3, (one.note,))
     assert [doubt.quantity for doubt in joined.doubts] == ["force", "clock"]
-    assert Findings((not_available("x", "", ""),)).blocked is None
-    several = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
+    error = Finding(note("x"))
+    assert Findings((error,)).blocked is None
+    several = Findings((Finding(note("a")), Finding(note("b")), Finding(note("a", "again"))))
     assert [finding.code for finding in several.without("a").entries] == ["b"]
-    found = Findings((warning("b", "", ""), blocking("c", "align", "three")))
-    assert (found + iter([blocking("d", "align", "four")])).blocked == Reason("c", "three")
+    findings = Findings((Finding(note("b")), Finding(note("c", "three"), blocks=True)))
+    assert (findings + iter([replace(error, blocks=True)])).blocked == Reason("c", "three")
 
 
 def test_what_tests_of_a_rig_share() -> None:
     causes = ("noise", "scale of the force", "compliance of the frame", "pull offset", "span")
-    common = [contribution(cause, -0.2).is_common for cause in (*causes, "grip offset")]
+    common = [make_contribution(cause, -0.2).is_common for cause in (*causes, "grip offset")]
     assert common == [False, True, True, False, True, True]
-    assert contribution("span", -0.2) == Contribution("span", -0.2, is_common=True)
+    assert make_contribution("span", -0.2) == Contribution("span", -0.2, is_common=True)
     with pytest.raises(KeyError):
-        contribution("the moon", 0.1)
+        make_contribution("the moon", 0.1)
 
 
 MIXED = Bundle(

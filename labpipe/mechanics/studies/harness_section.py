@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, nearest
+from labpipe.errors import ReadError, UsageError, sort_by_likeness
 from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
@@ -34,7 +34,7 @@ from labpipe.mechanics.wire.law_family import (
     with_values,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
-from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock, find_named_file
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
@@ -101,7 +101,7 @@ def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> 
     if block.wire is not None:
         material = _wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _deck_material(block, file_beside(block.sliders, file))
+        material = _deck_material(block, find_named_file(block.sliders, file))
     else:
         material = _stiffness_material(block)
     return replace(material, distributions=_add_stated(material.distributions, harness))
@@ -157,19 +157,19 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
     specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
     if name in specs:
         return specs[name]
-    near = ", ".join(nearest(name, list(specs)))
+    near = ", ".join(sort_by_likeness(name, list(specs)))
     raise UsageError.about(
         "mechanics.studies.no_such_wire", where, sheet=sheet, near=near, name=name
     )
 
 
 def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
-    sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
+    sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
     spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
     files = [input_file("wires", sheet)]
     calibrated = None
     if block.calibration is not None:
-        path = file_beside(block.calibration, file)
+        path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(input_file("calibration", path))
     specs = _solution_specs(spec, calibrated)

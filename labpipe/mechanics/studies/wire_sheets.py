@@ -15,7 +15,7 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 
-from labpipe.errors import Fault, ProcessingError, ReadError, error_text, nearest
+from labpipe.errors import Fault, ProcessingError, ReadError, format_error, sort_by_likeness
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.protocol.grammar import Block
@@ -26,11 +26,11 @@ from labpipe.protocol.wire_rows import (
     Curve,
     StressPoint,
     WireRow,
-    column_name,
-    curve_fault,
-    curve_of,
-    heading_faults,
-    wire_spec,
+    build_wire_spec,
+    convert_points,
+    find_curve_fault,
+    find_heading_faults,
+    normalise_heading,
 )
 from labpipe.readers.workbooks import (
     Cell,
@@ -68,7 +68,9 @@ class Conditions(Block):
     temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
 
 
-_POINT, _PROOF, _CONDITIONS = (list(kind.keys()) for kind in (StressPoint, ProofStress, Conditions))
+_POINT, _PROOF, _CONDITIONS = (
+    list(kind.list_keys()) for kind in (StressPoint, ProofStress, Conditions)
+)
 _NAME_COLUMNS = (
     f"Name the columns {' and '.join(_POINT)}; or, for one row of numbers, {', '.join(_PROOF)}."
 )
@@ -181,7 +183,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         If there is no such table or it has faults: all of them, each with its cell.
     """
     table, file = _table(column, name, path)
-    names = [column_name(cell.text) for cell in table.heading]
+    names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     raise_faults(file, _heading_faults(table.heading, names))
     conditions = _conditions(rows, file)
@@ -189,12 +191,12 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         numbers = _numbers(rows, column, file)
         return StatedCurve(name.text, ramberg_osgood_curve(numbers), numbers, conditions)
     points = _blocks(StressPoint, rows, file)
-    if curve_error := curve_fault(points, column):
+    if curve_error := find_curve_fault(points, column):
         number, fault = curve_error
         before = points[number - 1].strain if number else 0.0
         wrong = "strain" if points[number].strain <= before else "stress_mpa"
         raise_faults(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
-    return StatedCurve(name.text, curve_of(points), None, conditions)
+    return StatedCurve(name.text, convert_points(points), None, conditions)
 
 
 def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
@@ -286,7 +288,9 @@ def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     sheets = list(sheets_of(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:
-        expected = f"the name of a sheet ({', '.join(map(repr, nearest(name.text, sheets)))})"
+        expected = (
+            f"the name of a sheet ({', '.join(map(repr, sort_by_likeness(name.text, sheets)))})"
+        )
         remedy = "Add the sheet or correct its name."
         raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
     chosen = name.text if name.text in matches else matches[0]
@@ -317,7 +321,7 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
 def fault_messages(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
     """Return the messages of faults of a file."""
     return [
-        error_text(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
+        format_error(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
         for place, fault in faults
     ]
 
@@ -383,7 +387,7 @@ def wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> Pr
     """
     place, remedy = f"{spec.place}, wire {spec.name!r}", "Check its row against the wire."
     actual = f"this: {reason}"
-    message = error_text(sheet, place, expected=expected, found=actual, remedy=remedy)
+    message = format_error(sheet, place, expected=expected, found=actual, remedy=remedy)
     return ProcessingError(message)
 
 
@@ -392,9 +396,9 @@ def read_wires(path: Path) -> WireSheet:
     cells, where = _cells(path)
     raise_faults(path, _first_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
-    wrong = heading_faults([cell.text for cell in table.heading])
+    wrong = find_heading_faults([cell.text for cell in table.heading])
     raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
-    names = [column_name(cell.text) for cell in table.heading]
+    names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = fault_messages(path, _repeated_name_faults([row["wire"] for row in rows]))
     curves: dict[tuple[str, str], StatedCurve] = {}
@@ -414,7 +418,9 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
     sheets = sheets_of(path)
     if not sheets:
         actual, remedy = "a workbook without sheets", "Name the wire sheet."
-        raise ReadError(error_text(path, "", expected="a wire sheet", found=actual, remedy=remedy))
+        raise ReadError(
+            format_error(path, "", expected="a wire sheet", found=actual, remedy=remedy)
+        )
     visible = [name for name, is_shown in sheets.items() if is_shown]
     usual = [name for name in sheets if name.casefold() == "wires"]
     name = [*usual, *visible, *sheets][0]
@@ -425,7 +431,9 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
 def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
     """Find a title or a comment above the heading, and a row of units below it."""
     filled = [row for row in cells if any(cell.text for cell in row)]
-    counts = [sum(column_name(cell.text) in WireRow.model_fields for cell in row) for row in filled]
+    counts = [
+        sum(normalise_heading(cell.text) in WireRow.model_fields for cell in row) for row in filled
+    ]
     heading = next((number for number, count in enumerate(counts) if count > 1), None)
     if heading is None:
         return
@@ -484,7 +492,7 @@ def _read_spec(
     tables = [
         named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
     ]
-    return wire_spec(read, blank, place, *tables)
+    return build_wire_spec(read, blank, place, *tables)
 
 
 def _stress_tables(
