@@ -23,7 +23,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from labpipe.protocol.yaml_text import refused
 from labpipe.records.declarations import PatternText, Quantity, Span, WholeNumber
-from labpipe.units import DimensionError, NotFiniteError, parse_quantity, si_factor
+from labpipe.units import DimensionError, NotFiniteError, find_si_factor, parse_quantity
 
 SI_UNITS: Final = MappingProxyType(
     {
@@ -100,7 +100,7 @@ def unit_remedy(unit: str, si_unit: str) -> str:
     Its own dimension, or that it is unknown; empty for a unit of the dimension, and for none.
     """
     try:
-        si_factor(unit or si_unit, si_unit)
+        find_si_factor(unit or si_unit, si_unit)
     except DimensionError:
         own_unit = si_unit_like(unit)
         if (own_unit, si_unit) == ("kg", "N"):
@@ -179,7 +179,7 @@ class QuantityText:
 
     def written(self, value: float) -> str:
         """Write a value in SI with its unit so that reading it gives the same float."""
-        number, unit = value / si_factor(self.of.shown, self.of.unit), self.of.shown
+        number, unit = value / find_si_factor(self.of.shown, self.of.unit), self.of.shown
         if not math.isfinite(number):
             number, unit = value, self.of.unit
         return f"{number:.12g} {unit}".removesuffix(" 1")

@@ -26,7 +26,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Interval, Shape
-from labpipe.records.quality import Finding, Findings, warning
+from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Clocks, Signal, Signals
@@ -34,7 +34,7 @@ from labpipe.signal.turning_points import find_strokes, split_branches
 from tests.approved import Approve
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.pulls import pull, pulled
-from tests.builders.reasons import doubted
+from tests.builders.reasons import doubted, warning
 from tests.builders.reduced import reduced
 
 TIME = np.arange(0.0, 50.0, 0.02)

@@ -13,17 +13,15 @@ from labpipe.records.estimates import Estimate, add_errors
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.quality import (
     Doubt,
+    Finding,
     Findings,
     QualityNote,
     Reason,
     Severity,
-    blocking,
     doubt_stretches,
-    doubtful,
-    not_available,
-    warning,
 )
 from labpipe.records.result import Contribution, Result, Specimen, Status
+from tests.builders.reasons import warning
 
 
 @pytest.mark.parametrize(
@@ -82,9 +80,11 @@ def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) 
 
 
 def test_a_doubt_of_several_quantities_is_one_note() -> None:
-    found = doubtful("a", "align", "b", "force", "clock", during=(1.0, 2.0), clock="force")
-    assert found.note == QualityNote("a", Severity.WARNING, "align", "b")
-    reason = Reason("a", "b")
+    found = Finding.of(
+        "statistics.empty_group", "align", "force", "clock", during=(1.0, 2.0), clock="force"
+    )
+    assert (found.note.severity, found.note.where) == (Severity.WARNING, "align")
+    reason = Reason("empty_group", found.note.message)
     assert found.doubts == tuple(
         Doubt(each, reason, (1.0, 2.0), "force") for each in ("force", "clock")
     )
@@ -103,15 +103,17 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
 
 def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     """Notes and doubts count once."""
-    one, other = doubtful("a", "c", "b", "force"), doubtful("a", "c", "b", "clock")
+    one, other = warning("a", "c", "b", "force"), warning("a", "c", "b", "clock")
     joined = Findings((one, one)) + iter((other,))
     assert (len(joined.entries), joined.notes) == (3, (one.note,))
     assert [doubt.quantity for doubt in joined.doubts] == ["force", "clock"]
-    assert Findings((not_available("x", "", ""),)).blocked is None
+    assert Findings((one,)).blocked is None
     several = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
     assert [finding.code for finding in several.without("a").entries] == ["b"]
-    found = Findings((warning("b", "", ""), blocking("c", "align", "three")))
-    assert (found + iter([blocking("d", "align", "four")])).blocked == Reason("c", "three")
+    found = Findings((warning("b", "", ""), warning("c", "align", "three", blocks=True)))
+    assert (found + iter([warning("d", "align", "four", blocks=True)])).blocked == Reason(
+        "c", "three"
+    )
 
 
 def test_what_tests_of_a_rig_share() -> None:

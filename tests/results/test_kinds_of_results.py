@@ -8,12 +8,13 @@ import pytest
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtful
+from labpipe.records.quality import Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import ClockResult, Computed, Kind, Outcome
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from tests.builders.reasons import warning
 
 
 class ByLine(Kind):
@@ -69,20 +70,20 @@ def test_no_number() -> None:
 
 def test_doubts_of_its_quantities() -> None:
     test = evidence(
-        doubtful("drift", "force", "the zero drifts", "force"),
-        doubtful("drift", "clock", "the clock drifts", "clock"),
+        warning("drift", "force", "the zero drifts", "force"),
+        warning("drift", "clock", "the clock drifts", "clock"),
     )
     found = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
     assert found.status is Status.DOUBTFUL
     assert found.reason_text == "drift: the zero drifts; slip_in_window: at 6 mm"
-    twice = evidence(doubtful("turn", "travel", "not seen", "force", "displacement"))
+    twice = evidence(warning("turn", "travel", "not seen", "force", "displacement"))
     assert number(twice, Estimate(1.0, 0.1, 5)).reason_text == "turn: not seen"
 
 
 def test_what_stopped_the_test_comes_first() -> None:
     otherwise = Failure("no_cycle", "no branch")
     assert evidence().unavailable(otherwise).failure is otherwise
-    stopped = evidence(blocking("no_motion", "travel", "it spans 0.1 mm: too little"))
+    stopped = evidence(warning("no_motion", "travel", "it spans 0.1 mm: too little", blocks=True))
     assert stopped.unavailable(otherwise).failure == Failure(
         "no_motion", "it spans 0.1 mm: too little"
     )
@@ -134,7 +135,7 @@ def located(clocks: Clocks = APART) -> ReducedTest:
     signals = Signals()
     for name, clock in (("force", "force"), ("displacement", "markers")):
         signals = signals.add_signal(name, Signal(time, time, "N", clock))
-    found = doubtful("frozen", "force", "stands", "force", during=(40.0, 42.0), clock="force")
+    found = warning("frozen", "force", "stands", "force", during=(40.0, 42.0), clock="force")
     return ReducedTest(signals, clocks, findings=Findings((found,)))
 
 
@@ -159,8 +160,8 @@ def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
 
 
 def test_of_each_code_the_first_reason_counts() -> None:
-    more = doubtful("frozen", "force", "again", "force")
-    other = doubtful("drift", "force", "the zero drifts", "force")
+    more = warning("frozen", "force", "again", "force")
+    other = warning("drift", "force", "the zero drifts", "force")
     test = located()
     test = replace(test, findings=test.findings + iter((more, other)))
     assert test.why_doubtful("force") == (*FROZEN, Reason("drift", "the zero drifts"))
