@@ -38,6 +38,7 @@ from labpipe.results.slack_and_slips import (
     samples_before,
     slack_of,
 )
+from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
 from labpipe.signal.turning_points import number_branches
@@ -115,7 +116,7 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
     rule = lost = None
     if block.failure is not None:
         failure = block.failure
-        rule = LossOfForce(failure.force_below, failure.loss, failure.within)
+        rule = LossOfForce(failure.force_below, failure.loss, failure.within, failure.at_end_below)
         lost = find_final_loss(test, rule)  # in the unfiltered force
     test, findings = _filter_branches(test, lost), list[Finding]()
     if block.compliance is not None and block.compliance.value > 0.0:
@@ -129,6 +130,9 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
     if block.slack is not None:
         test, more_findings = _subtract_slack(test, block.slack)
         findings += more_findings
+    if (line := block.elastic_line) is not None and test.curve is not None:
+        choice = ElasticWindow(line.start, line.stop, line.of, line.straight)
+        test = replace(test, pull=fit_pull(test, choice))
     # Reported last, because slack shifts the origin of the displacement.
     return test, [*findings, *(_slip_note(test.signals.force, slip) for slip in test.slips)]
 
@@ -226,10 +230,12 @@ def _find_failure(
 ) -> FailurePoint | Failure | None:
     if isinstance(lost, Failure) and lost.code == "no_break":
         loading = slice(curve.branches[0].start, None)
+        force = _sign(curve) * curve.force[loading]
+        finite = np.flatnonzero(~np.isnan(force))
+        if rule.at_end_below and force[finite[-1]] < rule.at_end_below * np.nanmax(force):
+            return FailurePoint(loading.start + int(finite[-1]))
         sense = sense_of_loading(curve.displacement[loading])
-        sample = slow_loss(
-            sense * curve.displacement[loading], _sign(curve) * curve.force[loading], rule
-        )
+        sample = slow_loss(sense * curve.displacement[loading], force, rule)
         return (
             lost
             if sample is None

@@ -42,7 +42,8 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
     No unit is stated, that of the export is unknown or of another quantity, or `unit` contradicts
     it and `wrong_unit_in_file` does not name it.
     """
-    stated, si_unit, key = channel.unit_in_file, _si_unit(source), source.key
+    stated, key = channel.unit_in_file, source.key
+    si_unit = _si_unit(source, source.unit or stated)
     place, likely = f"channel {channel.path!r}", _known_unit(stated)
     another = format_overrides(f"{key}.channel", "...")
     if source.unit is not None:
@@ -97,8 +98,11 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
     return [str(error)]
 
 
-def _si_unit(source: ChannelSource) -> str:
-    return source.channel_unit or source.target_unit
+def _si_unit(source: ChannelSource, stated: str) -> str:
+    """Return the SI unit of a channel; an extensometer may also give strain."""
+    unit = source.channel_unit or source.target_unit
+    is_strain = source.is_extension and _same_unit(stated, stated, "1")
+    return "1" if is_strain else unit
 
 
 def _known_unit(stated: str) -> str:
@@ -347,7 +351,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
             continue
         channels.append(_in_si(channel, name, spec))
         own, stated = spec.unit, channel.unit_in_file
-        if own and stated and own != stated and not _same_unit(own, stated, _si_unit(spec)):
+        if own and stated and own != stated and not _same_unit(own, stated, _si_unit(spec, own)):
             notes.append(QualityNote.of("process.unit_overridden", name, stated=stated, own=own))
         if not is_exact_name(spec.channel, channel):
             wanted = " or ".join(map(repr, spec.channel[:3]))
@@ -369,8 +373,8 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
-    unit = _si_unit(source)
-    factor = find_si_factor(source.unit or channel.unit_in_file, unit)
+    unit = _si_unit(source, source.unit or channel.unit_in_file)
+    factor = si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)

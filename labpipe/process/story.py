@@ -225,7 +225,8 @@ def _reduced_test(
 ) -> ReducedTest:
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
-    sizes = {"length": specimen.length, "span": specimen.span, **section}
+    lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
+    sizes = {**dict(lengths), "span": specimen.span, **section}
     setup = Setup(
         sizes={name: size for name, size in sizes.items() if size is not None},
         mass_per_length=specimen.mass_per_length,
@@ -259,7 +260,7 @@ def _uncertainties(protocol: Protocol) -> dict[str, float]:
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
-    return of_results | (stated.stated if stated is not None else {})
+    return of_results | (stated.by_key if stated is not None else {})
 
 
 def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:

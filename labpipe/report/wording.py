@@ -142,6 +142,7 @@ _QUANTITIES = {
     "1/m": "curvature",
     "N*m^2": "bending_stiffness",
     "rad": "angle",
+    "1": "strain",
 }
 """Quantity of the display unit by SI unit."""
 _PER_PEAK = "_per_peak_force"

@@ -36,11 +36,14 @@ class LossOfForce:
     force_below : share of the largest force below which the specimen has failed
     loss : share of the largest force that is lost suddenly
     within : s, longest duration of that loss, or one sampling step if that is longer
+    at_end_below : share of the largest force below which the record ends with the break; None if
+        its end is no break
     """
 
     force_below: float
     loss: float
     within: float
+    at_end_below: float | None = None
 
 
 def final_loss(

@@ -21,6 +21,7 @@ from labpipe.uncertainty.replicates import Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
+    from labpipe.results.tension import Pull
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +150,7 @@ class ReducedTest:
     slips : the slip ledger
     compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement
     slack : displacement before the specimen was taut, m; None if not requested
+    pull : stress and strain with the elastic line, or why there are none; None if not requested
     cut_at : by quantity, s on the clock of the curve, where its record ends within a branch
     stiffnesses : by name, of earlier results
     findings : so far
@@ -169,6 +171,7 @@ class ReducedTest:
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
     slack: Measured | Failure | None = None
+    pull: Pull | Failure | None = None
     cut_at: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
