@@ -374,7 +374,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
     unit = _si_unit(source, source.unit or channel.unit_in_file)
-    factor = si_factor(source.unit or channel.unit_in_file, unit)
+    factor = find_si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)

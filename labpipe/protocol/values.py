@@ -183,7 +183,7 @@ class QuantityText:
     def format(self, value: float) -> str:
         """Format a value in SI with its unit, to 12 digits."""
         number, unit = (
-            value / si_factor(self.quantity.shown, self.quantity.unit),
+            value / find_si_factor(self.quantity.shown, self.quantity.unit),
             self.quantity.shown,
         )
         if not math.isfinite(number):

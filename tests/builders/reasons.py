@@ -8,24 +8,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reason, Severity
+from labpipe.records.quality import Finding, Findings
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.store.read import read_run
-
-
-def warning(
-    code: str,
-    where: str,
-    message: str,
-    *quantities: str,
-    during: tuple[float, float] | None = None,
-    clock: str = "",
-    blocks: bool = False,
-) -> Finding:
-    """A warning, which may make quantities doubtful."""
-    note, reason = QualityNote(code, Severity.WARNING, where, message), Reason(code, message)
-    doubts = tuple(Doubt(quantity, reason, during, clock) for quantity in quantities)
-    return Finding(note, doubts, blocks)
 
 
 def codes(result: Mapping[str, Any]) -> list[str]:

@@ -34,7 +34,7 @@ from labpipe.signal.turning_points import find_strokes, split_branches
 from tests.approved import Approve
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.pulls import pull, pulled
-from tests.builders.reasons import doubted, warning
+from tests.builders.reasons import doubted
 from tests.builders.reduced import reduced
 
 TIME = np.arange(0.0, 50.0, 0.02)

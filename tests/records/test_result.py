@@ -21,7 +21,6 @@ from labpipe.records.quality import (
     doubt_stretches,
 )
 from labpipe.records.result import Contribution, Result, Specimen, Status
-from tests.builders.reasons import warning
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import ClockResult, Computed, Kind, Outcome
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
-from tests.builders.reasons import warning
 
 
 class ByLine(Kind):
