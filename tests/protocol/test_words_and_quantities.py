@@ -39,6 +39,7 @@ from labpipe.records.declarations import (
     Speed,
     WholeNumber,
 )
+from labpipe.units import find_si_factor
 from tests.approved import Approve
 
 
