@@ -187,7 +187,7 @@ def _to_pint_syntax(unit: str) -> str:
     return "" if plain in {"", "1"} else plain.replace("·", "*").replace("^", "**")
 
 
-def parse_whole_number(text: str) -> int | None:
+def parse_count(text: str) -> int | None:
     """Parse a count, such as a header states.
 
     Parameters
@@ -200,7 +200,7 @@ def parse_whole_number(text: str) -> int | None:
 
     Examples
     --------
-    >>> parse_whole_number("2701"), parse_whole_number("2701.0"), parse_whole_number(5000 * "9")
+    >>> parse_count("2701"), parse_count("2701.0"), parse_count(5000 * "9")
     (2701, None, None)
     """
     max_digits = 18

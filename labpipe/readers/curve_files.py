@@ -51,7 +51,7 @@ from labpipe.readers.text_cells import (
 )
 from labpipe.readers.workbooks import is_workbook, open_sheets, workbook_cells
 from labpipe.records.arrays import Floats
-from labpipe.units import find_si_factor, parse_whole_number
+from labpipe.units import find_si_factor, parse_count
 
 __all__ = ["CurveColumn", "read_curve"]
 
@@ -245,7 +245,7 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
     ]
     if len(matches) == 1:
         return matches[0]
-    number = parse_whole_number(wanted.column or "")
+    number = parse_count(wanted.column or "")
     if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
     near = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
