@@ -14,10 +14,10 @@ from labpipe.readers import recognise_export
 from labpipe.readers.recording_checks import (
     SAMPLED_ON_EVENT,
     TIME_VARIABLE,
-    blank,
+    find_blank_frames,
     find_holes,
-    longest,
-    unchanged,
+    find_longest_stretch,
+    find_unchanged_steps,
 )
 from labpipe.records.arrays import Floats, find_runs, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
@@ -173,22 +173,26 @@ def _markers(tracks: MarkerTracks) -> dict[str, Any]:
 
 def _gaps(track: Floats) -> dict[str, Any]:
     max_ranges = 100  # the count in the output is of all gaps
-    missing = blank(track)
+    missing = find_blank_frames(track)
     gaps = find_runs(missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
-    return {"count": len(gaps), "longest": longest(missing), "ranges": ranges}
+    return {
+        "count": len(gaps),
+        "longest": find_longest_stretch(missing),
+        "ranges": ranges,
+    }
 
 
 def _frozen(track: Floats) -> dict[str, int]:
-    still = unchanged(track)
-    return {"steps": int(still.sum()), "longest": longest(still)}
+    still = find_unchanged_steps(track)
+    return {"steps": int(still.sum()), "longest": find_longest_stretch(still)}
 
 
 def _body(body: RigidBody) -> dict[str, Any]:
     frozen = _frozen(body.position)
     return {
         "name": body.name,
-        "missing": int(blank(body.position).sum()),
+        "missing": int(find_blank_frames(body.position).sum()),
         "gaps": _gaps(body.position),
         "frozen_steps": frozen["steps"],
         "longest_frozen_run": frozen["longest"],
