@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.group import Band, Campaign, Group
 from labpipe.report.budget_figures import draw_group_budgets, make_group_bars
 from labpipe.report.comparisons import (
@@ -142,10 +143,7 @@ def list_group_figures(group: Group) -> Iterator[FigureToSave]:
         )
     if make_group_bars(group, of_means=False):
         alt = f"Shares of the causes of the intervals of {group.name}, {describe_counts(group)}."
-        caption = (
-            "Contributions to the intervals; numbers per cycle: first cycle only. More samples"
-            " reduce the scatter, but not the hatched causes."
-        )
+        caption = format_sentence("report.budget_caption")
         yield FigureToSave("budgets", partial(draw_group_budgets, group), caption, alt)
 
 

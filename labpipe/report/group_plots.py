@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
@@ -19,9 +20,8 @@ from labpipe.report.page_facts import PageTest, PageTests, make_key
 from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_axis, simplify_line
 from labpipe.report.wording import (
     Scale,
-    find_display,
-    find_display_unit,
     find_group_unit,
+    find_number_unit,
     is_first_cycle,
     typeset_unit,
     write_count,
@@ -458,7 +458,7 @@ def _scaled_plot(view: _GroupView) -> Plot | None:
     x = make_axis("Displacement", view.across.unit, [line.x for line in lines])
     y = _force_axis(view, band, is_scaled=True)
     title = f"Force over peak force against displacement of {view.group.name}."
-    caption = "Force over the peak force of the same sample: the scatter shown is not of strength."
+    caption = format_sentence("report.scaled_caption")
     keys = _keys(view, lines, f"mean of {band.n} {band.members}")
     return Plot("scaled", view.stem, title, caption, x, y, lines, keys, _SMALL_PLOT)
 
@@ -487,7 +487,7 @@ def _number_plots(group: Group) -> Iterator[Plot]:
     drawn = {number.name for number in numbers}
     rest = "; ".join(write_label(x.name) for x in first_cycle if x.name not in drawn)
     for number in numbers:
-        scale = find_display_unit(number.name, number.unit, find_display(group))
+        scale = find_number_unit(group, number)
         names: dict[str, int] = {}
         lines = list(_dot_rows(group, number, scale.factor, names))
         values = [line.x for line in lines if not line.look.startswith("interval")]

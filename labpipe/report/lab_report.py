@@ -72,6 +72,7 @@ from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import (
     find_display,
     find_display_unit,
+    find_number_unit,
     is_first_cycle,
     replace_names,
     replace_unprintable,
@@ -335,7 +336,7 @@ def _key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ..
     for group, _ in groups:
         for number in group.numbers:
             if is_first_cycle(number.name) and not number.is_set_by_rig:
-                unit = find_display_unit(number.name, number.unit, find_display(group)).unit
+                unit = find_number_unit(group, number).unit
                 heads.setdefault(number.name, write_heading(number.name, unit))
     return tuple(heads.items())[:n_numbers]
 

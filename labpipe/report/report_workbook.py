@@ -41,6 +41,7 @@ from labpipe.report.wording import (
     find_display,
     find_display_unit,
     find_group_unit,
+    find_number_unit,
     is_main,
     list_key_numbers,
     typeset_unit,
@@ -170,7 +171,7 @@ def _key_record(group: Group) -> Record:
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
     for number in list_key_numbers(group)[:3]:
-        scale = find_display_unit(number.name, number.unit, find_display(group))
+        scale = find_number_unit(group, number)
         cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
         name, unit = write_label(number.name), typeset_unit(scale.unit)
         parts = zip(("", ", lower", ", upper"), cells.values(), strict=True)
@@ -199,7 +200,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
                 why = "; ".join(map(join_reasons, number.left_out.values()))
                 yield _mean_record(group, number, None, "all") | {"reason": why}
                 continue
-            scale = find_display_unit(number.name, number.unit, find_display(group))
+            scale = find_number_unit(group, number)
             within, between = (
                 make_number_cell(spread, mean.chosen.interval, scale.factor)
                 for spread in (mean.within, mean.between_spools)
@@ -217,7 +218,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
 
 
 def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, over: str) -> Record:
-    scale = find_display_unit(number.name, number.unit, find_display(group))
+    scale = find_number_unit(group, number)
     head: Record = {
         "group": group.name, "number": write_label(number.name), "over": over,
         "unit": typeset_unit(scale.unit), **_mean_cells(mean, scale),
@@ -396,7 +397,7 @@ def _budgets(campaign: Campaign) -> list[Record]:
 
 
 def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval | None) -> Record:
-    scale = find_display_unit(number.name, number.unit, find_display(group))
+    scale = find_number_unit(group, number)
     half = None if interval is None else 0.5 * (interval.upper - interval.lower)
     return {
         "group": group.name,

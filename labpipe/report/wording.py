@@ -256,6 +256,11 @@ def find_display(group: Group) -> Mapping[str, str]:
     return group.samples[0].display if group.samples else {}
 
 
+def find_number_unit(group: Group, number: GroupNumber) -> Scale:
+    """Return the display unit of a number in its group."""
+    return find_display_unit(number.name, number.unit, find_display(group))
+
+
 def find_group_unit(group: Group, quantity: str) -> Scale:
     """Return the display unit of displacement, force, curvature or moment in a group."""
     si_unit = {"displacement": "m", "force": "N", "curvature": "1/m", "moment": "N*m"}[quantity]
