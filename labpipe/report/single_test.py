@@ -30,14 +30,16 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
     Parameters
     ----------
-    result : with the figures of its protocol
+    result : of the test; figures that its protocol names are drawn
     report : id of the report that links to the page; may be empty
 
     Returns
     -------
     An HTML document that needs no other file, no network and no script.
     """
-    inputs = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
+    inputs = tuple(
+        (Cell(source.role), Cell(source.file), Cell(source.sha256)) for source in result.inputs
+    )
     names = [name for name in result.figures if name in FIGURES]
     with style(is_journal=is_for_journal(result)):
         figures = [
