@@ -31,8 +31,7 @@ from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, se
 from labpipe.report.wording import (
     Scale,
     find_display,
-    find_display_unit,
-    typeset_unit,
+    find_unit,
     write_number,
     write_with_interval,
 )
@@ -40,10 +39,6 @@ from labpipe.report.wording import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-UNIT = "N*m^2"
-"""SI unit of bending stiffness."""
 
 
 def has_bundles(campaign: Campaign) -> bool:
@@ -68,11 +63,8 @@ def make_place_table(campaign: Campaign) -> Table | None:
         return None
     scales = choose_place_units(campaign)
     rows = tuple(_row(place, scales[place.group]) for place in campaign.places)
-    unit = typeset_unit(next(iter(scales.values())).unit)
-    heads = (
-        "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Wires slip ({unit})",
-        f"Nothing slips ({unit})", "Share of the way",
-    )  # fmt: skip
+    stiffnesses = ("Bending stiffness", "All slips", "Wires slip", "Nothing slips")
+    heads = ("Test", *map(next(iter(scales.values())).label, stiffnesses), "Share of the way")
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
     return Table("Between slipping and sticking", heads, rows, notes)
 
@@ -80,11 +72,11 @@ def make_place_table(campaign: Campaign) -> Table | None:
 def choose_place_units(campaign: Campaign) -> dict[str, Scale]:
     """Choose the unit of bending stiffness by group: that of its protocol, SI if they differ."""
     scales = {
-        group.name: find_display_unit("", UNIT, find_display(group)) for group in campaign.groups
+        group.name: find_unit(find_display(group), "bending_stiffness") for group in campaign.groups
     }
     first = next(iter(scales.values()))
     is_one = all(scale.unit == first.unit for scale in scales.values())
-    return scales if is_one else dict.fromkeys(scales, find_display_unit("", UNIT, {}))
+    return scales if is_one else dict.fromkeys(scales, find_unit({}, "bending_stiffness"))
 
 
 def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
@@ -154,7 +146,7 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_yticks(range(len(places)), names)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.set_xlabel(f"Bending stiffness ({typeset_unit(scale.unit)})")
+    axes.set_xlabel(scale.label("Bending stiffness"))
     label_log_axis(axes.xaxis)
     return add_title(page, "Between slipping and sticking  \u00b7  bundle model")
 

@@ -45,11 +45,10 @@ from labpipe.report.marker_figures import draw_marker_quality, draw_wire_shapes
 from labpipe.report.plot_records import find_extremes
 from labpipe.report.wording import (
     Scale,
-    choose_unit,
     explain_missing,
     find_last_place,
+    find_unit,
     round_to_place,
-    typeset_unit,
     write_count,
     write_footnote,
     write_label,
@@ -281,13 +280,13 @@ def _plot_lines(result: TestResult, axes: Axes) -> None:
 
 def _describe_slope(result: TestResult, line: FittedLine) -> str:
     """Write the name and the slope of a line, with the interval of the result, if any."""
-    stiffness = choose_unit(result, "stiffness", "N/m")
+    stiffness = find_unit(result.display, "stiffness")
     fitted = _find_result(result, line.result)
     slope, ends = line.slope, None
     if fitted is not None and fitted.unit == "N/m" and fitted.value is not None:
         slope, ends = fitted.value, fitted.interval
     number = write_number(slope, ends, stiffness.factor).text
-    return f"{write_label(line.result)}: {number} {typeset_unit(stiffness.unit)}"
+    return f"{write_label(line.result)}: {number} {stiffness.unit}"
 
 
 def _mark_points(result: TestResult, axes: Axes) -> None:
@@ -312,7 +311,7 @@ def _find_result(result: TestResult, name: str) -> Result | None:
 
 
 def _scales(result: TestResult) -> tuple[Scale, Scale]:
-    return choose_unit(result, "displacement", "m"), choose_unit(result, "force", "N")
+    return find_unit(result.display, "displacement"), find_unit(result.display, "force")
 
 
 def draw_moment_curvature(result: TestResult) -> Figure:
@@ -342,7 +341,10 @@ def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
     stripe shows the curvatures below their noise.
     """
     max_cloud_points = 2500
-    across, up = _bending_scale(result, "curvature"), _bending_scale(result, "moment")
+    across, up = (
+        find_unit(result.display, "curvature"),
+        find_unit(result.display, "moment"),
+    )
     cloud, branches = bending.cloud, _branches(result)
     x, y = _points_from_rest(bending)
     stride, look = -(-x.size // max_cloud_points), read_look("cloud")
@@ -388,7 +390,10 @@ def _plot_stiffness(result: TestResult, law: MeasuredLaw, axes: Axes) -> None:
     min_curvature_share = 1e-3  # start of the axis, of the largest curvature
     from matplotlib.ticker import LogFormatter
 
-    across, up = _bending_scale(result, "curvature"), _bending_scale(result, "bending_stiffness")
+    across, up = (
+        find_unit(result.display, "curvature"),
+        find_unit(result.display, "bending_stiffness"),
+    )
     x = law.curvature[1:] * across.factor
     lower, middle, upper = (
         getattr(law, f"secant{end}")[1:] * up.factor for end in ("_lower", "", "_upper")
@@ -413,13 +418,6 @@ def _plot_stiffness(result: TestResult, law: MeasuredLaw, axes: Axes) -> None:
     axes.set(xlabel=across.label("Curvature"), ylabel=up.label("Bending stiffness"))
 
 
-def _bending_scale(result: TestResult, quantity: str) -> Scale:
-    """Return the display unit of curvature, moment or stiffness, typeset."""
-    si_units = {"curvature": "1/m", "moment": "N*m", "bending_stiffness": "N*m^2"}
-    unit = choose_unit(result, quantity, si_units[quantity])
-    return Scale(unit.factor, typeset_unit(unit.unit))
-
-
 def draw_timeline(result: TestResult) -> Figure:
     """Draw force and motion against time, and the residuals of clock alignment, if any."""
     fit = result.aligned.clock_fit if result.aligned is not None else None
@@ -429,8 +427,8 @@ def draw_timeline(result: TestResult) -> Figure:
     _plot_force(result, panels[0])
     _plot_motion(result, panels[1])
     if fit is not None:
-        _plot_residuals(fit, choose_unit(result, "time", "s").factor, panels[2])
-    panels[-1].set_xlabel(choose_unit(result, "time", "s").label("Time"))
+        _plot_residuals(fit, find_unit(result.display, "time").factor, panels[2])
+    panels[-1].set_xlabel(find_unit(result.display, "time").label("Time"))
     for axes in panels:
         axes.locator_params(axis="y", nbins=5)
     page.align_ylabels(list(panels))
@@ -439,7 +437,7 @@ def draw_timeline(result: TestResult) -> Figure:
 
 def _plot_force(result: TestResult, axes: Axes) -> None:
     """Draw the force of the curve against time; the force as recorded is grey if it differs."""
-    up = choose_unit(result, "force", "N")
+    up = find_unit(result.display, "force")
     aligned, curve = result.aligned, result.curve
     is_untouched = is_as_recorded(result, "force")
     if aligned is not None and "force" in aligned.series and not is_untouched:
@@ -469,7 +467,10 @@ def _plot_motion(result: TestResult, axes: Axes) -> None:
         write_reason(axes, explain_missing(result, "motion"))
         return
     word, time, values = motions[0]
-    up, along = choose_unit(result, "displacement", "m"), choose_unit(result, "time", "s")
+    up, along = (
+        find_unit(result.display, "displacement"),
+        find_unit(result.display, "time"),
+    )
     _plot_over_time(result, axes, time, values * up.factor, color="C0")
     ends = [end for branch in _branches(result) for end in (branch.start_time, branch.stop_time)]
     if ends:
@@ -515,7 +516,7 @@ def _plot_over_time(
     result: TestResult, axes: Axes, time: Floats, values: Floats, **look: Any
 ) -> None:
     rows = find_extremes(values, bins=900)
-    axes.plot(time[rows] * choose_unit(result, "time", "s").factor, values[rows], **look)
+    axes.plot(time[rows] * find_unit(result.display, "time").factor, values[rows], **look)
     axes.margins(x=0.01)
 
 

@@ -48,7 +48,7 @@ from labpipe.report.wording import (
     describe_counts,
     find_display,
     find_display_unit,
-    find_group_unit,
+    find_unit,
     shorten,
     write_count,
     write_group_title,
@@ -196,7 +196,10 @@ def _curve_plot(
 ) -> Plot | None:
     """Return the plot of the mean first loading of each group with its band."""
     first = family.groups[0]
-    across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
+    across, up = (
+        find_unit(find_display(first), "displacement"),
+        find_unit(find_display(first), "force"),
+    )
     if is_scaled:
         up = Scale(1.0, "")
     lines, keys, bands = [], [], []

@@ -20,8 +20,9 @@ from labpipe.report.page_facts import PageTest, PageTests, make_key
 from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_axis, simplify_line
 from labpipe.report.wording import (
     Scale,
-    find_group_unit,
+    find_display,
     find_number_unit,
+    find_unit,
     is_first_cycle,
     typeset_unit,
     write_count,
@@ -72,12 +73,12 @@ class _GroupView:
     @cached_property
     def across(self) -> Scale:
         """Display unit of displacement."""
-        return find_group_unit(self.group, "displacement")
+        return find_unit(find_display(self.group), "displacement")
 
     @cached_property
     def up(self) -> Scale:
         """Display unit of force."""
-        return find_group_unit(self.group, "force")
+        return find_unit(find_display(self.group), "force")
 
     @property
     def rejected(self) -> list[PageTest]:
@@ -418,7 +419,10 @@ def _spread(axis: Axis, span: float) -> Axis:
 
 def _moment_plot(view: _GroupView) -> Plot | None:
     """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
-    across, up = find_group_unit(view.group, "curvature"), find_group_unit(view.group, "moment")
+    across, up = (
+        find_unit(find_display(view.group), "curvature"),
+        find_unit(find_display(view.group), "moment"),
+    )
     samples_with_laws = [
         (sample, sample.law) for sample in view.group.samples if sample.law is not None
     ]

@@ -19,8 +19,9 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import (
-    find_group_unit,
+    find_display,
     find_number_unit,
+    find_unit,
     replace_names,
     typeset_unit,
     write_count,
@@ -129,7 +130,10 @@ def describe_decision(decision: SlipDecision) -> str:
 
 def describe_slip(slip: Slip, group: Group) -> str:
     """Describe the place and the lost force of a slip with intervals and display units."""
-    across, up = find_group_unit(group, "displacement"), find_group_unit(group, "force")
+    across, up = (
+        find_unit(find_display(group), "displacement"),
+        find_unit(find_display(group), "force"),
+    )
     position = write_number(slip.position, slip.position_interval, across.factor)
     lost = write_number(slip.drop, slip.drop_interval, up.factor)
     loss = f"{lost.value} {up.unit} ({lost.interval})"

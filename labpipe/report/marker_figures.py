@@ -27,7 +27,12 @@ from labpipe.report.figure_page import (
     write_reason,
 )
 from labpipe.report.plot_records import find_extremes, thin_flags
-from labpipe.report.wording import choose_unit, explain_missing, write_footnote, write_title
+from labpipe.report.wording import (
+    explain_missing,
+    find_unit,
+    write_footnote,
+    write_title,
+)
 from labpipe.results.beam import BendingStiffness
 
 if TYPE_CHECKING:
@@ -102,7 +107,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     deflection, name = _find_tip_deflection(result, shape)
     if np.isnan(deflection).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), name)
-    factor = choose_unit(result, "displacement", "m").factor
+    factor = find_unit(result.display, "displacement").factor
     locator = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
     levels = np.asarray(locator.tick_values(0.0, factor * float(np.nanmax(deflection)))) / factor
     # the first frame at a level: later ones may belong to another motion
@@ -208,7 +213,7 @@ def _describe_offset(result: TestResult, shape: Shape, rig: Rig) -> str:
     has_curve = bool(shape.coefficients.shape[2])
     if not _is_clamped(shape) or abs(rig.centre_offset) < min_offset or not has_curve:
         return ""
-    across = choose_unit(result, "displacement", "m")
+    across = find_unit(result.display, "displacement")
     offset = abs(rig.centre_offset) * across.factor
     return format_sentence("report.markers_beside_axis", offset=offset, unit=across.unit)
 
@@ -226,7 +231,7 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     if shape is None:
         return
     steps, rig = choose_frames(result, shape), read_rig(result)
-    unit = choose_unit(result, "displacement", "m")
+    unit = find_unit(result.display, "displacement")
     colours = sample_colour_map(len(steps.frames))
     for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
         x, up = _fitted_curve(shape, int(frame))[[0, plane]] * unit.factor
@@ -285,7 +290,7 @@ def draw_marker_quality(result: TestResult) -> Figure:
     flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, lower_mm])
     plot_flags(result, flags)
     plot_tracking(result, lower)
-    lower.set_xlabel(choose_unit(result, "time", "s").label("Time"))
+    lower.set_xlabel(find_unit(result.display, "time").label("Time"))
     return add_title(page, write_title(result), write_footnote(result))
 
 
@@ -311,7 +316,7 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
     flags = thin_flags(shape.flags[:, mine], _rank(), bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
-    edges *= choose_unit(result, "time", "s").factor
+    edges *= find_unit(result.display, "time").factor
     for flag, colour in FLAG_COLOURS.items():
         if (flags == flag).any():
             bars = list(_bar_corners(flags == flag, edges))
@@ -337,7 +342,7 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
     if tracks is None or not len(tracks.time):
         write_reason(axes, explain_missing(result, "take"))
         return
-    time = tracks.time * choose_unit(result, "time", "s").factor
+    time = tracks.time * find_unit(result.display, "time").factor
     bodies = [body for body in tracks.bodies if np.isfinite(body.error).any()]
     if bodies:
         _plot_errors(result, axes, time, bodies)
@@ -352,7 +357,7 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
 
 
 def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[RigidBody]) -> None:
-    up = choose_unit(result, "displacement", "m")
+    up = find_unit(result.display, "displacement")
     for body in bodies:
         error = body.error * up.factor
         rows = find_extremes(error, bins=_PIXEL_BINS)

@@ -36,9 +36,9 @@ from labpipe.report.wording import (
     find_display,
     find_display_unit,
     find_number_unit,
+    find_unit,
     is_main,
     replace_names,
-    typeset_unit,
     write_count,
     write_heading,
     write_label,
@@ -332,7 +332,8 @@ def make_spool_table(group: Group) -> Table:
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
     display = find_display(group)
-    across, up = find_display_unit("", "m", display), find_display_unit("", "N", display)
+    across = find_unit(display, "displacement")
+    up = find_unit(display, "force")
     rows = tuple(
         (
             Cell(sample.test),
@@ -343,8 +344,7 @@ def make_slip_table(group: Group) -> Table | None:
         for sample in group.samples
         for slip in sample.slips
     )
-    units = typeset_unit(across.unit), typeset_unit(up.unit)
-    heads = ("Sample", f"Displacement ({units[0]})", f"Force lost ({units[1]})", "Treatment")
+    heads = ("Sample", across.label("Displacement"), up.label("Force lost"), "Treatment")
     return Table(f"{group.name}: slips in the grips", heads, rows) if rows else None
 
 

@@ -40,8 +40,8 @@ from labpipe.report.wording import (
     Scale,
     find_display,
     find_display_unit,
-    find_group_unit,
     find_number_unit,
+    find_unit,
     is_main,
     list_key_numbers,
     typeset_unit,
@@ -307,7 +307,10 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     first = next((group for group in campaign.groups if group.samples), None)
     across, up = Scale(1.0, "m"), Scale(1.0, "N")
     if first is not None:
-        across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
+        across, up = (
+            find_unit(find_display(first), "displacement"),
+            find_unit(find_display(first), "force"),
+        )
     up = Scale(1.0, "") if is_scaled else up
     bands = {group: group.band_scaled if is_scaled else group.band for group in campaign.groups}
     blocks = {
@@ -423,7 +426,7 @@ def _places(campaign: Campaign) -> Iterator[Record]:
         yield {
             "group": place.group,
             "test": place.test or "mean",
-            "unit": typeset_unit(scale.unit),
+            "unit": scale.unit,
             **make_interval_cells(
                 place.value, place.interval, scale.factor, name="bending stiffness"
             ),

@@ -18,8 +18,8 @@ from labpipe.report.lab_report import (
 from labpipe.report.page_tables import DASH, Cell, Table
 from labpipe.report.wording import (
     find_display_unit,
+    find_unit,
     replace_names,
-    typeset_unit,
     write_heading,
     write_with_interval,
 )
@@ -63,9 +63,9 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
 def _facts(result: TestResult) -> list[tuple[str, str]]:
     specimen = result.specimen
-    across = find_display_unit("", "m", result.display)
+    across = find_unit(result.display, "displacement")
     sizes = [
-        f"{name.replace('_', ' ')} {across.factor * size:.4g} {typeset_unit(across.unit)}"
+        f"{name.replace('_', ' ')} {across.factor * size:.4g} {across.unit}"
         for name, size in specimen.dimensions.items()
     ]
     fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]

@@ -31,23 +31,6 @@ class Scale(NamedTuple):
         return f"{quantity} ({self.unit})"
 
 
-def choose_unit(result: TestResult, quantity: str, si_unit: str) -> Scale:
-    """Choose the display unit of a quantity: that of the protocol, or SI.
-
-    Parameters
-    ----------
-    result : with the display units of its protocol
-    quantity : ``displacement``, ``force``, ``time`` ...
-    si_unit : its SI unit
-
-    Returns
-    -------
-    Factor from SI to the display unit, and the name of the unit, not typeset.
-    """
-    unit = result.display.get(quantity, si_unit)
-    return Scale(1.0 / si_factor(unit, si_unit), unit)
-
-
 def write_title(result: TestResult) -> str:
     """Write the test, its specimen and its protocol in one line."""
     specimen = result.specimen
@@ -266,11 +249,26 @@ def find_number_unit(group: Group, number: GroupNumber) -> Scale:
     return find_display_unit(number.name, number.unit, find_display(group))
 
 
-def find_group_unit(group: Group, quantity: str) -> Scale:
-    """Return the display unit of displacement, force, curvature or moment in a group, typeset."""
-    si_unit = {"displacement": "m", "force": "N", "curvature": "1/m", "moment": "N*m"}[quantity]
-    unit = find_display(group).get(quantity, si_unit)
-    return Scale(1.0 / si_factor(unit, si_unit), typeset_unit(unit))
+def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
+    """Find the display unit of a quantity.
+
+    Parameters
+    ----------
+    display : display unit by quantity
+    quantity : ``displacement``, ``force``, ``time``, ``moment`` and others
+
+    Returns
+    -------
+    Factor from SI to the display unit, and its name, typeset; SI without a display unit.
+
+    Raises
+    ------
+    KeyError
+        If the quantity is unknown.
+    """
+    si_units = {name: unit for unit, name in _QUANTITIES.items()} | {"moment": "N*m"}
+    unit = display.get(quantity, si_units[quantity])
+    return Scale(1.0 / si_factor(unit, si_units[quantity]), typeset_unit(unit))
 
 
 def typeset_unit(unit: str) -> str:
