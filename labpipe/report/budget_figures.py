@@ -9,7 +9,7 @@ from labpipe.messages import format_sentence
 from labpipe.records import causes as cause_names
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group
-from labpipe.records.result import Result, TestResult
+from labpipe.records.result import TestResult
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
@@ -79,7 +79,13 @@ def draw_budget(result: TestResult) -> Figure:
             write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
         )
     page = make_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
-    plot_bars([_bar(number, result.display) for number in numbers], page.subplots())
+    bars = []
+    for number in numbers:
+        scale = find_display_unit(number.name, number.unit, result.display)
+        causes = [contribution.cause for contribution in number.budget]
+        shares = dict(zip(causes, number.shares, strict=True))
+        bars.append(Bar(_bar_name(number.name), shares, write_half_width(number.interval, scale)))
+    plot_bars(bars, page.subplots())
     has_cycles = any("." in number.name for number in numbers)
     cycle = "Numbers per cycle: first cycle only." if has_cycles else ""
     note = " ".join(filter(None, (cycle, write_footnote(result))))
@@ -96,13 +102,6 @@ def _with_side_margins(page: Figure) -> Figure:
         _, low, _, height = engine.get()["rect"]
         engine.set(rect=(left_margin, low, 1.0 - left_margin - right_margin, height))
     return page
-
-
-def _bar(result: Result, display: Mapping[str, str]) -> Bar:
-    rows = zip(result.budget, result.shares, strict=True)
-    scale = find_display_unit(result.name, result.unit, display)
-    shares = {row.cause: share for row, share in rows}
-    return Bar(_bar_name(result.name), shares, write_half_width(result.interval, scale))
 
 
 def _bar_name(name: str) -> str:

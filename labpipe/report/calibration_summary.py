@@ -62,7 +62,7 @@ DISPLAYS: Mapping[str, ParameterDisplay] = {
         (COPPER_SCALE, "factor on the strength of the copper", "Factor on copper strength"),
     )
 }
-_IN_WORDS: Mapping[str, str] = {
+_NAMES_IN_SENTENCES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
@@ -89,18 +89,18 @@ def typeset(sentence: str) -> str:
     >>> typeset("the radial_force was held at 2 N")
     'The F_rad was held at 2 N.'
     """
-    for name, name_in_text in _IN_WORDS.items():
+
+    def typeset_power(match: re.Match[str]) -> str:
+        exponent = f"{match[1]}{match[2]}".removeprefix("+")
+        return f" \u00d7 10{exponent.translate(SUPERSCRIPTS)}"
+
+    for name, name_in_text in _NAMES_IN_SENTENCES.items():
         sentence = re.sub(rf"\b{name}\b", name_in_text, sentence)
-    sentence = _POWER.sub(_power, sentence.strip().rstrip("."))
+    sentence = _POWER.sub(typeset_power, sentence.strip().rstrip("."))
     is_symbol = sentence.startswith(("phi", "mu_"))
     for name, letter in _LETTERS.items():
         sentence = re.sub(rf"\b{name}(?=\b|_)", letter, sentence)
     return f"{sentence if is_symbol else sentence[:1].upper() + sentence[1:]}."
-
-
-def _power(match: re.Match[str]) -> str:
-    sign = "-" if match[1] == "-" else ""
-    return f" \u00d7 10{(sign + match[2]).translate(SUPERSCRIPTS)}"
 
 
 def write_percent(share: float) -> str:
@@ -273,23 +273,23 @@ def describe_calibration(calibration: Calibration) -> list[str]:
     Sentences on each parameter and its prior, on the agreement with the tests, the noise, the
     parameters that are not identified separately, and the warnings.
     """
-    return [
-        *_parameter_sentences(calibration),
-        _agreement_sentence(calibration),
-        _noise_sentence(calibration),
-        *_separability_sentences(calibration),
-        *_note_sentences(calibration),
+    sentences = []
+    for parameter in calibration.parameters:
+        sentences.append(typeset(parameter.explanation))
+        if parameter.conflict is not None:
+            sentences.append(typeset(parameter.conflict.message))
+    sentences += [_describe_agreement(calibration), _describe_noise(calibration)]
+    for separability in (calibration.friction_separability, calibration.separability):
+        if separability is not None and not all(separability.are_identified.values()):
+            sentences.append(typeset(separability.explanation))
+    return sentences + [
+        f"Note: {typeset(note.message)}"
+        for note in calibration.notes
+        if note.code not in _REPEATED_CODES and note.severity is not Severity.INFO
     ]
 
 
-def _parameter_sentences(calibration: Calibration) -> Iterator[str]:
-    for parameter in calibration.parameters:
-        yield typeset(parameter.explanation)
-        if parameter.conflict is not None:
-            yield typeset(parameter.conflict.message)
-
-
-def _agreement_sentence(calibration: Calibration) -> str:
+def _describe_agreement(calibration: Calibration) -> str:
     counts = (
         write_count(calibration.n_points, "point"),
         write_count(len(calibration.curves), "curve"),
@@ -303,23 +303,10 @@ def _agreement_sentence(calibration: Calibration) -> str:
     )
 
 
-def _noise_sentence(calibration: Calibration) -> str:
+def _describe_noise(calibration: Calibration) -> str:
     levels = calibration.levels
     scatter = f"The force scatters by {write_percent(levels.scatter)} between samples"
     if levels.scatter_freedom == 0.0:
         scatter = "The scatter of the samples is not known"
     gain = write_percent(levels.gain)
     return format_sentence("report.noise_of_calibration", scatter=scatter, gain=gain, levels=levels)
-
-
-def _separability_sentences(calibration: Calibration) -> Iterator[str]:
-    """Describe the separability of friction and of the parameters where some are not identified."""
-    for separability in (calibration.friction_separability, calibration.separability):
-        if separability is not None and not all(separability.are_identified.values()):
-            yield typeset(separability.explanation)
-
-
-def _note_sentences(calibration: Calibration) -> Iterator[str]:
-    for note in calibration.notes:
-        if note.code not in _REPEATED_CODES and note.severity is not Severity.INFO:
-            yield f"Note: {typeset(note.message)}"

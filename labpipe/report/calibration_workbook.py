@@ -1,4 +1,4 @@
-"""Workbook of a calibration: one sheet per question."""
+"""Workbook of a calibration of the wire model: one sheet per question."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _LENGTH = DEFLECTION.label("length")
 
 
 def make_sheets(report: CalibrationReport) -> list[Sheet]:
-    """Return all sheets of a calibration.
+    """Make all sheets of a calibration.
 
     Parameters
     ----------
@@ -75,11 +75,11 @@ def make_sheets(report: CalibrationReport) -> list[Sheet]:
 
 
 def make_external_sheets(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
-    """Return the sheets of external curves.
+    """Make the sheets of external curves.
 
     Parameters
     ----------
-    comparisons : external curves compared with tests and model
+    comparisons : of external curves with tests and model
 
     Returns
     -------
@@ -167,7 +167,7 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
 
 
 def _solution_records(calibration: Calibration) -> Iterator[Record]:
-    """Yield the local minima of the objective that are not very unlikely, the best first."""
+    """Yield the solutions, which are local minima of the objective; the best first."""
     for number, solution in enumerate(calibration.solutions, start=1):
         values = {
             f"{DISPLAYS[name].name} ({DISPLAYS[name].scale.unit or '1'})": (
@@ -268,7 +268,10 @@ def _curve_record(curve: CurveAgreement) -> Record:
 
 
 def _note_records(report: CalibrationReport) -> list[Record]:
-    """List the notes of the calibration and its predictions, each wording once, worst first."""
+    """Make the records of all notes, the most severe first, and of what is identified separately.
+
+    A message that several predictions repeat is listed once.
+    """
     notes: dict[tuple[str, str], QualityNote] = {}
     for note in report.calibration.notes:
         notes["calibration", note.message] = note
@@ -283,12 +286,10 @@ def _note_records(report: CalibrationReport) -> list[Record]:
         (of, note.severity, note.where, note.message, note.code)
         for (of, _), note in sorted(notes.items(), key=lambda item: order.index(item[1].severity))
     ]
-    for told in (report.calibration.friction_separability, report.calibration.separability):
-        if told is not None:
-            names = ", ".join(told.names)
-            rows.append(
-                ("calibration", Severity.INFO, names, typeset(told.explanation), "told_apart")
-            )
+    for separability in (report.calibration.friction_separability, report.calibration.separability):
+        if separability is not None:
+            names, text = ", ".join(separability.names), typeset(separability.explanation)
+            rows.append(("calibration", Severity.INFO, names, text, "told_apart"))
     return [
         {"of": of, "kind": kind.value, "where": where, "what": what, "code": code}
         for of, kind, where, what, code in rows
@@ -296,7 +297,7 @@ def _note_records(report: CalibrationReport) -> list[Record]:
 
 
 def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
-    """Return the sheet of mean, model and samples of all groups, each at its own deflections."""
+    """Make the sheet of mean, model and samples of all groups, each at its own deflections."""
     curves = list(map(_force_blocks, groups))
     rows, ends = stack_blocks(
         {f"{number} {name}": block
@@ -313,7 +314,7 @@ def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
 
 
 def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
-    """Return the rows of the mean, of the model, if any, and of each sample, by name."""
+    """Make the records of the mean, of the model, if any, and of each sample, by name."""
     heads = [
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
         *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
@@ -339,11 +340,11 @@ def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
 
 
 def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
-    """Write a calibration as an xlsx file.
+    """Write the workbook of a calibration as an xlsx file.
 
     Parameters
     ----------
-    report : of a calibration
+    report : of the calibration
     path : of the file
 
     Raises

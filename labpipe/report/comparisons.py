@@ -242,18 +242,17 @@ def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
     before, after = difference.fields[pair.field]
     alike = describe_context((pair.first, pair.second), pair.field)
     shift = _difference_words(difference, find_display(pair.first))
+    means = (
+        {number.name: number.mean for number in group.numbers}.get(difference.name)
+        for group in (pair.second, pair.first)
+    )
+    counts = ("0" if mean is None else str(mean.chosen.n) for mean in means)
     return (
         Cell(f"{name_field(pair.field)}: {after} against {before}", alike),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
         Cell(f"{write_heading(difference.name, '1')} {shift}"),
-        Cell(" v ".join(_count(group, difference.name) for group in (pair.second, pair.first))),
+        Cell(" v ".join(counts)),
     )
-
-
-def _count(group: Group, name: str) -> str:
-    """Return the number of values in the mean of a number of a group."""
-    mean = next((number.mean for number in group.numbers if number.name == name), None)
-    return "0" if mean is None else str(mean.chosen.n)
 
 
 def _difference_words(difference: Difference, display: Mapping[str, str]) -> str:

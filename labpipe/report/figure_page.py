@@ -34,11 +34,10 @@ DOUBLE_COLUMN = 180.0
 WIDTH = 120.0
 """Width of a page, mm: 9 pt become 6.7 pt in a column of 90 mm."""
 GREY = "#666666"
-RED = "#b2182b"
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _EDGE = 0.012
 """Left edge of texts, as a share of the width of the page."""
-DASHED, DOTTED = (0, (4, 1.6)), (0, (1, 1.5))
+DASHED = (0, (4, 1.6))
 _DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
     (0, (3, 1, 1, 1, 1, 1)),

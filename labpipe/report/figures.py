@@ -22,7 +22,7 @@ from labpipe.records.curve import (
     Interval,
     MeasuredLaw,
 )
-from labpipe.records.result import Result, TestResult
+from labpipe.records.result import TestResult
 from labpipe.report.budget_figures import draw_budget
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
@@ -281,7 +281,7 @@ def _plot_lines(result: TestResult, axes: Axes) -> None:
 def _describe_slope(result: TestResult, line: FittedLine) -> str:
     """Write the name and the slope of a line, with the interval of the result, if any."""
     stiffness = find_unit(result.display, "stiffness")
-    fitted = _find_result(result, line.result)
+    fitted = next((number for number in result.results if number.name == line.result), None)
     slope, ends = line.slope, None
     if fitted is not None and fitted.unit == "N/m" and fitted.value is not None:
         slope, ends = fitted.value, fitted.interval
@@ -304,10 +304,6 @@ def _mark_points(result: TestResult, axes: Axes) -> None:
     if displacement is not None and force is not None:
         x, y = displacement * across.factor, force * up.factor
         axes.plot(x, y, **read_look("failure_point"))
-
-
-def _find_result(result: TestResult, name: str) -> Result | None:
-    return next((number for number in result.results if number.name == name), None)
 
 
 def _scales(result: TestResult) -> tuple[Scale, Scale]:

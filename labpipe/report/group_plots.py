@@ -1,4 +1,4 @@
-"""What is drawn of a group, on the page and in files: curves, shapes, laws, slips, numbers."""
+"""Plots of a group, for the page and for files: curves, shapes, measured laws, numbers."""
 
 from __future__ import annotations
 
@@ -30,15 +30,23 @@ from labpipe.report.wording import (
 )
 
 _BAND_POINTS = 28
-"""Points with which a band or a mean is drawn."""
+"""Largest number of points of a mean, or of one edge of a band."""
 N_COLOURS = 8
-"""Colours of the page for spools and groups; they repeat after this number."""
+"""Number of colours of the page for spools and groups."""
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
-"""Panels of numbers; samples with a row each, else those of a spool share a row."""
+"""Largest number of panels of numbers, and of samples that have a row each in a panel."""
 
 
 class _Points(NamedTuple):
-    """Points of a first loading, of all other branches of a test and of a scaled curve; shapes."""
+    """Largest numbers of points of the lines of a test, and of its shapes.
+
+    Parameters
+    ----------
+    first : of the first loading
+    others : of all other branches together
+    scaled : of the curve over its peak force
+    shapes : number of shapes
+    """
 
     first: int
     others: int
@@ -47,10 +55,9 @@ class _Points(NamedTuple):
 
 
 _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
-"""On the page: for few samples, and for many, with overlapping lines: a test is below 3 kB."""
+"""On the page for few samples, and for many: a test takes less than 3 kB."""
 _IN_FILES = _Points(120, 80, 120, 6)
 _MAX_OFFSET_SHARE = 0.001
-_BAND_OUTLINE_POINTS = 28
 _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
@@ -62,8 +69,8 @@ class _GroupView:
     Parameters
     ----------
     group : with or without samples
-    stem : its name in links
-    tests : all of the page; None for files, with more points
+    stem : of its links
+    tests : all of the page; None for a figure in a file, whose lines have more points
     """
 
     group: Group
@@ -72,33 +79,33 @@ class _GroupView:
 
     @cached_property
     def across(self) -> Scale:
-        """Display unit of displacement."""
+        """Return the display unit of displacement."""
         return find_unit(find_display(self.group), "displacement")
 
     @cached_property
     def up(self) -> Scale:
-        """Display unit of force."""
+        """Return the display unit of force."""
         return find_unit(find_display(self.group), "force")
 
     @property
     def rejected(self) -> list[PageTest]:
-        """Rejected tests of the group on the page."""
+        """Return the rejected tests of the group on the page; none for a file."""
         return [] if self.tests is None else self.tests.rejected(self.stem)
 
     def number(self, sample: Sample) -> int | None:
-        """Return the number of a test on the page."""
+        """Return the number of a test on the page; None for a file."""
         return None if self.tests is None else self.tests.number[make_key(sample)]
 
     @property
     def points(self) -> _Points:
-        """Numbers of points of its lines."""
+        """Return the largest numbers of points of its lines."""
         if self.tests is None:
             return _IN_FILES
         return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
     @cached_property
     def colours(self) -> dict[str, str]:
-        """Classes of the colours of samples: of their spools, or their own for one spool."""
+        """Return the class of the colour of each sample: its spool's, or its own for one spool."""
         samples = self.group.samples
         spools = {sample.specimen.spool: None for sample in samples}
         names = [sample.specimen.spool for sample in samples]
@@ -111,17 +118,17 @@ class _GroupView:
         }
 
     def colour(self, sample: Sample) -> str:
-        """Return the class of a sample's colour."""
+        """Return the class of the colour of a sample."""
         return self.colours[make_key(sample)]
 
 
 def make_group_plots(group: Group, stem: str, tests: PageTests) -> list[Plot]:
-    """Return the plots of a group on the page for which it has data.
+    """Make the plots of a group for the page, as far as it has data for them.
 
     Parameters
     ----------
     group : with or without samples
-    stem : its name in links
+    stem : of its links
     tests : all of the page
 
     Returns
@@ -134,7 +141,7 @@ def make_group_plots(group: Group, stem: str, tests: PageTests) -> list[Plot]:
 
 
 def make_file_plots(group: Group) -> dict[str, list[Plot]]:
-    """Return the plots of a group for files, by the name of the figure.
+    """Make the plots of a group for files, as far as it has data for them.
 
     Parameters
     ----------
@@ -142,8 +149,8 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
 
     Returns
     -------
-    Curves, normalised curves, shapes, measured laws and numbers, as far as the group has data for
-    them.
+    Plots by the name of their figure: ``curves``, ``scaled`` (force over peak force), ``shapes``,
+    ``moment`` and ``numbers``.
     """
     view = _GroupView(group)
     figures: dict[str, list[Plot | None]] = {
@@ -158,7 +165,7 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
 
 
 def find_first_loading(sample: Sample) -> SampleCurve | None:
-    """Return the loading curve of the first cycle; None for a sample without curves."""
+    """Find the first loading curve of a sample that has points; None without one."""
     return next((curve for curve in sample.loading if len(curve.displacement)), None)
 
 
@@ -191,8 +198,8 @@ def _curve_plot(view: _GroupView) -> Plot | None:
 def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axis:
     """Return the axis of force: all curves, and of bands as much as leaves the curves readable.
 
-    The pointwise band is shown up to half the height of the curves beyond them, the simultaneous
-    band in full if a quarter of the height is enough, else clipped.
+    Beyond the curves, the axis shows the pointwise band up to half their height. It shows the
+    simultaneous band in full if that needs at most a quarter more, else clipped.
     """
     factor = 1.0 if is_scaled else view.up.factor
     forces = [
@@ -212,7 +219,7 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
 
 
 def _sample_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
-    """Yield first loading, other branches, and the measured force if slips were repaired."""
+    """Yield the other branches, the force as measured if slips were repaired, the first loading."""
     test, colour = view.number(sample), view.colour(sample)
     first = find_first_loading(sample)
     others = [
@@ -285,21 +292,21 @@ def _dot_line(look: str, places: Floats, heights: Floats, view: _GroupView, samp
 
 
 def _with_gaps(*columns: Floats) -> Floats:
-    """Return points row by row, with NaN after each row, which interrupts a line."""
+    """Join the columns row by row with NaN after each row, which interrupts a line."""
     return np.column_stack([*columns, np.full(len(columns[0]), np.nan)]).ravel()
 
 
 def make_band_lines(
     band: Band, across: float, up: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
-    """Yield the pointwise band of a mean curve as an area and the edges of the simultaneous band.
+    """Yield the pointwise band of a mean curve as an area, and the edges of the simultaneous band.
 
     Parameters
     ----------
-    band : of few curves without an area, nothing is drawn
-    across, up : from SI to the units of the axes
+    band : one of fewer than two curves, or one without an area, is not drawn
+    across, up : factors from SI to the units of the axes
     look : class of its colour
-    group : stem, if several groups are in one plot
+    group : stem, if several groups are in one plot: only the pointwise band is then drawn
     """
     if band.n < 2 or not band.has_area:
         return
@@ -318,7 +325,7 @@ def make_band_lines(
 
 
 def _band_rows(band: Band, values: Floats) -> Ints:
-    """Return the points with which a band or a mean is drawn."""
+    """Find the points with which a band or a mean is drawn."""
     return simplify_line(
         band.displacement, values, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
@@ -327,7 +334,7 @@ def _band_rows(band: Band, values: Floats) -> Ints:
 def make_mean_lines(
     band: Band, across: float, up: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
-    """Yield a mean curve and, for few curves, its intervals at single displacements.
+    """Yield a mean curve, and its intervals at single displacements if it has no area.
 
     Parameters
     ----------
@@ -347,11 +354,11 @@ def make_mean_lines(
 
 
 def _keys(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[Key]:
-    """Return the key of a plot: its tests if they are few, else its spools; then other signs."""
+    """Make the key of a plot: its tests if they are few, else its spools; then the other signs."""
     group, looks = view.group, {line.look.partition(" ")[0] for line in lines}
     spools = {sample.specimen.spool for sample in group.samples}
     is_few = len(group.samples) <= _MAX_DETAILED_SAMPLES
-    if is_few and (view.tests is not None or len(spools) == 1):  # the page switches each of them
+    if is_few and (view.tests is not None or len(spools) == 1):  # the page shows or hides each
         keys = [
             Key(f"curve {view.colour(sample)}", sample.test, "t", str(view.number(sample)))
             for sample in group.samples
@@ -384,7 +391,7 @@ _KEY_LABELS = {
 
 
 def _shape_plot(view: _GroupView) -> Plot | None:
-    """Return the plot of markers at equal steps of the first loading, at equal scale."""
+    """Make the plot of the markers at equal steps of the first loading, with one scale."""
     min_height, max_height = 88, 190
     lines, steps = [], np.zeros(0)
     for sample in view.group.samples:
@@ -418,7 +425,7 @@ def _spread(axis: Axis, span: float) -> Axis:
 
 
 def _moment_plot(view: _GroupView) -> Plot | None:
-    """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
+    """Make the plot of the measured laws, for few samples with 95 % intervals as areas."""
     across, up = (
         find_unit(find_display(view.group), "curvature"),
         find_unit(find_display(view.group), "moment"),
@@ -448,7 +455,7 @@ def _moment_plot(view: _GroupView) -> Plot | None:
 
 
 def _scaled_plot(view: _GroupView) -> Plot | None:
-    """Return the plot of force over the peak force of each sample."""
+    """Make the plot of force over the peak force of each sample."""
     band = view.group.band_scaled
     if band is None:
         return None
@@ -478,9 +485,9 @@ def _scaled_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
 
 
 def _number_plots(group: Group) -> Iterator[Plot]:
-    """Yield a plot of each number with two or more samples, without later cycles.
+    """Yield a plot for each of the first numbers with two or more samples; no later cycles.
 
-    Its rows are samples, means of spools and the mean.
+    Its rows are the samples and the mean of each spool, and the mean.
     """
     first_cycle = [number for number in group.numbers if is_first_cycle(number.name)]
     numbers = [
@@ -489,7 +496,9 @@ def _number_plots(group: Group) -> Iterator[Plot]:
         if number.mean is not None and number.mean.over_samples.n > 1
     ][:MAX_DOT_NUMBERS]
     drawn = {number.name for number in numbers}
-    rest = "; ".join(write_label(x.name) for x in first_cycle if x.name not in drawn)
+    others = "; ".join(
+        write_label(number.name) for number in first_cycle if number.name not in drawn
+    )
     for number in numbers:
         scale = find_number_unit(group, number)
         names: dict[str, int] = {}
@@ -500,7 +509,7 @@ def _number_plots(group: Group) -> Iterator[Plot]:
         looks = {line.look.partition(" ")[0] for line in lines}
         keys = [Key(look, label) for look, label in _DOT_LABELS.items() if look in looks]
         title = f"Each sample's numbers, with 95 % intervals: {group.name}."
-        caption = f"In the tables only: {rest}." if rest else ""
+        caption = f"In the tables only: {others}." if others else ""
         size = (262, 20 + 11 * len(names))
         yield Plot("numbers", "", title, caption, x, y, lines, keys, size)
 
@@ -516,7 +525,7 @@ _DOT_LABELS = {
 def make_clipped_axis(
     name: str, scale: Scale, lines: Sequence[Line], values: Sequence[Floats]
 ) -> Axis:
-    """Return an axis with all values, and of wide intervals as much as leaves them apart."""
+    """Make an axis that includes all values, and of wide intervals as much as keeps them apart."""
     margin = 0.03
     ends = np.concatenate([line.x for line in lines])
     low, high = clip_range(np.concatenate(values), ends, 1.0)
@@ -544,7 +553,7 @@ class DotRow(NamedTuple):
 def make_dot_lines(
     look: str, value: float, interval: Interval | None, row: DotRow
 ) -> Iterator[Line]:
-    """Yield a number as a dot and its interval as a bar.
+    """Yield the bar of the interval of a number, if any, and its dot.
 
     Parameters
     ----------
@@ -563,7 +572,7 @@ def make_dot_lines(
 def _dot_rows(
     group: Group, number: GroupNumber, factor: float, names: dict[str, int]
 ) -> Iterator[Line]:
-    """Yield dots and intervals of samples and means; names of rows are added in their order."""
+    """Yield the dots and bars of samples and means; add the names of the rows to `names`."""
     spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     is_crowded = len(group.samples) > MAX_DOT_ROWS
     for at, spool in enumerate(spools):

@@ -76,7 +76,8 @@ def draw_wire_shapes(result: TestResult) -> Figure:
         )
     steps, rig = choose_frames(result, shape), read_rig(result)
     planes = [1] if _find_first_loading(result) is not None else [1, 2]
-    heights = [panel_width_mm * _aspect_ratio(shape, steps, plane, rig) for plane in planes]
+    across, *sides = (np.ptp(_limits(shape, steps, axis, rig)) for axis in (0, *planes))
+    heights = [panel_width_mm * float(side / across) for side in sides]
     height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
     page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
@@ -131,7 +132,8 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
     """
     loading = _find_first_loading(result)
     if loading is None or result.curve is None:
-        tip = shape.positions[:, _last_tracked(shape)]
+        tracked_points = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
+        tip = shape.positions[:, tracked_points[-1] if len(tracked_points) else -1]
         tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
         start = tip[tracked[0]] if len(tracked) else np.full(3, np.nan)
         distance: Floats = np.linalg.norm(tip - start, axis=1)
@@ -145,12 +147,6 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
 def _is_clamped(shape: Shape) -> bool:
     """Return whether the first point of a shape is constructed, as that of a clamped specimen."""
     return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-
-
-def _last_tracked(shape: Shape) -> int:
-    """Return the tracked point nearest to the free end."""
-    tracked = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
-    return int(tracked[-1]) if len(tracked) else len(shape.names) - 1
 
 
 def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
@@ -169,12 +165,6 @@ def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, flo
     middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
     half = max(half, min_aspect * shape.length / 2) + margin * shape.length
     return float(middle - half), float(middle + half)
-
-
-def _aspect_ratio(shape: Shape, steps: Steps, plane: int, rig: Rig) -> float:
-    """Return the height of a panel over its width, at equal axis scale."""
-    (left, right), (low, high) = (_limits(shape, steps, axis, rig) for axis in (0, plane))
-    return (high - low) / (right - left)
 
 
 def _support_centres(rig: Rig) -> list[tuple[float, float]]:
@@ -277,6 +267,11 @@ FLAG_COLOURS = {
     PointFlag.FILLED: "#e69f00",
     PointFlag.MISSING: "#1a1a1a",
 }
+_FLAGS_BY_RANK = (
+    PointFlag.CONSTRUCTED, PointFlag.MEASURED, PointFlag.RELABELLED, PointFlag.FILLED,
+    PointFlag.MISSING,
+)  # fmt: skip
+"""Flags of points, the worst last."""
 _PIXEL_BINS = 900
 """Bins in time, about one per pixel."""
 
@@ -314,7 +309,7 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
 
     mine = _are_markers(shape)
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
-    flags = thin_flags(shape.flags[:, mine], _rank(), bins=_PIXEL_BINS)
+    flags = thin_flags(shape.flags[:, mine], _FLAGS_BY_RANK, bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     edges *= find_unit(result.display, "time").factor
     for flag, colour in FLAG_COLOURS.items():
@@ -369,20 +364,6 @@ def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[Rigi
 def _are_markers(shape: Shape) -> NDArray[np.bool_]:
     constructed: NDArray[np.bool_] = (shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
     return ~constructed
-
-
-def _rank() -> NDArray[np.uint8]:
-    """Return the rank of each flag, the worst highest."""
-    order = [
-        PointFlag.CONSTRUCTED,
-        PointFlag.MEASURED,
-        PointFlag.RELABELLED,
-        PointFlag.FILLED,
-        PointFlag.MISSING,
-    ]
-    rank = np.empty(len(order), dtype=np.uint8)
-    rank[order] = np.arange(len(order))
-    return rank
 
 
 def _bar_corners(inside: NDArray[np.bool_], edges: Floats) -> Floats:

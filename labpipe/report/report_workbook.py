@@ -71,7 +71,7 @@ BOOK = "report"
 
 
 def save_workbook(campaign: Campaign, path: Path) -> None:
-    """Write the tables of a report as an xlsx file.
+    """Write the workbook of a report as an xlsx file.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
 
 
 def _answer(pair: Pair) -> Record:
-    """Return the verdict on the first main number of a pair."""
+    """Make the record of the verdict on the first number of a pair."""
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
@@ -166,7 +166,7 @@ def _answer(pair: Pair) -> Record:
 
 
 def _key_record(group: Group) -> Record:
-    """Return the first numbers of the specimen and of its first cycle, a row per group."""
+    """Make the record of the first three numbers of a group; no later cycles."""
     row: Record = {
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
@@ -180,7 +180,7 @@ def _key_record(group: Group) -> Record:
 
 
 def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:
-    """Return a mean and the ends of its interval; empty cells without a mean."""
+    """Make the cells of a mean and the ends of its interval; they are empty without a mean."""
     if mean is None:
         return make_interval_cells(None, None, name="mean")
     return make_interval_cells(mean.mean, mean.interval, scale.factor, name="mean")
@@ -243,7 +243,7 @@ _OF_ALL_SAMPLES: tuple[str, ...] = (
 
 
 def _tests_sheet(campaign: Campaign) -> Sheet:
-    """Return the sheet of tests, rejected ones last, with a column per number."""
+    """Make the sheet of tests with a column per number; rejected tests are last."""
     last = ("decision", "key of the run")
     every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
     every += [("", sample) for sample in campaign.rejected_samples]
@@ -303,7 +303,7 @@ _BAND_COLUMNS = {
 
 
 def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
-    """Return the sheet of the mean curves of all groups in common units, a chart per protocol."""
+    """Make the sheet of the mean curves of all groups in common units, a chart per protocol."""
     first = next((group for group in campaign.groups if group.samples), None)
     across, up = Scale(1.0, "m"), Scale(1.0, "N")
     if first is not None:
@@ -337,7 +337,7 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
 
 
 def _band_records(group: str, band: Band, across: Scale, up: Scale) -> list[Record]:
-    """Return a record per point of a mean curve; the first, or the only one, has the reason."""
+    """Make a record per point of a mean curve, at least one; the first holds the reason."""
     columns = {across.label("displacement"): across.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
         columns[write_column_heading(part, up.unit)] = up.factor * getattr(band, field)
@@ -347,7 +347,7 @@ def _band_records(group: str, band: Band, across: Scale, up: Scale) -> list[Reco
 
 
 def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
-    """Return the difference of two groups in one number."""
+    """Make the record of the difference of two groups in one number."""
     shift, ends = difference.difference, difference.interval
     scale = find_display_unit(difference.name, difference.unit, display)
     in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
@@ -379,7 +379,7 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
 
 
 def _budgets(campaign: Campaign) -> list[Record]:
-    """Return the shares of the causes for the mean of each number, and their medians over tests."""
+    """Make the records of the shares of causes: of each mean, and their medians over the tests."""
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
@@ -412,7 +412,7 @@ def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval 
 
 
 def _places(campaign: Campaign) -> Iterator[Record]:
-    """Yield the bending stiffness of each bundle between the bounds of its model."""
+    """Yield the records of measured bending stiffnesses between the bounds of the bundle model."""
     scales = choose_place_units(campaign)
     for place in campaign.places:
         scale, ends = scales[place.group], place.share_interval

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labpipe.records.quality import Severity
-from labpipe.records.result import Instrument, Result, Status, TestResult
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.report.figure_page import encode_figure, style
 from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.issues import join_sentences, write_sentence
@@ -69,7 +69,11 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
         for name, size in specimen.dimensions.items()
     ]
     fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]
-    instruments = ", ".join(map(_instrument, result.instruments))
+    instruments = ", ".join(
+        f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
+        f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
+        for instrument in result.instruments
+    )
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
         ("Dimensions", ", ".join([*sizes, *fields]) or DASH),
@@ -81,13 +85,6 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
         ("Protocol", result.protocol),
         ("Run", f"{result.run[:16] or DASH}, labpipe {result.labpipe_version}"),
     ]
-
-
-def _instrument(instrument: Instrument) -> str:
-    due = f"due {instrument.due}" if instrument.due else "no due date"
-    return (
-        f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated}, {due})"
-    )
 
 
 def _numbers(result: TestResult) -> Table:
