@@ -247,29 +247,29 @@ def _draw_axes(model: BundleModel, axes: Axes) -> None:
         angle = math.pi / 2.0
         stiffest["label"], flexible["label"] = "y and x: equal in all directions", ""
     for direction, look in ((angle, stiffest), (angle + math.pi / 2.0, flexible)):
-        across, up = reach * math.cos(direction), reach * math.sin(direction)
-        axes.plot([x - across, x + across], [y - up, y + up], **look)
+        dx, dy = reach * math.cos(direction), reach * math.sin(direction)
+        axes.plot([x - dx, x + dx], [y - dy, y + dy], **look)
     axes.plot([x], [y], "k+", markersize=7.0, zorder=5)
 
 
 def _plot_bounds(model: BundleModel, axes: Axes) -> None:
     """Draw the moments of wires that slip and of wires that stick, on logarithmic axes."""
     use = model.curvature > 0.0
-    across = CURVATURE.factor * model.curvature[use]
+    x = CURVATURE.factor * model.curvature[use]
     slip, stick = (
         MOMENT.factor * moment[use] for moment in (model.moment_slip, model.moment_stick)
     )
-    axes.fill_between(across, slip, stick, color="#dedede", linewidth=0)
+    axes.fill_between(x, slip, stick, color="#dedede", linewidth=0)
     for moment, look, is_doubtful in (
         (stick, "wires_stick", model.is_doubtful_stick[use]),
         (slip, "wires_slip", model.is_doubtful[use]),
     ):
         for part, opacity in split_doubtful(~is_doubtful):
-            axes.plot(across[part], moment[part], **read_look(look, alpha=opacity))
+            axes.plot(x[part], moment[part], **read_look(look, alpha=opacity))
     for limit in (model.low, model.high):
         moment = MOMENT.factor * limit * model.curvature[use]
-        axes.plot(across, moment, **read_look("bundle_without_yielding"))
-    set_log_axes(axes, across)
+        axes.plot(x, moment, **read_look("bundle_without_yielding"))
+    set_log_axes(axes, x)
     axes.set_ylabel(MOMENT.label("Bending moment"))
 
 

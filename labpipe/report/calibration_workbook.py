@@ -140,14 +140,14 @@ def _yes(value: bool) -> str:
 
 def _parameter_record(parameter: CalibratedParameter) -> Record:
     display, interval, conflict = DISPLAYS[parameter.name], parameter.interval, parameter.conflict
-    up, has_ends = display.scale.factor, interval is not None
+    factor, has_ends = display.scale.factor, interval is not None
     return {
         "parameter": typeset(display.name).rstrip("."),
         "name": parameter.name,
         "unit": display.scale.unit or "1",
-        "value": up * parameter.value,
-        "lower": None if interval is None else up * interval.lower,
-        "upper": None if interval is None else up * interval.upper,
+        "value": factor * parameter.value,
+        "lower": None if interval is None else factor * interval.lower,
+        "upper": None if interval is None else factor * interval.upper,
         "parts of the interval": write_parameter(parameter)[2] if has_ends else "",
         "open below": _yes(parameter.is_open_below) if has_ends else "",
         "open above": _yes(parameter.is_open_above) if has_ends else "",
@@ -155,9 +155,9 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
         "degrees of freedom": parameter.freedom if has_ends else None,
         "verdict": parameter.verdict.value,
         "at bound": parameter.at_bound,
-        "prior, centre": None if conflict is None else up * conflict.centre,
+        "prior, centre": None if conflict is None else factor * conflict.centre,
         "prior, factor": None if conflict is None else conflict.factor,
-        "without the prior": None if conflict is None else up * conflict.alone,
+        "without the prior": None if conflict is None else factor * conflict.alone,
         "conflict (standard errors)": None if conflict is None else conflict.size,
         "contradicts": "" if conflict is None else _yes(conflict.contradicts),
         "source of prior or fixed value": (conflict or parameter).source,
@@ -308,8 +308,8 @@ def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
         lines = [Line(name, ends[f"{number} {name}"], 3, 4) for name in blocks if blocks[name]]
         title = f"{group.wire}, {write_length(group.length)}"
         if lines:
-            across, up = DEFLECTION.label("Deflection"), FORCE.label("Force")
-            charts.append(Chart(title, across, up, lines))
+            labels = DEFLECTION.label("Deflection"), FORCE.label("Force")
+            charts.append(Chart(title, *labels, lines))
     return make_sheet(BOOK, "forces", rows, charts=charts)
 
 
@@ -329,11 +329,11 @@ def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
     for test, sample in group.samples.items():
         curves[test] = (sample.displacement, sample.force)
     blocks = {}
-    for name, (across, *forces) in curves.items():
+    for name, (x, *forces) in curves.items():
         head: Record = {
             "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
-        columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * across}
+        columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * x}
         columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
         blocks[name] = make_records(head, columns)
     return blocks

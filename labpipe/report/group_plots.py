@@ -23,6 +23,7 @@ from labpipe.report.wording import (
     find_display,
     find_number_unit,
     find_unit,
+    find_units,
     is_first_cycle,
     typeset_unit,
     write_count,
@@ -78,12 +79,12 @@ class _GroupView:
     tests: PageTests | None = None
 
     @cached_property
-    def across(self) -> Scale:
+    def x_unit(self) -> Scale:
         """Return the display unit of displacement."""
         return find_unit(find_display(self.group), "displacement")
 
     @cached_property
-    def up(self) -> Scale:
+    def y_unit(self) -> Scale:
         """Return the display unit of force."""
         return find_unit(find_display(self.group), "force")
 
@@ -178,14 +179,14 @@ def _curve_plot(view: _GroupView) -> Plot | None:
     if all(find_first_loading(sample) is None for sample in group.samples):
         return None
     lines = [
-        *make_band_lines(band, view.across.factor, view.up.factor),
+        *make_band_lines(band, view.x_unit.factor, view.y_unit.factor),
         *_rejected_lines(view),
         *(line for sample in group.samples for line in _sample_lines(view, sample)),
         *_window_lines(view),
-        *make_mean_lines(band, view.across.factor, view.up.factor),
+        *make_mean_lines(band, view.x_unit.factor, view.y_unit.factor),
         *(line for sample in group.samples for line in _event_lines(view, sample)),
     ]
-    x = make_axis("Displacement", view.across.unit, [line.x for line in lines])
+    x = make_axis("Displacement", view.x_unit.unit, [line.x for line in lines])
     y = _force_axis(view, band)
     title = (
         f"Force against displacement of {write_count(len(group.samples), 'sample')}: {group.name}."
@@ -201,7 +202,7 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
     Beyond the curves, the axis shows the pointwise band up to half their height. It shows the
     simultaneous band in full if that needs at most a quarter more, else clipped.
     """
-    factor = 1.0 if is_scaled else view.up.factor
+    factor = 1.0 if is_scaled else view.y_unit.factor
     forces = [
         edge * (1.0 / (_value(sample, "peak_force.1") or nan) if is_scaled else 1.0)
         for sample in view.group.samples
@@ -214,7 +215,7 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
     if whole[1] - whole[0] <= 1.25 * (high - low):
         low, high = whole
     margin = 0.04 * (high - low) or 1.0
-    name, unit = ("Force / peak force", "") if is_scaled else ("Force", view.up.unit)
+    name, unit = ("Force / peak force", "") if is_scaled else ("Force", view.y_unit.unit)
     return Axis(name, unit, factor * (low - margin), factor * (high + margin))
 
 
@@ -243,7 +244,7 @@ def _line(
     """Return the line of a branch and its force, thinned to a number of points."""
     branch, force = curve
     rows = simplify_line(branch.displacement, force, points=points, tolerance=_MAX_OFFSET_SHARE)
-    x, y = branch.displacement[rows] * view.across.factor, force[rows] * view.up.factor
+    x, y = branch.displacement[rows] * view.x_unit.factor, force[rows] * view.y_unit.factor
     return Line(look, x, y, test)
 
 
@@ -267,7 +268,7 @@ def _window_lines(view: _GroupView) -> Iterator[Line]:
                 [(line.start, line.stop, line.slope, line.level) for line in lines]
             ).T
             x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
-            factors = view.across.factor, view.up.factor
+            factors = view.x_unit.factor, view.y_unit.factor
             yield Line(look, x * factors[0], y * factors[1], view.number(sample))
 
 
@@ -287,7 +288,7 @@ def _event_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
 
 
 def _dot_line(look: str, places: Floats, heights: Floats, view: _GroupView, sample: Sample) -> Line:
-    x, y = _with_gaps(places) * view.across.factor, _with_gaps(heights) * view.up.factor
+    x, y = _with_gaps(places) * view.x_unit.factor, _with_gaps(heights) * view.y_unit.factor
     return Line(look, x, y, view.number(sample))
 
 
@@ -297,22 +298,22 @@ def _with_gaps(*columns: Floats) -> Floats:
 
 
 def make_band_lines(
-    band: Band, across: float, up: float, look: str = "", group: str = ""
+    band: Band, x_factor: float, y_factor: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
     """Yield the pointwise band of a mean curve as an area, and the edges of the simultaneous band.
 
     Parameters
     ----------
     band : one of fewer than two curves, or one without an area, is not drawn
-    across, up : factors from SI to the units of the axes
+    x_factor, y_factor : factors from SI to the units of the axes
     look : class of its colour
     group : stem, if several groups are in one plot: only the pointwise band is then drawn
     """
     if band.n < 2 or not band.has_area:
         return
     rows = _band_rows(band, band.upper)
-    x = band.displacement[rows] * across
-    lower, upper = band.lower[rows] * up, band.upper[rows] * up
+    x = band.displacement[rows] * x_factor
+    lower, upper = band.lower[rows] * y_factor, band.upper[rows] * y_factor
     finite = np.isfinite(lower) & np.isfinite(upper)
     outline = np.concatenate([x[finite], x[finite][::-1]])
     edge = np.concatenate([upper[finite], lower[finite][::-1]])
@@ -321,7 +322,7 @@ def make_band_lines(
         return
     for edge_all in (band.lower_all, band.upper_all):
         if np.isfinite(edge_all).any():
-            yield Line("whole", x, edge_all[rows] * up)
+            yield Line("whole", x, edge_all[rows] * y_factor)
 
 
 def _band_rows(band: Band, values: Floats) -> Ints:
@@ -332,23 +333,23 @@ def _band_rows(band: Band, values: Floats) -> Ints:
 
 
 def make_mean_lines(
-    band: Band, across: float, up: float, look: str = "", group: str = ""
+    band: Band, x_factor: float, y_factor: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
     """Yield a mean curve, and its intervals at single displacements if it has no area.
 
     Parameters
     ----------
-    band, across, up, look, group : as for `make_band_lines`
+    band, x_factor, y_factor, look, group : as for `make_band_lines`
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
     rows = _band_rows(band, band.mean)
-    x, y = band.displacement[rows] * across, band.mean[rows] * up
+    x, y = band.displacement[rows] * x_factor, band.mean[rows] * y_factor
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        mark_places = band.displacement[marks] * across
-        ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
+        mark_places = band.displacement[marks] * x_factor
+        ends = _with_gaps(band.lower[marks] * y_factor, band.upper[marks] * y_factor)
         x = _with_gaps(mark_places, mark_places)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
@@ -399,12 +400,12 @@ def _shape_plot(view: _GroupView) -> Plot | None:
         if shapes is None or not np.isfinite(shapes.positions).any():
             continue
         places = shapes.positions[-view.points.shapes :]
-        x, y = (_with_gaps(*places[:, :, way].T) * view.across.factor for way in (0, 1))
+        x, y = (_with_gaps(*places[:, :, way].T) * view.x_unit.factor for way in (0, 1))
         lines.append(Line(f"shape {view.colour(sample)}", x, y, view.number(sample)))
         steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return None
-    unit, width = view.across.unit, _SMALL_PLOT[0]
+    unit, width = view.x_unit.unit, _SMALL_PLOT[0]
     x_axis = make_axis("Along the specimen", unit, [line.x for line in lines])
     y_axis = make_axis("Deflection", unit, [line.y for line in lines], room=0.06)
     ratio = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
@@ -412,7 +413,7 @@ def _shape_plot(view: _GroupView) -> Plot | None:
     scale = max((x_axis.high - x_axis.low) / width, (y_axis.high - y_axis.low) / height)
     x_axis, y_axis = _spread(x_axis, scale * width), _spread(y_axis, scale * height)
     shown = np.round(steps[-view.points.shapes :], 4) + 0.0
-    deflections = ", ".join(f"{way * view.across.factor:.2g}" for way in shown)
+    deflections = ", ".join(f"{way * view.x_unit.factor:.2g}" for way in shown)
     caption = f"Markers at {deflections} {unit} of the first loading, at equal axis scale."
     title = f"Shapes of {write_count(len(lines), 'sample')} of {view.group.name}."
     keys = _keys(view, lines)
@@ -426,10 +427,7 @@ def _spread(axis: Axis, span: float) -> Axis:
 
 def _moment_plot(view: _GroupView) -> Plot | None:
     """Make the plot of the measured laws, for few samples with 95 % intervals as areas."""
-    across, up = (
-        find_unit(find_display(view.group), "curvature"),
-        find_unit(find_display(view.group), "moment"),
-    )
+    x_unit, y_unit = find_units(find_display(view.group), "curvature", "moment")
     samples_with_laws = [
         (sample, sample.law) for sample in view.group.samples if sample.law is not None
     ]
@@ -438,14 +436,14 @@ def _moment_plot(view: _GroupView) -> Plot | None:
     areas, lines = [], []
     for sample, law in samples_with_laws:
         colour, test = view.colour(sample), view.number(sample)
-        x = law.curvature * across.factor
+        x = law.curvature * x_unit.factor
         if len(samples_with_laws) <= _MAX_DETAILED_SAMPLES:
             outline = np.concatenate([x, x[::-1]])
-            edge = np.concatenate([law.moment_upper, law.moment_lower[::-1]]) * up.factor
+            edge = np.concatenate([law.moment_upper, law.moment_lower[::-1]]) * y_unit.factor
             areas.append(Line(f"band {colour}", outline, edge, test, is_closed=True))
-        lines.append(Line(f"curve {colour}", x, law.moment * up.factor, test))
-    x_axis = make_axis("Curvature", across.unit, [line.x for line in lines])
-    y_axis = make_axis("Bending moment", up.unit, [line.y for line in (*areas, *lines)])
+        lines.append(Line(f"curve {colour}", x, law.moment * y_unit.factor, test))
+    x_axis = make_axis("Curvature", x_unit.unit, [line.x for line in lines])
+    y_axis = make_axis("Bending moment", y_unit.unit, [line.y for line in (*areas, *lines)])
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
     title = f"Bending moment against curvature of {view.group.name}."
@@ -460,13 +458,13 @@ def _scaled_plot(view: _GroupView) -> Plot | None:
     if band is None:
         return None
     lines = [
-        *list(make_band_lines(band, view.across.factor, 1.0))[:1],
+        *list(make_band_lines(band, view.x_unit.factor, 1.0))[:1],
         *(line for sample in view.group.samples for line in _scaled_lines(view, sample)),
-        *make_mean_lines(band, view.across.factor, 1.0),
+        *make_mean_lines(band, view.x_unit.factor, 1.0),
     ]
     if not lines:
         return None
-    x = make_axis("Displacement", view.across.unit, [line.x for line in lines])
+    x = make_axis("Displacement", view.x_unit.unit, [line.x for line in lines])
     y = _force_axis(view, band, is_scaled=True)
     title = f"Force over peak force against displacement of {view.group.name}."
     caption = format_sentence("report.scaled_caption")
@@ -481,7 +479,7 @@ def _scaled_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
     points = view.points.scaled
     line = _line(view, f"curve {view.colour(sample)}", view.number(sample),
                  (first, first.force), points=points)  # fmt: skip
-    yield replace(line, y=line.y / (peak * view.up.factor))
+    yield replace(line, y=line.y / (peak * view.y_unit.factor))
 
 
 def _number_plots(group: Group) -> Iterator[Plot]:

@@ -21,7 +21,7 @@ from labpipe.records.result import Result, Status
 from labpipe.report.wording import (
     find_display,
     find_number_unit,
-    find_unit,
+    find_units,
     replace_names,
     typeset_unit,
     write_count,
@@ -130,14 +130,11 @@ def describe_decision(decision: SlipDecision) -> str:
 
 def describe_slip(slip: Slip, group: Group) -> str:
     """Describe the place and the lost force of a slip with intervals and display units."""
-    across, up = (
-        find_unit(find_display(group), "displacement"),
-        find_unit(find_display(group), "force"),
-    )
-    position = write_number(slip.position, slip.position_interval, across.factor)
-    lost = write_number(slip.drop, slip.drop_interval, up.factor)
-    loss = f"{lost.value} {up.unit} ({lost.interval})"
-    return f"{loss} lost at {position.value} {across.unit} ({position.interval})"
+    x_unit, y_unit = find_units(find_display(group), "displacement", "force")
+    position = write_number(slip.position, slip.position_interval, x_unit.factor)
+    lost = write_number(slip.drop, slip.drop_interval, y_unit.factor)
+    loss = f"{lost.value} {y_unit.unit} ({lost.interval})"
+    return f"{loss} lost at {position.value} {x_unit.unit} ({position.interval})"
 
 
 def _group_issues(group: Group) -> Iterator[Issue]:

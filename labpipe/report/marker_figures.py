@@ -76,8 +76,8 @@ def draw_wire_shapes(result: TestResult) -> Figure:
         )
     steps, rig = choose_frames(result, shape), read_rig(result)
     planes = [1] if _find_first_loading(result) is not None else [1, 2]
-    across, *sides = (np.ptp(_limits(shape, steps, axis, rig)) for axis in (0, *planes))
-    heights = [panel_width_mm * float(side / across) for side in sides]
+    length, *sides = (np.ptp(_limits(shape, steps, axis, rig)) for axis in (0, *planes))
+    heights = [panel_width_mm * float(side / length) for side in sides]
     height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
     page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
@@ -203,9 +203,9 @@ def _describe_offset(result: TestResult, shape: Shape, rig: Rig) -> str:
     has_curve = bool(shape.coefficients.shape[2])
     if not _is_clamped(shape) or abs(rig.centre_offset) < min_offset or not has_curve:
         return ""
-    across = find_unit(result.display, "displacement")
-    offset = abs(rig.centre_offset) * across.factor
-    return format_sentence("report.markers_beside_axis", offset=offset, unit=across.unit)
+    x_unit = find_unit(result.display, "displacement")
+    offset = abs(rig.centre_offset) * x_unit.factor
+    return format_sentence("report.markers_beside_axis", offset=offset, unit=x_unit.unit)
 
 
 def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
@@ -224,13 +224,13 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     unit = find_unit(result.display, "displacement")
     colours = sample_colour_map(len(steps.frames))
     for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
-        x, up = _fitted_curve(shape, int(frame))[[0, plane]] * unit.factor
-        axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
+        x, y = _fitted_curve(shape, int(frame))[[0, plane]] * unit.factor
+        axes.plot(x, y, color=colour, linewidth=0.9, zorder=1)
         for flag in _LOOKS:
             rows = shape.flags[frame] == flag
             if rows.any():
-                x, up = shape.positions[frame][rows][:, [0, plane]].T * unit.factor
-                axes.plot(x, up, color=colour, **_marker_style(flag, colour))
+                x, y = shape.positions[frame][rows][:, [0, plane]].T * unit.factor
+                axes.plot(x, y, color=colour, **_marker_style(flag, colour))
         level = f"{steps.levels[at] * unit.factor:g} {unit.unit}"
         label = level if at else f"{steps.name} {level}"
         add_key(axes, label, color=colour, linewidth=1.6)
@@ -352,12 +352,12 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
 
 
 def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[RigidBody]) -> None:
-    up = find_unit(result.display, "displacement")
+    y_unit = find_unit(result.display, "displacement")
     for body in bodies:
-        error = body.error * up.factor
+        error = body.error * y_unit.factor
         rows = find_extremes(error, bins=_PIXEL_BINS)
         axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
-    axes.set_ylabel(up.label("Body error"))
+    axes.set_ylabel(y_unit.label("Body error"))
     axes.set_ylim(bottom=0.0)
 
 

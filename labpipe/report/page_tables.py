@@ -36,7 +36,7 @@ from labpipe.report.wording import (
     find_display,
     find_display_unit,
     find_number_unit,
-    find_unit,
+    find_units,
     is_main,
     replace_names,
     write_count,
@@ -331,20 +331,18 @@ def make_spool_table(group: Group) -> Table:
 
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
-    display = find_display(group)
-    across = find_unit(display, "displacement")
-    up = find_unit(display, "force")
+    x_unit, y_unit = find_units(find_display(group), "displacement", "force")
     rows = tuple(
         (
             Cell(sample.test),
-            Cell(write_with_interval(slip.position, slip.position_interval, across.factor)),
-            Cell(write_with_interval(slip.drop, slip.drop_interval, up.factor)),
+            Cell(write_with_interval(slip.position, slip.position_interval, x_unit.factor)),
+            Cell(write_with_interval(slip.drop, slip.drop_interval, y_unit.factor)),
             Cell(describe_decision(slip.decision)),
         )
         for sample in group.samples
         for slip in sample.slips
     )
-    heads = ("Sample", across.label("Displacement"), up.label("Force lost"), "Treatment")
+    heads = ("Sample", x_unit.label("Displacement"), y_unit.label("Force lost"), "Treatment")
     return Table(f"{group.name}: slips in the grips", heads, rows) if rows else None
 
 

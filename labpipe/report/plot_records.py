@@ -111,11 +111,11 @@ class Line:
         'M0 65530l9 0 1-4'
         """
         finite = np.isfinite(self.x) & np.isfinite(self.y)
-        across = _grid_numbers(self.x, x)
-        up = FULL - _grid_numbers(self.y, y)
+        x_grid = _grid_numbers(self.x, x)
+        y_grid = FULL - _grid_numbers(self.y, y)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(np.int8)))
         strokes = [
-            _stroke(across[start:stop], up[start:stop])
+            _stroke(x_grid[start:stop], y_grid[start:stop])
             for start, stop in zip(edges[::2], edges[1::2], strict=True)
         ]
         return "".join(strokes) + ("z" if self.is_closed and strokes else "")
@@ -126,11 +126,11 @@ def _grid_numbers(values: Floats, axis: Axis) -> Floats:
     return np.clip(scaled, -FULL, 2 * FULL)
 
 
-def _stroke(across: Floats, up: Floats) -> str:
-    first = f"M{across[0]:.0f} {up[0]:.0f}"
-    if len(across) == 1:
+def _stroke(x_grid: Floats, y_grid: Floats) -> str:
+    first = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
+    if len(x_grid) == 1:
         return f"{first}h0"
-    steps = np.column_stack([np.diff(across), np.diff(up)]).astype(np.int64).ravel().tolist()
+    steps = np.column_stack([np.diff(x_grid), np.diff(y_grid)]).astype(np.int64).ravel().tolist()
     return f"{first}l{' '.join(map(str, steps))}".replace(" -", "-")
 
 
@@ -305,12 +305,14 @@ def find_extremes(values: Floats, *, bins: int) -> Ints:
     return np.unique(np.concatenate([order[starts[:-1]], highest, first_gaps, ends]))
 
 
-def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: float = 0.002) -> Ints:
+def simplify_line(
+    positions: Floats, values: Floats, *, points: int, tolerance: float = 0.002
+) -> Ints:
     """Find the samples of a simplified line that keeps its shape.
 
     Parameters
     ----------
-    across, values : shape (n,), in order of drawing
+    positions, values : shape (n,), in order of drawing
     points : largest number of samples; the ends of gaps are kept even beyond it
     tolerance : distance from the line that cannot be seen, as a share of the range of the values
 
@@ -326,7 +328,7 @@ def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: flo
     Douglas and Peucker, Cartographica 10 (1973) 112; of all segments, the one with the furthest
     sample is split first.
     """
-    finite = np.flatnonzero(np.isfinite(across) & np.isfinite(values))
+    finite = np.flatnonzero(np.isfinite(positions) & np.isfinite(values))
     if not len(finite):
         return np.arange(min(len(values), 1), dtype=np.int64)
     broken = np.flatnonzero(np.diff(finite) > 1)
@@ -335,7 +337,7 @@ def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: flo
     rows = {*starts.tolist(), *stops.tolist(), *(finite[broken] + 1).tolist()}
     max_distance = tolerance * float(np.ptp(values[finite]))
     segments = [
-        _furthest_sample(across, values, int(start), int(stop))
+        _furthest_sample(positions, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
     heapq.heapify(segments)
@@ -344,16 +346,16 @@ def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: flo
         if -distance <= max_distance:
             break
         rows.add(furthest)
-        heapq.heappush(segments, _furthest_sample(across, values, start, furthest))
-        heapq.heappush(segments, _furthest_sample(across, values, furthest, stop))
+        heapq.heappush(segments, _furthest_sample(positions, values, start, furthest))
+        heapq.heappush(segments, _furthest_sample(positions, values, furthest, stop))
     return np.array(sorted(rows), dtype=np.int64)
 
 
-def _furthest_sample(across: Floats, values: Floats, start: int, stop: int) -> _Segment:
+def _furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
     """Find the sample between two that is furthest from the line through them."""
     if stop - start < 2:
         return (0.0, start, start, stop)
-    x, y = across[start : stop + 1], values[start : stop + 1]
+    x, y = positions[start : stop + 1], values[start : stop + 1]
     width = x[-1] - x[0]
     # along a vertical segment, the samples count instead of their places
     share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))

@@ -41,7 +41,7 @@ from labpipe.report.wording import (
     find_display,
     find_display_unit,
     find_number_unit,
-    find_unit,
+    find_units,
     is_main,
     list_key_numbers,
     typeset_unit,
@@ -305,16 +305,13 @@ _BAND_COLUMNS = {
 def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     """Make the sheet of the mean curves of all groups in common units, a chart per protocol."""
     first = next((group for group in campaign.groups if group.samples), None)
-    across, up = Scale(1.0, "m"), Scale(1.0, "N")
+    x_unit, y_unit = Scale(1.0, "m"), Scale(1.0, "N")
     if first is not None:
-        across, up = (
-            find_unit(find_display(first), "displacement"),
-            find_unit(find_display(first), "force"),
-        )
-    up = Scale(1.0, "") if is_scaled else up
+        x_unit, y_unit = find_units(find_display(first), "displacement", "force")
+    y_unit = Scale(1.0, "") if is_scaled else y_unit
     bands = {group: group.band_scaled if is_scaled else group.band for group in campaign.groups}
     blocks = {
-        group.name: _band_records(group.name, band, across, up)
+        group.name: _band_records(group.name, band, x_unit, y_unit)
         for group, band in bands.items()
         if band is not None
     }
@@ -323,24 +320,24 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     for group, band in bands.items():
         if band is not None and len(band.displacement):
             lines.setdefault(group.protocol, []).append(Line(group.name, ends[group.name], 1, 2))
-    title, label = ("Mean force", up.label("Force"))
+    title, label = ("Mean force", y_unit.label("Force"))
     if is_scaled:
         title, label = ("Mean force over peak force", "Force / peak force")
     charts = [
-        Chart(f"{title} on first loading ({protocol})", across.label("Displacement"), label, own)
+        Chart(f"{title} on first loading ({protocol})", x_unit.label("Displacement"), label, own)
         for protocol, own in lines.items()
     ]
-    columns = [write_column_heading(part, up.unit) for part in _BAND_COLUMNS]
-    heads = ["group", across.label("displacement"), *columns, "n", "mean over", "reason"]
+    columns = [write_column_heading(part, y_unit.unit) for part in _BAND_COLUMNS]
+    heads = ["group", x_unit.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
     return make_sheet(BOOK, name, rows, heads=heads, charts=charts)
 
 
-def _band_records(group: str, band: Band, across: Scale, up: Scale) -> list[Record]:
+def _band_records(group: str, band: Band, x_unit: Scale, y_unit: Scale) -> list[Record]:
     """Make a record per point of a mean curve, at least one; the first holds the reason."""
-    columns = {across.label("displacement"): across.factor * band.displacement}
+    columns = {x_unit.label("displacement"): x_unit.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
-        columns[write_column_heading(part, up.unit)] = up.factor * getattr(band, field)
+        columns[write_column_heading(part, y_unit.unit)] = y_unit.factor * getattr(band, field)
     points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
     first, *others = points or [{"group": group}]
     return [first | {"reason": str(band.reason or "")}, *others]

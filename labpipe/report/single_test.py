@@ -63,9 +63,9 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
 def _facts(result: TestResult) -> list[tuple[str, str]]:
     specimen = result.specimen
-    across = find_unit(result.display, "displacement")
+    x_unit = find_unit(result.display, "displacement")
     sizes = [
-        f"{name.replace('_', ' ')} {across.factor * size:.4g} {across.unit}"
+        f"{name.replace('_', ' ')} {x_unit.factor * size:.4g} {x_unit.unit}"
         for name, size in specimen.dimensions.items()
     ]
     fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]

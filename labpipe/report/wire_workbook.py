@@ -76,8 +76,8 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
     use = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
     if count <= max_rows or not len(use):
         return np.arange(count, dtype=np.int64)
-    across, up = np.log(table.curvature[use]), np.log(table.moment[use])
-    rows = use[simplify_line(across, up, points=max_rows - 1, tolerance=0.0)]
+    x, y = np.log(table.curvature[use]), np.log(table.moment[use])
+    rows = use[simplify_line(x, y, points=max_rows - 1, tolerance=0.0)]
     return np.union1d([0], rows).astype(np.int64)
 
 
@@ -102,7 +102,8 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
 def make_summary_record(table: WireTable) -> Record:
     """Make the cells of a wire in the summary, after its name; a missing number is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
-    area, up = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2)), STIFFNESS.factor
+    area = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
+    factor = STIFFNESS.factor
     spread = compute_orientation_spread(table)
     limit = table.doubtful_curvature if table.is_doubtful.any() else None
     share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
@@ -118,8 +119,8 @@ def make_summary_record(table: WireTable) -> Record:
         "thinnest strand (mm)": LENGTH.factor * min(layout.diameter),
         "thickest strand (mm)": LENGTH.factor * max(layout.diameter),
         "conductor area (mm²)": area,
-        "stick stiffness (N·mm²)": up * table.stick_stiffness,
-        "slip stiffness (N·mm²)": up * table.slip_stiffness,
+        "stick stiffness (N·mm²)": factor * table.stick_stiffness,
+        "slip stiffness (N·mm²)": factor * table.slip_stiffness,
         "first slip (1/m)": table.slip_onset(0),
         "last slip (1/m)": table.slip_onset(-1),
         "range, curvature (1/m)": curvature,
@@ -128,12 +129,12 @@ def make_summary_record(table: WireTable) -> Record:
         "insulation's share there (%)": None if share is None else 100.0 * float(share),
         "insulation's share at the end (%)": 100.0 * float(table.insulation_share[-1]),
         "moment at the end (N·mm)": MOMENT.factor * float(table.moment[-1]),
-        "secant stiffness at the end (N·mm²)": up * float(table.secant_stiffness[-1]),
-        "tangent stiffness at the end (N·mm²)": up * float(table.tangent_stiffness[-1]),
+        "secant stiffness at the end (N·mm²)": factor * float(table.secant_stiffness[-1]),
+        "tangent stiffness at the end (N·mm²)": factor * float(table.tangent_stiffness[-1]),
         "spread over orientations, largest (%)": spread,
         "axial stiffness, without rotation (N)": table.axial_stiffness,
-        "torsional stiffness, fixed length (N·mm²)": up * table.torsional_stiffness,
-        "torsional stiffness, free length (N·mm²)": up * table.free_torsional_stiffness,
+        "torsional stiffness, fixed length (N·mm²)": factor * table.torsional_stiffness,
+        "torsional stiffness, free length (N·mm²)": factor * table.free_torsional_stiffness,
         "coupling of stretch and twist (N·mm)": MOMENT.factor * table.stretch_twist_coupling,
         "mass per length (g/m)": 1e3 * table.mass_per_length,
         "sag at rest (mm)": None if rest is None else LENGTH.factor * rest.sag,
@@ -272,9 +273,9 @@ def _laws_sheet(
         # without the point at zero curvature
         lines = [Line(name, (first + 1, last), 1, column) for name, (first, last) in ends.items()
                  if last > first]  # fmt: skip
-        title, across = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
+        title, x_label = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
         if lines:
-            charts.append(Chart(title.capitalize(), across, heads[column], lines, is_log=True))
+            charts.append(Chart(title.capitalize(), x_label, heads[column], lines, is_log=True))
     return make_sheet(BOOK, "laws", rows, heads=heads, charts=charts), ends
 
 

@@ -271,6 +271,11 @@ def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
     return Scale(1.0 / si_factor(unit, si_units[quantity]), typeset_unit(unit))
 
 
+def find_units(display: Mapping[str, str], *quantities: str) -> list[Scale]:
+    """Find the display units of several quantities with `find_unit`."""
+    return [find_unit(display, quantity) for quantity in quantities]
+
+
 def typeset_unit(unit: str) -> str:
     """Typeset a unit, such as ``N*mm^2`` as N·mm²; empty for a pure number.
 
@@ -451,9 +456,9 @@ def write_with_interval(
     written = write_number(value, interval, factor, estimate=estimate)
     if interval is None or not written.lower:
         return written.value
-    up, down = interval.upper - value, value - interval.lower
-    half = max(up, down)
-    if estimate is not None or not isfinite(half) or abs(up - down) > max_uneven_share * half:
+    above, below = interval.upper - value, value - interval.lower
+    half = max(above, below)
+    if estimate is not None or not isfinite(half) or abs(above - below) > max_uneven_share * half:
         return f"{written.value} ({written.interval})"
     two_digits = float(f"{abs(factor) * half:.1e}")
     numbers = [factor * number for number in (value, *_ends(interval))]

@@ -43,13 +43,13 @@ class Line(NamedTuple):
     ----------
     name : in the legend
     rows : first and last row of the sheet, from 0 below the headings
-    across, up : numbers of the columns of x and y, from 0
+    x_column, y_column : numbers of the columns of x and y, from 0
     """
 
     name: str
     rows: tuple[int, int]
-    across: int
-    up: int
+    x_column: int
+    y_column: int
 
 
 class Chart(NamedTuple):
@@ -58,14 +58,14 @@ class Chart(NamedTuple):
     Parameters
     ----------
     title : above the chart; may be empty
-    across, up : labels of the axes with units
+    x_label, y_label : labels of the axes with units
     lines : of which the first 12 are drawn
     is_log : make both axes logarithmic
     """
 
     title: str
-    across: str
-    up: str
+    x_label: str
+    y_label: str
     lines: Sequence[Line]
     is_log: bool = False
 
@@ -314,10 +314,10 @@ class _WorkbookWriter:
             top, left = 1, len(sheet.heads) + 1
             page.print_area(0, 0, len(sheet.rows), len(sheet.heads) - 1)
         for number, chart in enumerate(sheet.charts):
-            down, across = divmod(number, 2)
+            row, column = divmod(number, 2)
             drawn = _chart(self.book, sheet.name, chart)
             drawn.set_size({"width": width - gap, "height": height - gap})
-            offset = {"x_offset": across * width, "y_offset": down * height, "object_position": 3}
+            offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
             page.insert_chart(top, left, drawn, offset)
 
     def _set_up_print(self, page: Any) -> None:
@@ -374,8 +374,8 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
         dash = _DASHES[number // len(COLOURS) % len(_DASHES)]
         drawn.add_series({
             "name": _escape_formula(line.name),
-            "categories": [name, first, line.across, last, line.across],
-            "values": [name, first, line.up, last, line.up],
+            "categories": [name, first, line.x_column, last, line.x_column],
+            "values": [name, first, line.y_column, last, line.y_column],
             "line": {"color": colour, "width": 1.5, "dash_type": dash},
         })  # fmt: skip
     look: dict[str, Any] = {
@@ -383,8 +383,8 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
         "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
     }  # fmt: skip
     look |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
-    drawn.set_x_axis({"name": _escape_formula(chart.across), **look})
-    drawn.set_y_axis({"name": _escape_formula(chart.up), **look})
+    drawn.set_x_axis({"name": _escape_formula(chart.x_label), **look})
+    drawn.set_y_axis({"name": _escape_formula(chart.y_label), **look})
     title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
     drawn.set_title(title if chart.title else {"none": True})
     drawn.set_legend({"position": "right", "font": {"size": 9}})
