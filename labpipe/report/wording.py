@@ -14,7 +14,7 @@ from labpipe.records.group import MeanInterval
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.results import KINDS
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
@@ -236,7 +236,7 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     if name == "clock_drift":
         return Scale(1e6, "ppm")
     wanted = display.get(_QUANTITIES.get(unit, ""))
-    return Scale(1.0, unit) if wanted is None else Scale(1.0 / si_factor(wanted, unit), wanted)
+    return Scale(1.0, unit) if wanted is None else Scale(1.0 / find_si_factor(wanted, unit), wanted)
 
 
 def find_display(group: Group) -> Mapping[str, str]:
@@ -268,7 +268,7 @@ def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
     """
     si_units = {name: unit for unit, name in _QUANTITIES.items()} | {"moment": "N*m"}
     unit = display.get(quantity, si_units[quantity])
-    return Scale(1.0 / si_factor(unit, si_units[quantity]), typeset_unit(unit))
+    return Scale(1.0 / find_si_factor(unit, si_units[quantity]), typeset_unit(unit))
 
 
 def find_units(display: Mapping[str, str], *quantities: str) -> list[Scale]:
