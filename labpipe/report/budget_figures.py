@@ -15,8 +15,8 @@ from labpipe.report.figure_page import (
     GREY,
     add_key,
     add_title,
-    make_empty_page,
     make_page,
+    make_reason_page,
     read_look,
 )
 from labpipe.report.wording import (
@@ -74,10 +74,7 @@ def draw_budget(result: TestResult) -> Figure:
         if number.largest_share is not None and is_main(number.name) and is_first_cycle(number.name)
     ][:MAX_BARS]
     if not numbers:
-        reason = format_sentence("report.no_budget")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, format_sentence("report.no_budget"))
     page = make_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
     bars = []
     for number in numbers:

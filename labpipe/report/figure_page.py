@@ -18,13 +18,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from labpipe.errors import StoreError
-from labpipe.report.wording import replace_unprintable, shorten
+from labpipe.report.wording import replace_unprintable, shorten, write_footnote, write_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from matplotlib.text import Text
+
+    from labpipe.records.result import TestResult
 
 
 T = TypeVar("T")
@@ -168,6 +170,12 @@ def make_empty_page(title: str, reason: str, note: str = "", *, width_mm: float 
     page = make_page(height_mm=40.0, width_mm=width_mm)
     write_reason(page.subplots(), reason)
     return add_title(page, title, note)
+
+
+def make_reason_page(result: TestResult, reason: str) -> Figure:
+    """Make the page of a test that gives the reason why it shows nothing."""
+    title, note = write_title(result), write_footnote(result)
+    return make_empty_page(title, reason, note, width_mm=DOUBLE_COLUMN)
 
 
 def _labelled_artists(panels: Iterable[Axes]) -> dict[str, Any]:

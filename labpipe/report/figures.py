@@ -33,8 +33,8 @@ from labpipe.report.figure_page import (
     finish_layout,
     fix_fonts,
     list_style_colours,
-    make_empty_page,
     make_page,
+    make_reason_page,
     read_look,
     sample_colour_map,
     save_pages,
@@ -238,10 +238,7 @@ def draw_stiffness_lines(result: TestResult) -> Figure:
     branches = _branches(result)
     first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
     if result.curve is None or first is None:
-        reason = explain_missing(result, "loading branch")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "loading branch"))
     page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     axes = page.subplots()
     _plot_loading(result, result.curve, slice(first.start, first.stop), axes)
@@ -310,10 +307,7 @@ def draw_moment_curvature(result: TestResult) -> Figure:
     """Draw (a) the moments of all branches with the law and (b) the stiffness of the law."""
     bending = result.bending
     if bending is None:
-        reason = explain_missing(result, "measured moment-curvature")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "measured moment-curvature"))
     page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     cloud, stiffness = page.subplots(1, 2)
     _plot_cloud(result, bending, cloud)

@@ -20,8 +20,8 @@ from labpipe.report.figure_page import (
     GREY,
     add_key,
     add_title,
-    make_empty_page,
     make_page,
+    make_reason_page,
     read_look,
     sample_colour_map,
     write_reason,
@@ -70,10 +70,7 @@ def draw_wire_shapes(result: TestResult) -> Figure:
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
-        reason = explain_missing(result, "shape")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "shape"))
     steps, rig = choose_frames(result, shape), read_rig(result)
     planes = [1] if _find_first_loading(result) is not None else [1, 2]
     length, *sides = (np.ptp(_limits(shape, steps, axis, rig)) for axis in (0, *planes))
