@@ -47,8 +47,8 @@ from labpipe.campaign.decisions import (
     add_decisions,
     applicable_decision,
     carry_over,
+    find_unapplied_decisions,
     read_decisions,
-    unapplied_decisions,
 )
 from labpipe.campaign.pairing import list_candidates, plan_of
 from labpipe.errors import LabpipeError, StoreError
@@ -96,7 +96,7 @@ class Overview:
     def unapplied(self) -> list[tuple[Decision, str]]:
         """Return the decisions that are not applied, and why."""
         runs = {folder: row.attempt for folder, row in self.rows.items()}
-        return list(unapplied_decisions(self.decisions, runs))
+        return list(find_unapplied_decisions(self.decisions, runs))
 
     @property
     def counts(self) -> Counter[str]:

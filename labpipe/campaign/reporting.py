@@ -15,10 +15,8 @@ from labpipe.campaign.decisions import (
     REJECT,
     Decision,
     applicable_decision,
-    decision_entry,
-    decision_sentence,
-    decisions_on,
-    label_of,
+    find_label,
+    read_decisions_on,
 )
 from labpipe.campaign.grouping import (
     Settings,
@@ -241,7 +239,7 @@ def _campaign_of(
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(read.rejected_samples),
         name=name_of_campaign(shared_folder(files)),
-        decisions=tuple(map(decision_entry, read.decisions)),
+        decisions=tuple(decision.as_json() for decision in read.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
 
@@ -263,7 +261,7 @@ class _ReadTests:
 
 def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests:
     read = _ReadTests()
-    decided, shared = decisions_on(files), shared_folder(files)
+    decided, shared = read_decisions_on(files), shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
@@ -278,11 +276,11 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
             continue
         specimen = add_sizes(result.specimen, protocol.specimen)
         sized = replace(drawable, result=replace(result, specimen=specimen))
-        sample = sample_of(sized, source=str(file), label=label_of(file, shared))
+        sample = sample_of(sized, source=str(file), label=find_label(file, shared))
         read.decisions.extend(decided.get(file, ()))
         decision = applicable_decision(decided.get(file, ()), run=result.run)
         if decision is not None:
-            sample = replace(sample, decided=decision_sentence(decision))
+            sample = replace(sample, decided=decision.describe())
         if decision is not None and decision.decision == REJECT:
             read.rejected[str(file)] = sample.decided
             read.rejected_samples.append(sample)

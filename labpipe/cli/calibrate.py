@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.campaign.decisions import without_rejected
+from labpipe.campaign.decisions import exclude_rejected
 from labpipe.campaign.queries import escaped
 from labpipe.cli.terminal import DIGITS, from_here, reading
 from labpipe.mechanics.studies.calibration_study import Calibrated, as_json, calibrate_tests
@@ -35,7 +35,7 @@ _DOUBTED = {
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
-    files, rejected = without_rejected(find_results(options.paths))
+    files, rejected = exclude_rejected(find_results(options.paths))
     for file, why in rejected.items():
         print(escaped(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr)
     with reading(len(options.paths)) as say:

@@ -14,7 +14,6 @@ from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog_rows import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import (
     Decision,
-    decision_sentence,
     import_decision_file,
 )
 from labpipe.campaign.executors import Task, executor_of
@@ -125,7 +124,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     for fault in faults:
         print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
     for decision in imported.added:
-        print(escaped(f"{decision.test}: {decision.decision}: {decision_sentence(decision)}"))
+        print(escaped(f"{decision.test}: {decision.decision}: {decision.describe()}"))
     for decision, why in imported.not_imported:
         print(escaped(f"{decision.test}: {decision.decision} not imported: {why}"), file=sys.stderr)
     print(f"{count_of(len(imported.added), 'decision')} imported, {imported.n_known} already known")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from labpipe.campaign.campaign_folders import name_of_campaign
 from labpipe.campaign.reporting import ReportOptions, page_of_test, report_tests
-from labpipe.campaign.serving import REPORT, ReportServer, Site
+from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import report_options
 from labpipe.cli.terminal import reading
 from labpipe.process.output_paths import find_results, shared_folder
@@ -18,7 +18,7 @@ from labpipe.report.lab_report import PAGE_FILE
 def run(options: argparse.Namespace) -> int:
     """Serve a report until interrupted; make it first if there is none."""
     folder = shared_folder(find_results(options.paths))
-    report = folder / REPORT if options.out is None else options.out
+    report = folder / REPORT_FOLDER if options.out is None else options.out
     site = Site(
         folder, name_of_campaign(folder), report, lambda: _make(options, report), page_of_test
     )

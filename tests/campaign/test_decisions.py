@@ -14,11 +14,11 @@ from labpipe.campaign.catalog_rows import OK, REJECTED, STALE, ResultRow
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
-    decisions_on,
     import_decision_file,
     import_decisions,
     largest_change,
     read_decisions,
+    read_decisions_on,
 )
 from labpipe.campaign.running import decide, read_overview, rebuild
 from labpipe.errors import StoreError, UsageError
@@ -112,7 +112,7 @@ def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: 
         decide(kept.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
     with pytest.raises(StoreError, match="expected decisions in JSON"):
-        decisions_on([kept.processed / "T1" / "result.h5"])
+        read_decisions_on([kept.processed / "T1" / "result.h5"])
 
 
 def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampaign) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
+from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected
 from labpipe.campaign.report_samples import add_sizes, number_kinds, sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
@@ -62,7 +62,7 @@ def runs_of(files: list[Path]) -> list[str]:
 def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     files = find_results([results])
     runs = runs_of(files)
-    assert without_rejected(files) == (files, {})
+    assert exclude_rejected(files) == (files, {})
     facts = {"because": "slipped <b>twice</b>", "by": "A. Tester", "when": "2026-03-10"}
     decisions = [
         Decision("T-2", runs[3], "reject", **facts),

@@ -169,7 +169,7 @@ def test_rejected_tests_are_not_handed_over(
     monkeypatch.setattr("labpipe.cli.calibrate.calibrate_tests", take)
     for rejected, targets in (({}, [folder]), ({one: "slipped (A. Tester)"}, [two])):
         monkeypatch.setattr(
-            "labpipe.cli.calibrate.without_rejected", lambda _, r=rejected: ([two], r)
+            "labpipe.cli.calibrate.exclude_rejected", lambda _, r=rejected: ([two], r)
         )
         ran = run("calibrate", folder)
         assert (ran.status, taken[-1]) == (DONE, targets)
