@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from labpipe.api.many_tests import PathLike, groups, path_of, table
+from labpipe.api.many_tests import PathLike, groups, parse_path, table
 from labpipe.api.one_test import Export, Test, inspect
 from labpipe.errors import UsageError
 from labpipe.process.output_paths import RESULT_FILE, find_results, find_tests
@@ -41,7 +41,7 @@ def open(path: PathLike) -> Test:
     --------
     >>> labpipe.open("processed/A2/A2-085-1").results  # doctest: +SKIP
     """
-    file = _only_one(path_of(path), find_results, "labpipe.table(path) reads many tests.")
+    file = _only_one(parse_path(path), find_results, "labpipe.table(path) reads many tests.")
     return Test(read_outcome(file), read_full=lambda: read_result(file), folder=file.parent)
 
 
@@ -69,7 +69,7 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
     """
     from labpipe.process.run import read_source, reduce_test  # imports all of processing
 
-    file = _only_one(path_of(source), _sources, "Name the folder of one test.")
+    file = _only_one(parse_path(source), _sources, "Name the folder of one test.")
     result = reduce_test(*read_source(file, follow_links=follow_links))
     return Test(result)
 

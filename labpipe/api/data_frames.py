@@ -76,7 +76,7 @@ _BUDGET = {"cause": "str", "change": "float64", "share": "float64", "is_common":
 _NOTES = dict.fromkeys(("code", "severity", "where", "message"), "str")
 
 
-def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
+def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     """Make a table of results.
 
     Parameters
@@ -100,7 +100,7 @@ def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     return _table(_RESULTS, map(row, results)).set_index("name")
 
 
-def budget_frame(result: Result, units: Units) -> pd.DataFrame:
+def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
     """Make a table of the contributions to the interval of a result.
 
     Parameters
@@ -123,7 +123,7 @@ def budget_frame(result: Result, units: Units) -> pd.DataFrame:
     return frame
 
 
-def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
+def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
     """Make a table of a curve.
 
     Parameters
@@ -147,7 +147,7 @@ def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
     return frame
 
 
-def shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
+def make_shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
     """Make a table of positions along the specimen.
 
     Parameters
@@ -174,7 +174,7 @@ def _positions(
     return frame
 
 
-def quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
+def make_quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
     """Make a table of quality notes: ``code``, ``severity``, ``where``, ``message``, all text."""
     return _table(_NOTES, ([getattr(note, name) for name in _NOTES] for note in notes))
 
@@ -264,7 +264,7 @@ def _body(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
 PARTS: Final = ("curve", "aligned", "shape", "bending", "law")
 
 
-def dataset_of(result: TestResult, part: str) -> Dataset | None:
+def make_dataset(result: TestResult, part: str) -> Dataset | None:
     """Make a Dataset of a part of a test.
 
     Parameters

@@ -24,7 +24,7 @@ PathLike: TypeAlias = str | os.PathLike[str]
 Paths: TypeAlias = PathLike | Iterable[PathLike]
 
 
-def path_of(location: PathLike) -> Path:
+def parse_path(location: PathLike) -> Path:
     """Convert to a path, and check that the system accepts it; it need not exist.
 
     Parameters
@@ -48,12 +48,12 @@ def path_of(location: PathLike) -> Path:
     return path
 
 
-def paths_of(locations: Paths) -> list[Path]:
+def parse_paths(locations: Paths) -> list[Path]:
     """Convert one path, or several.
 
     Parameters
     ----------
-    locations : as `path_of`, or a list of them
+    locations : as `parse_path`, or a list of them
 
     Raises
     ------
@@ -63,10 +63,10 @@ def paths_of(locations: Paths) -> list[Path]:
     several = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
     if not several:
         raise UsageError.about("api.no_folders", "folder")
-    return [path_of(location) for location in several]
+    return [parse_path(location) for location in several]
 
 
-def fields_of(by: str | Sequence[str]) -> tuple[str, ...]:
+def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
     """Convert the name of one field, or of several, to a tuple."""
     return (by,) if isinstance(by, str) else tuple(by)
 
@@ -113,8 +113,8 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     --------
     >>> labpipe.table("processed/A2", by=["type", "length"])  # doctest: +SKIP
     """
-    by = fields_of(by)
-    rows, left_out = _read(_summaries(paths_of(folder)))
+    by = parse_fields(by)
+    rows, left_out = _read(_summaries(parse_paths(folder)))
     fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _OF_TEST)
     _check(by, [name for name in fields if name != "test"])
     order = dict.fromkeys(("test", *by, *fields, *_OF_TEST))
@@ -247,7 +247,7 @@ def groups(
     from labpipe.campaign.reporting import ReportOptions, make_campaign
 
     campaign = make_campaign(
-        find_results(paths_of(folder)), "", say, ReportOptions(by=fields_of(by))
+        find_results(parse_paths(folder)), "", say, ReportOptions(by=parse_fields(by))
     )
     rows = [_group_row(group, number) for group in campaign.groups for number in group.numbers]
     frame = pd.DataFrame(rows, columns=list(_GROUP_KINDS)).astype(_GROUP_KINDS)

@@ -16,12 +16,12 @@ from labpipe.api.data_frames import (
     PARTS,
     Recordings,
     Units,
-    budget_frame,
-    curve_frame,
-    dataset_of,
-    quality_frame,
-    results_frame,
-    shape_frame,
+    make_budget_frame,
+    make_curve_frame,
+    make_dataset,
+    make_quality_frame,
+    make_results_frame,
+    make_shape_frame,
 )
 from labpipe.errors import ProcessingError, UsageError, nearest
 from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
@@ -133,7 +133,7 @@ class Test:
         By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (ends of the 95 % interval; NaN
         where not available), ``unit``, ``status``, ``code``, ``reason``.
         """
-        return results_frame(self._outcome.results, self._units)
+        return make_results_frame(self._outcome.results, self._units)
 
     def budget(self, name: str) -> pd.DataFrame:
         """Return the contributions to the interval of a result.
@@ -152,7 +152,7 @@ class Test:
         UsageError
             If the test has no such result.
         """
-        return budget_frame(self._result(name), self._units)
+        return make_budget_frame(self._result(name), self._units)
 
     def _result(self, name: str) -> Result:
         results = {result.name: result for result in self._outcome.results}
@@ -174,7 +174,7 @@ class Test:
         """
         if self._outcome.curve is None:
             raise self._missing("curve")
-        return curve_frame(self._outcome.curve, self._units)
+        return make_curve_frame(self._outcome.curve, self._units)
 
     @property
     def shape(self) -> pd.DataFrame:
@@ -190,7 +190,7 @@ class Test:
         shape = self._full.shape
         if shape is None:
             raise self._missing("shape")
-        return shape_frame(shape, self._units)
+        return make_shape_frame(shape, self._units)
 
     @property
     def raw(self) -> Recordings:
@@ -200,7 +200,7 @@ class Test:
     @property
     def quality(self) -> pd.DataFrame:
         """Return the quality notes: ``code``, ``severity``, ``where``, ``message``."""
-        return quality_frame(self._outcome.quality)
+        return make_quality_frame(self._outcome.quality)
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -247,7 +247,7 @@ class Test:
         parts = [*PARTS, *self._full.recordings]
         if part not in parts:
             raise self._unknown("part", part, parts)
-        dataset = dataset_of(self._full, part)
+        dataset = make_dataset(self._full, part)
         if dataset is None:
             raise self._missing(part)
         return dataset
@@ -264,7 +264,7 @@ class Test:
         )
 
     def _repr_html_(self) -> str:
-        return page_of(self._outcome)
+        return format_html(self._outcome)
 
     def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
         if not names:
@@ -283,7 +283,7 @@ _NOT_ASKED_FOR = "Its protocol does not ask for one, or see `quality`."
 _CELL = "text-align:left;padding:1px 12px 1px 0"
 
 
-def page_of(result: TestResult) -> str:
+def format_html(result: TestResult) -> str:
     """Return the HTML of a test for a notebook.
 
     Parameters
@@ -405,7 +405,7 @@ class Export:
     @property
     def notes(self) -> pd.DataFrame:
         """Return the notes of the reader: ``code``, ``severity``, ``where``, ``message``."""
-        return quality_frame(self._inspection.recording.notes)
+        return make_quality_frame(self._inspection.recording.notes)
 
     @property
     def data(self) -> Recordings:

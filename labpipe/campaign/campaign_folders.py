@@ -63,7 +63,7 @@ def find_campaign(folder: Path) -> CampaignFolders:
     raise _no_campaign(folder, "a folder below 'raw' or 'processed'", "a folder below neither")
 
 
-def name_of_campaign(folder: Path) -> str:
+def find_campaign_name(folder: Path) -> str:
     """Return the name of the campaign whose results are in a folder.
 
     Parameters
@@ -90,7 +90,7 @@ def _no_campaign(folder: Path, expected: str, found: str) -> UsageError:
 
 
 @dataclass(slots=True)
-class RawFolder:
+class RawContent:
     """Content of the folder of exports.
 
     Parameters
@@ -105,14 +105,14 @@ class RawFolder:
     refused: list[str] = field(default_factory=list)
 
 
-def list_raw(campaign: CampaignFolders) -> RawFolder:
+def list_raw(campaign: CampaignFolders) -> RawContent:
     """List tests and files of a campaign, without opening any.
 
     Parameters
     ----------
     campaign : if its folder of exports is missing, the lists are empty
     """
-    listing = RawFolder()
+    listing = RawContent()
     for label, place, files, _ in _walk(campaign.raw, listing.refused):
         listing.files += [f"{label}/{name}" if label else name for name in files]
         if SHEET_NAME not in files:

@@ -23,9 +23,9 @@ from labpipe.campaign.catalog_rows import (
     RESULT_COLUMNS,
     TEST_COLUMNS,
     Entry,
+    FileState,
     Inputs,
     ResultRow,
-    Seen,
     TestRow,
 )
 from labpipe.errors import StoreError, UsageError
@@ -166,7 +166,7 @@ class Catalog:
         rows = self._of_test("tests", TEST_COLUMNS, folder)
         return {row[0]: TestRow(*row) for row in rows}
 
-    def seen(self, folder: str | None = None) -> dict[str, Seen]:
+    def seen(self, folder: str | None = None) -> dict[str, FileState]:
         """Return the recorded state of files by folder.
 
         Parameters
@@ -174,13 +174,13 @@ class Catalog:
         folder : of one test; None for all tests
         """
         rows = self._of_test("seen", ("folder", "content", "marks"), folder)
-        return {folder: Seen(content, marks) for folder, content, marks in rows}
+        return {folder: FileState(content, marks) for folder, content, marks in rows}
 
     def _of_test(self, table: str, columns: Sequence[str], folder: str | None) -> list[Any]:
         sql = f"select {', '.join(columns)} from {table}"
         return self._all(sql) if folder is None else self._all(f"{sql} where folder = ?", folder)
 
-    def results_of(self, folder: str) -> tuple[ResultRow, ...]:
+    def read_results(self, folder: str) -> tuple[ResultRow, ...]:
         """Return the results of a test, in order.
 
         Parameters
@@ -199,7 +199,7 @@ class Catalog:
         )
         return bool(self._all(sql))
 
-    def inputs_of(self, folder: str) -> Inputs:
+    def read_inputs(self, folder: str) -> Inputs:
         """Return role, file and SHA-256 of the exports of a test, in order.
 
         Parameters
@@ -209,7 +209,7 @@ class Catalog:
         sql = "select role, file, sha256 from inputs where folder = ? order by place"
         return tuple(self._all(sql, folder))
 
-    def put(self, entries: Iterable[Entry], before: Mapping[str, Seen] | None = None) -> None:
+    def put(self, entries: Iterable[Entry], before: Mapping[str, FileState] | None = None) -> None:
         """Write entries of tests.
 
         Parameters
@@ -311,7 +311,7 @@ def _put(connection: sqlite3.Connection, entry: Entry) -> None:
     folder = entry.row.folder
     seen = (folder, entry.seen.content, entry.seen.marks)
     connection.execute("insert or replace into seen values (?, ?, ?)", seen)
-    if entry.only_seen:
+    if entry.is_row_unchanged:
         return
     for table in ("tests", "results", "inputs"):
         connection.execute(f"delete from {table} where folder = ?", (folder,))

@@ -102,7 +102,7 @@ RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FileState:
     """State of the files of a test when its row was made.
 
     Parameters
@@ -125,14 +125,14 @@ class Entry:
     seen : state of its files
     inputs : exports of the last attempt
     results : of the last successful attempt
-    only_seen : whether row, inputs and results in the catalog are still valid
+    is_row_unchanged : whether row, inputs and results in the catalog are still valid
     """
 
     row: TestRow
-    seen: Seen = Seen()
+    seen: FileState = FileState()
     inputs: Inputs = ()
     results: tuple[ResultRow, ...] = ()
-    only_seen: bool = False
+    is_row_unchanged: bool = False
 
 
 def encodable(value: object) -> str:

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
 from labpipe import __version__
 from labpipe.campaign.executors import (
     Outcome,
-    outcome_of,
-    refused_outcome,
+    process_task,
+    record_failure,
 )
 from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError, UsageError
@@ -79,7 +79,7 @@ def _outcome_at(home: Path, task: Task) -> Outcome:
     """Process a test in the working folder of the client."""
     with suppress(OSError):  # missing only if all paths are absolute
         os.chdir(home)
-    return outcome_of(task)
+    return process_task(task)
 
 
 _IDLE_PROCESSES: dict[WorkerProcess, threading.Timer] = {}
@@ -267,7 +267,7 @@ class _ClusterRun:
         try:
             worker, answer = _answer_of(future)
         except ProcessDied as died:
-            return refused_outcome(task, died.error(task.sheet))
+            return record_failure(task, died.error(task.sheet))
         except KilledWorker as killed:
             return _refuse_killer(task, killed.allowed_failures + 1)
         if isinstance(answer, Outcome):
@@ -277,7 +277,7 @@ class _ClusterRun:
         elif answer is not None:
             self._unfit[worker] = answer
         elif not task.sheet.exists():
-            return outcome_of(task)
+            return process_task(task)
         self._again.append(test._replace(unseen_by=test.unseen_by | {worker}))
         return None
 
@@ -291,7 +291,7 @@ class _ClusterRun:
         error = UsageError.about("campaign.without_data", task.sheet, count=count)
         if not self._was_seen:
             raise UsageError(str(error), code="no_cluster")
-        return refused_outcome(task, error)
+        return record_failure(task, error)
 
     def _resubmit_orphans(self, workers: Iterable[str]) -> None:
         """Resubmit tests that wait for lost workers."""
@@ -318,7 +318,7 @@ def _answer_of(future: Future) -> tuple[str, Outcome | Versions | None]:
 def _refuse_killer(task: Task, times: int) -> Outcome:
     """Refuse a test that lost its workers."""
     error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
-    return refused_outcome(task, error)
+    return record_failure(task, error)
 
 
 def _is_seen(outcome: Outcome, until: float) -> bool:

@@ -61,7 +61,7 @@ class Stamp(NamedTuple):
         return max(self.modified, self.changed) + time_resolution < self.taken
 
 
-def stamp_of(path: Path, last: Stamp | None = None) -> Stamp:
+def take_stamp(path: Path, last: Stamp | None = None) -> Stamp:
     """Take the stamp of a file, without hashing an unchanged file again.
 
     Parameters
@@ -143,7 +143,7 @@ class ContentKeys:
         self._resolved: dict[str, tuple[str, Protocol]] = {}
         self._cards: str | None = None
 
-    def content_of(self, sheet_path: Path, last: Content | None = None) -> Content:
+    def determine_content(self, sheet_path: Path, last: Content | None = None) -> Content:
         """Determine the inputs of a test.
 
         Parameters
@@ -158,7 +158,7 @@ class ContentKeys:
         folder = sheet_path.parent
         if last is None:
             return self._read_content(sheet_path, {})
-        stamps = {name: stamp_of(folder / name, old) for name, old in last.stamps.items()}
+        stamps = {name: take_stamp(folder / name, old) for name, old in last.stamps.items()}
         is_same = all(stamps[name].sha256 == old.sha256 for name, old in last.stamps.items())
         if is_same and last.rests_on and last.rests_on == self._dependencies(folder, last.rests_on):
             if all(stamps[name] == old for name, old in last.stamps.items()):
@@ -169,14 +169,14 @@ class ContentKeys:
     def _read_content(self, sheet_path: Path, stamps_before: Mapping[str, Stamp]) -> Content:
         folder = sheet_path.parent
         before = stamps_before.get
-        stamps = {SHEET_NAME: stamp_of(sheet_path, before(SHEET_NAME))}
+        stamps = {SHEET_NAME: take_stamp(sheet_path, before(SHEET_NAME))}
         try:
             sheet = load_test_sheet(sheet_path)
             text = sheet_path.read_text(encoding="utf-8")
         except (LabpipeError, OSError, ValueError):
             return self._unfit_content(folder, stamps, "")
         for names in sheet.files.values():
-            stamps |= {name: stamp_of(folder / name, before(name)) for name in names}
+            stamps |= {name: take_stamp(folder / name, before(name)) for name in names}
         try:
             resolved, protocol = self._resolve(sheet, sheet_path, text)
             cards = dialect_cards(protocol)
@@ -212,14 +212,14 @@ class ContentKeys:
         if isinstance(file, Fault):
             return ""
         if file not in self._hashes:
-            self._hashes[file] = stamp_of(file).sha256
+            self._hashes[file] = take_stamp(file).sha256
         return self._hashes[file]
 
     def _all_cards(self) -> str:
         if self._cards is None:
             from labpipe.readers.load_frame.cards import lab_card_files
 
-            cards = [[file.name, stamp_of(file).sha256] for file in lab_card_files()]
+            cards = [[file.name, take_stamp(file).sha256] for file in lab_card_files()]
             self._cards = _sha256(json.dumps(cards)) if cards else ""
         return self._cards
 

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import psutil
 
-from labpipe.campaign.workers import ProcessDied, as_completed, in_processes
+from labpipe.campaign.workers import ProcessDied, run_as_completed, run_in_processes
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.process.output_paths import refuse_repeated
 from labpipe.process.run import (
@@ -28,7 +28,7 @@ from labpipe.process.run import (
 )
 from labpipe.records.result import Status
 
-__all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local", "process_tests"]
+__all__ = ["Executor", "Outcome", "Task", "dask", "local", "parse_executor", "process_tests"]
 
 BYTES_PER_TEST = 750_000_000
 """Memory for the process of one test: a cantilever test of full size (70 MB of exports, figures as
@@ -84,7 +84,7 @@ class Outcome:
     seconds: float = 0.0
 
 
-def outcome_of(task: Task) -> Outcome:
+def process_task(task: Task) -> Outcome:
     """Process one test and return its outcome, also if it fails.
 
     Parameters
@@ -95,7 +95,7 @@ def outcome_of(task: Task) -> Outcome:
     done = attempt(task)
     seconds = time.perf_counter() - start
     if isinstance(done, Refused):
-        return failed_outcome(done, seconds)
+        return make_failed_outcome(done, seconds)
     doubted = next(
         (result for result in done.result.results if result.status is not Status.OK), None
     )
@@ -106,7 +106,7 @@ def outcome_of(task: Task) -> Outcome:
     return Outcome(task.sheet, done.folder, "doubtful", first.code, reason, run, seconds)
 
 
-def outcome_of_call(task: Task, call: Callable[[], Outcome]) -> Outcome:
+def await_outcome(task: Task, call: Callable[[], Outcome]) -> Outcome:
     """Make the outcome of a test from a call in a process.
 
     Parameters
@@ -122,10 +122,10 @@ def outcome_of_call(task: Task, call: Callable[[], Outcome]) -> Outcome:
     try:
         return call()
     except ProcessDied as died:
-        return refused_outcome(task, died.error(task.sheet))
+        return record_failure(task, died.error(task.sheet))
 
 
-def refused_outcome(task: Task, error: LabpipeError) -> Outcome:
+def record_failure(task: Task, error: LabpipeError) -> Outcome:
     """Record why a test failed, without reading its exports, which may have killed a process.
 
     Parameters
@@ -133,10 +133,10 @@ def refused_outcome(task: Task, error: LabpipeError) -> Outcome:
     task : the test
     error : the reason
     """
-    return failed_outcome(refuse(task, error.code, str(error), is_read=False))
+    return make_failed_outcome(refuse(task, error.code, str(error), is_read=False))
 
 
-def failed_outcome(refused: Refused, seconds: float = 0.0) -> Outcome:
+def make_failed_outcome(refused: Refused, seconds: float = 0.0) -> Outcome:
     """Make the outcome of a test that was refused.
 
     Parameters
@@ -167,9 +167,9 @@ def local(jobs: int, *, limit: float | None = None) -> Executor:
     """
 
     def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
-        with closing(as_completed(outcome_of, tasks, jobs=jobs, limit=limit)) as ended:
+        with closing(run_as_completed(process_task, tasks, jobs=jobs, limit=limit)) as ended:
             for task, future in ended:
-                yield outcome_of_call(task, future.result)
+                yield await_outcome(task, future.result)
 
     return executor
 
@@ -201,7 +201,7 @@ _CLUSTERS = {"dask": "", "dask+tls": "tls://"}
 """Prefix of the address of a scheduler, by scheme."""
 
 
-def executor_of(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
+def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
     """Return the executor named on the command line.
 
     Parameters
@@ -272,7 +272,7 @@ def process_tests(
             yield task if isinstance(task, Refused) else attempt(task, say, is_alone=True)
         return
     calls = [partial(attempt, task) for task in possible]
-    with closing(in_processes(calls, jobs=jobs, limit=limit)) as futures:
+    with closing(run_in_processes(calls, jobs=jobs, limit=limit)) as futures:
         for test in tests:
             begin(test)("wait")
             task = tasks[test]

@@ -36,7 +36,7 @@ Unlike = Mapping[str, list[str]]
 """Tests by the value of a setting."""
 
 
-def settings_of(protocol: Protocol) -> Settings:
+def list_settings(protocol: Protocol) -> Settings:
     """List the processing settings of a protocol.
 
     Parameters
@@ -69,7 +69,9 @@ def _flat(data: object, path: str) -> Iterator[tuple[str, str]]:
         yield from _flat(value, f"{path}.{key}" if path else key)
 
 
-def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -> list[QualityNote]:
+def note_differing_settings(
+    settings: Mapping[str, Settings], noted: Sequence[str] = ()
+) -> list[QualityNote]:
     """Warn if tests that are averaged were processed with different settings.
 
     Parameters
@@ -124,7 +126,7 @@ def differing(settings: Mapping[str, Settings]) -> dict[str, Unlike]:
     return unlike
 
 
-def settings_by_test(
+def map_settings_to_tests(
     samples: Sequence[Sample], settings: Mapping[str, Settings]
 ) -> dict[str, Settings]:
     """Return settings of samples by test; by file for tests with the same name.
@@ -141,7 +143,7 @@ def settings_by_test(
     }
 
 
-def differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
+def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
     """Describe the settings that differ among the tests of a comparison.
 
     Parameters
@@ -163,7 +165,7 @@ _WITHOUT = ""
 _LENGTH = "length"
 
 
-class Key(NamedTuple):
+class GroupKey(NamedTuple):
     """Fields that the samples of a group share.
 
     Parameters
@@ -179,7 +181,7 @@ class Key(NamedTuple):
     more: tuple[tuple[str, str], ...] = ()
 
 
-def key_of(sample: Sample, by: Sequence[str]) -> Key:
+def find_group_key(sample: Sample, by: Sequence[str]) -> GroupKey:
     """Return the group of a sample.
 
     Parameters
@@ -188,10 +190,10 @@ def key_of(sample: Sample, by: Sequence[str]) -> Key:
     by : grouping fields
     """
     fields = fields_of(sample.specimen)
-    return Key(tuple(fields.get(name, _WITHOUT) for name in by), sample.protocol)
+    return GroupKey(tuple(fields.get(name, _WITHOUT) for name in by), sample.protocol)
 
 
-def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[Key, list[Sample]]:
+def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[GroupKey, list[Sample]]:
     """Divide samples into the groups of a report.
 
     Parameters
@@ -202,21 +204,21 @@ def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[Key, lis
 
     Returns
     -------
-    Samples by group, in the order of `sort_keys`. Tests of two protocols are in two groups.
+    Samples by group, in the order of `sort_groups`. Tests of two protocols are in two groups.
     """
-    members: dict[Key, list[Sample]] = {}
+    members: dict[GroupKey, list[Sample]] = {}
     for sample in samples:
-        members.setdefault(key_of(sample, by or (TYPE,)), []).append(sample)
+        members.setdefault(find_group_key(sample, by or (TYPE,)), []).append(sample)
     if not by:
         members = {
             key._replace(more=tuple(part.fields.items())): list(part.samples)
             for key, group_samples in members.items()
             for part in divide(group_samples)
         }
-    return {key: members[key] for key in sort_keys(members, by or (TYPE,))}
+    return {key: members[key] for key in sort_groups(members, by or (TYPE,))}
 
 
-def sort_keys(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
+def sort_groups(keys: Iterable[GroupKey], by: Sequence[str]) -> list[GroupKey]:
     """Sort groups: types alphabetically, other fields by `in_order`.
 
     Parameters
@@ -225,7 +227,7 @@ def sort_keys(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
     by : grouping fields
     """
 
-    def turn(key: Key) -> tuple[object, ...]:
+    def turn(key: GroupKey) -> tuple[object, ...]:
         sort_values: list[object] = [
             word if name == TYPE else in_order(name, word or NOT_SAID)
             for name, word in zip(by, key.field_values, strict=True)
@@ -235,7 +237,7 @@ def sort_keys(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
     return sorted(keys, key=turn)
 
 
-def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
+def name_groups(keys: Sequence[GroupKey], by: Sequence[str]) -> dict[GroupKey, str]:
     """Name groups by their fields, and by their protocol if two share all fields.
 
     Parameters
@@ -245,9 +247,9 @@ def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
 
     Examples
     --------
-    >>> list(group_names([Key(("B2", ""), "taped-bundle")], ["wire", "taping"]).values())
+    >>> list(name_groups([GroupKey(("B2", ""), "taped-bundle")], ["wire", "taping"]).values())
     ['wire B2, without taping']
-    >>> list(group_names([Key(("A1",), "bend", (("length", "85 mm"),))], ["type"]).values())
+    >>> list(name_groups([GroupKey(("A1",), "bend", (("length", "85 mm"),))], ["type"]).values())
     ['A1, 85 mm']
     """
     protocols = Counter(labels for labels, _ in {(key.field_values, key.protocol) for key in keys})
@@ -267,7 +269,7 @@ def _word(name: str, word: str) -> str:
     return word if name == TYPE else f"{label} {word}"
 
 
-def missing_fields(key: Key, by: Sequence[str]) -> list[str]:
+def list_missing_fields(key: GroupKey, by: Sequence[str]) -> list[str]:
     """List the fields that the sheets of a group do not state."""
     return [name for name, word in zip(by, key.field_values, strict=True) if word == _WITHOUT]
 
@@ -408,7 +410,9 @@ def _compare(
     ((name, (before, after)), *_) = (*fields.items(), ("", ("", "")))
     if is_alone and name != TYPE and in_order(name, after) < in_order(name, before):
         one, other, fields = other, one, {name: (after, before)}
-    unlike = differing_settings(settings_by_test((*one.samples, *other.samples), settings))
+    unlike = describe_differing_settings(
+        map_settings_to_tests((*one.samples, *other.samples), settings)
+    )
     names = options.main or tuple(number.name for number in one.numbers[:1])
     compared = compare_groups(one, other, names=names, margin=options.margin)
     family = "" if not is_alone else TYPES if name == TYPE else QUESTIONS

@@ -60,7 +60,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class RawListing:
+class CandidateListing:
     """Content of the folder of exports.
 
     Parameters
@@ -95,7 +95,7 @@ class PairingOutcome:
     unread: Mapping[str, str] = field(default_factory=dict)
 
 
-def plan_of(folder: Path) -> CampaignPlan:
+def read_plan(folder: Path) -> CampaignPlan:
     """Read the campaign YAML of a folder; without one, there is one folder per test.
 
     Parameters
@@ -113,7 +113,7 @@ def plan_of(folder: Path) -> CampaignPlan:
 
 def list_candidates(
     folder: Path, plan: CampaignPlan, *, is_skipped: Callable[[Path], bool] = lambda _: False
-) -> RawListing:
+) -> CandidateListing:
     """List the tests of a campaign by its rules, without opening any file.
 
     Parameters
@@ -137,7 +137,9 @@ def list_candidates(
 _CONTROL_CHARACTERS = "its name has control characters; rename it"
 
 
-def _by_folder(folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]) -> RawListing:
+def _by_folder(
+    folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]
+) -> CandidateListing:
     candidates, unmatched = list[Candidate](), dict[Path, str]()
     for place in _test_folders(folder, is_skipped):
         files = {name: place / name for name in _names(place) if _may_be_export(name)}
@@ -151,7 +153,7 @@ def _by_folder(folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool])
             candidates.append(Candidate(place, files, values))
     loose = [folder / name for name in _names(folder) if _may_be_export(name)]
     unmatched |= dict.fromkeys(loose, "it is not in the folder of a test")
-    return RawListing(tuple(candidates), unmatched)
+    return CandidateListing(tuple(candidates), unmatched)
 
 
 def _test_folders(folder: Path, is_skipped: Callable[[Path], bool]) -> Iterator[Path]:
@@ -165,7 +167,7 @@ def _test_folders(folder: Path, is_skipped: Callable[[Path], bool]) -> Iterator[
             yield from _test_folders(place, is_skipped)
 
 
-def _by_name(folder: Path, pair: ByName) -> RawListing:
+def _by_name(folder: Path, pair: ByName) -> CandidateListing:
     top, patterns = folder / pair.source, pair.patterns
     candidates: dict[tuple[str, ...], Candidate] = {}
     unmatched: dict[Path, str] = {}
@@ -191,7 +193,7 @@ def _by_name(folder: Path, pair: ByName) -> RawListing:
             else:
                 candidates[key] = replace(known, files={**known.files, role: top / name})
     ordered = sorted(candidates.values(), key=lambda candidate: candidate.name)
-    return RawListing(tuple(ordered), unmatched)
+    return CandidateListing(tuple(ordered), unmatched)
 
 
 def _names(folder: Path) -> list[str]:

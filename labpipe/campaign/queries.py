@@ -56,7 +56,7 @@ _STEPS_PER_CHECK = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class QueryResult:
     """Rows of a query.
 
     Parameters
@@ -69,7 +69,7 @@ class Answer:
     rows: Sequence[Sequence[Any]]
 
 
-def query_results(catalog: Catalog, where: str) -> Answer:
+def query_results(catalog: Catalog, where: str) -> QueryResult:
     """Query results that fit a condition.
 
     Parameters
@@ -104,7 +104,7 @@ def query_results(catalog: Catalog, where: str) -> Answer:
             f"{condition}"
         )
         try:
-            return Answer(tuple(columns), connection.execute(sql).fetchall())
+            return QueryResult(tuple(columns), connection.execute(sql).fetchall())
         except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
             raise _condition_error(where, str(error), list(columns)) from error
 
@@ -149,7 +149,7 @@ def _fields(connection: sqlite3.Connection) -> dict[str, str]:
     return fields
 
 
-def write_answer(answer: Answer, form: str, out: IO[str]) -> None:
+def write_answer(answer: QueryResult, form: str, out: IO[str]) -> None:
     """Write rows as text.
 
     Parameters
@@ -169,10 +169,10 @@ def write_answer(answer: Answer, form: str, out: IO[str]) -> None:
         out.writelines(_table(answer))
 
 
-def _table(answer: Answer) -> Iterator[str]:
+def _table(answer: QueryResult) -> Iterator[str]:
     """Yield lines without keys, and without columns that are empty or repeat the first one."""
     rows = [[_cell(cell) for cell in row] for row in answer.rows]
-    columns = dict(zip(map(escaped, answer.columns), zip(*rows, strict=True), strict=False))
+    columns = dict(zip(map(escape_controls, answer.columns), zip(*rows, strict=True), strict=False))
     first = columns.get("test")
     visible = {
         name: cells
@@ -189,12 +189,12 @@ def _cell(value: object) -> str:
     """Format a value for a terminal, with control characters escaped."""
     if value is None:
         return ""
-    text = f"{value:.6g}" if isinstance(value, float) else escaped(str(value))
+    text = f"{value:.6g}" if isinstance(value, float) else escape_controls(str(value))
     max_width = 60
     return text if len(text) <= max_width else f"{text[: max_width - 3]}..."
 
 
-def escaped(text: str) -> str:
+def escape_controls(text: str) -> str:
     """Escape control characters for a terminal.
 
     Parameters
@@ -209,7 +209,7 @@ def _quote_formula(value: object) -> object:
     return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
 
 
-def write_workbook(answer: Answer, path: Path) -> None:
+def write_workbook(answer: QueryResult, path: Path) -> None:
     """Write rows as a workbook.
 
     Parameters
@@ -233,5 +233,5 @@ def write_workbook(answer: Answer, path: Path) -> None:
     with replacing(path) as temporary, Workbook(str(temporary), options) as book:
         sheet = book.add_worksheet("results")
         for number, row in enumerate((answer.columns, *answer.rows)):
-            cells = [escaped(value) if isinstance(value, str) else value for value in row]
+            cells = [escape_controls(value) if isinstance(value, str) else value for value in row]
             sheet.write_row(number, 0, cells)

@@ -31,7 +31,7 @@ Values: TypeAlias = Mapping[str, Sequence[float]]
 """Values of several tests by result."""
 
 
-def group_of(row: TestRow) -> str:
+def make_group_key(row: TestRow) -> str:
     """Return the group of a test: its protocol and specimen, except spool and sample.
 
     Parameters
@@ -59,7 +59,7 @@ class DisplaySettings:
     main: tuple[str, ...] = ()
 
 
-def display_settings(sheet: Path) -> DisplaySettings:
+def read_display_settings(sheet: Path) -> DisplaySettings:
     """Read the display settings of a test from its protocol.
 
     Parameters
@@ -107,10 +107,10 @@ def verdict(
         line = "; ".join(f"{number.text}, {number.against}" for number in numbers) or "no numbers"
     codes = [reason["code"] for result in results for reason in result["reasons"]]
     codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
-    return [head, f"  {line}", f"  {actions_for(codes, outside=bool(outside))}"]
+    return [head, f"  {line}", f"  {describe_actions(codes, outside=bool(outside))}"]
 
 
-def failure_lines(name: str, code: str, reason: str) -> list[str]:
+def describe_failure(name: str, code: str, reason: str) -> list[str]:
     """Write the verdict on a test that could not be processed.
 
     Parameters
@@ -123,10 +123,10 @@ def failure_lines(name: str, code: str, reason: str) -> list[str]:
     Three lines, as from `verdict`.
     """
     first = " ".join(reason.splitlines()[0].split()) if reason else code
-    return [f"{name}: FAILED ({code})", f"  {first}", f"  {actions_for([code])}"]
+    return [f"{name}: FAILED ({code})", f"  {first}", f"  {describe_actions([code])}"]
 
 
-def actions_for(codes: Iterable[str], *, outside: bool = False) -> str:
+def describe_actions(codes: Iterable[str], *, outside: bool = False) -> str:
     """Write what to check while the specimen is mounted.
 
     Parameters

@@ -11,7 +11,7 @@ from pathlib import Path
 from labpipe.campaign.campaign_folders import (
     CampaignFolders,
     OutcomeFiles,
-    RawFolder,
+    RawContent,
     find_outcome,
     list_processed,
     list_raw,
@@ -33,7 +33,7 @@ from labpipe.campaign.catalog_rows import (
     RUNNING,
     STALE,
     Entry,
-    Seen,
+    FileState,
     TestRow,
     as_json,
     encodable,
@@ -50,7 +50,7 @@ from labpipe.campaign.decisions import (
     find_unapplied_decisions,
     read_decisions,
 )
-from labpipe.campaign.pairing import list_candidates, plan_of
+from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME
@@ -77,7 +77,7 @@ class Overview:
 
     rows: dict[str, TestRow]
     claims: dict[str, Claim] = field(default_factory=dict)
-    raw: RawFolder = field(default_factory=RawFolder)
+    raw: RawContent = field(default_factory=RawContent)
     decisions: tuple[Decision, ...] = ()
     notes: list[str] = field(default_factory=list)
     bad_input: bool = False
@@ -229,7 +229,7 @@ class CatalogSync:
             return entry.row
         return row or TestRow(folder)
 
-    def content_of(self, folder: str) -> Content:
+    def determine_content(self, folder: str) -> Content:
         """Determine the inputs of a test, and record them.
 
         Parameters
@@ -238,13 +238,13 @@ class CatalogSync:
         """
         seen = self._seen(folder)
         sheet = self.campaign.raw / folder / SHEET_NAME
-        content = self._keys.content_of(sheet, parse_content(seen.content))
+        content = self._keys.determine_content(sheet, parse_content(seen.content))
         renewed = replace(seen, content=content.as_text())
-        self.catalog.put([Entry(TestRow(folder), renewed, only_seen=True)])
+        self.catalog.put([Entry(TestRow(folder), renewed, is_row_unchanged=True)])
         return content
 
-    def _seen(self, folder: str) -> Seen:
-        return self.catalog.seen(folder).get(folder, Seen())
+    def _seen(self, folder: str) -> FileState:
+        return self.catalog.seen(folder).get(folder, FileState())
 
     def files_of(self, folder: str, sheet: Path) -> tuple[str, ...]:
         """Return the files that a test names, below its folder; only its sheet if that is faulty.
@@ -273,21 +273,21 @@ class CatalogSync:
         sheet: Path | None,
         files: OutcomeFiles | None,
         row: TestRow | None,
-        seen: Seen | None,
+        seen: FileState | None,
     ) -> Entry | None:
         """Make the entry of a test; return None if the catalog is up to date."""
         marks = files.marks if files is not None else ""
         stored = parse_content(seen.content) if seen is not None else None
-        now = self._keys.content_of(sheet, stored) if sheet is not None and marks else None
+        now = self._keys.determine_content(sheet, stored) if sheet is not None and marks else None
         content = stored if now is None else now
-        renewed = Seen(
+        renewed = FileState(
             "" if content is None else content.as_text(),
             marks if sheet is not None else f"{marks} {_WITHOUT_SHEET}",
         )
         is_same = now is None or (stored is not None and stored.key == now.key)
         looks_same = seen is not None and seen.marks == renewed.marks
         if row is not None and looks_same and is_same and self._is_current(row, now):
-            return None if content == stored else Entry(row, renewed, only_seen=True)
+            return None if content == stored else Entry(row, renewed, is_row_unchanged=True)
         outcome = read_outcome(folder, files)
         rejection = self._rejection_of(outcome, row)
         return replace(outcome, row=_row(outcome, now, rejection), seen=renewed)
@@ -321,7 +321,7 @@ class CatalogSync:
             and self._has_same_inputs(row, outcome)
             and not self.catalog.in_memory
         ):
-            before = self.catalog.results_of(folder)
+            before = self.catalog.read_results(folder)
             carried = carry_over(by_run[row.run], key, before, outcome.results)
             if carried is not None:
                 add_decisions(self.campaign.processed, self.campaign.name, [carried])
@@ -332,7 +332,7 @@ class CatalogSync:
         """Return whether exports, sheet and protocol of a test are those of its row."""
         texts = (outcome.row.sheet, outcome.row.resolved)
         same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
-        return same and self.catalog.inputs_of(row.folder) == outcome.inputs
+        return same and self.catalog.read_inputs(row.folder) == outcome.inputs
 
 
 def _attempt(row: TestRow) -> str:
@@ -366,7 +366,7 @@ def _row(outcome: Entry, content: Content | None, rejection: Decision | None) ->
 USED, WAITING, UNKNOWN = "used", "waiting", "unknown"
 
 
-def account_for_files(sync: CatalogSync, overview: Overview) -> dict[str, list[str]]:
+def list_file_use(sync: CatalogSync, overview: Overview) -> dict[str, list[str]]:
     """Determine the use of each file.
 
     Parameters
@@ -400,7 +400,7 @@ def _by_plan(sync: CatalogSync) -> dict[str, str]:
         return {}
     use_by_file = {PLAN_NAME: USED}
     try:
-        listed = list_candidates(raw, plan_of(raw))
+        listed = list_candidates(raw, read_plan(raw))
     except (LabpipeError, OSError):  # `labpipe check` reports the fault
         return use_by_file
     for candidate in listed.candidates:

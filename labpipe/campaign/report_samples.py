@@ -17,7 +17,7 @@ from labpipe.records.result import Specimen, TestResult
 from labpipe.store.read import Drawable
 
 
-def sample_of(read: Drawable, *, source: str, label: str = "") -> Sample:
+def make_sample(read: Drawable, *, source: str, label: str = "") -> Sample:
     """Reduce a processed test to its data for a report.
 
     Parameters
@@ -50,7 +50,7 @@ def sample_of(read: Drawable, *, source: str, label: str = "") -> Sample:
     )
 
 
-def frames_at_steps(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
+def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
     """Choose the frames at equal, round steps of the first loading.
 
     Parameters
@@ -128,7 +128,7 @@ def _stop_before_failure(result: TestResult, branch: Branch, displacement: Float
 
 
 @dataclass(frozen=True, slots=True)
-class NumberKinds:
+class ResultKinds:
     """Results that groups treat specially, by name without cycle and part.
 
     Parameters
@@ -141,7 +141,7 @@ class NumberKinds:
     set_by_rig: frozenset[str] = frozenset()
 
 
-def number_kinds(protocol: Protocol) -> NumberKinds:
+def classify_results(protocol: Protocol) -> ResultKinds:
     """Classify the results of a protocol.
 
     Parameters
@@ -150,7 +150,7 @@ def number_kinds(protocol: Protocol) -> NumberKinds:
     """
     outputs = dict(_outputs(protocol))
     is_set = protocol.rig.stroke is not None
-    return NumberKinds(
+    return ResultKinds(
         frozenset(stem for stem, output in outputs.items() if output.can_be_negative),
         frozenset(stem for stem, output in outputs.items() if is_set and output.is_set_by_stroke),
     )

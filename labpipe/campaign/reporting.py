@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.campaign.campaign_folders import name_of_campaign
+from labpipe.campaign.campaign_folders import find_campaign_name
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
@@ -23,19 +23,19 @@ from labpipe.campaign.grouping import (
     check_fields,
     division,
     find_differences,
-    group_names,
-    missing_fields,
+    list_missing_fields,
+    list_settings,
+    map_settings_to_tests,
+    name_groups,
+    note_differing_settings,
     rename_shared_spools,
-    setting_notes,
-    settings_by_test,
-    settings_of,
 )
 from labpipe.campaign.report_samples import (
-    NumberKinds,
+    ResultKinds,
     add_sizes,
-    frames_at_steps,
-    number_kinds,
-    sample_of,
+    choose_frames,
+    classify_results,
+    make_sample,
 )
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.mechanics.studies.bundle_bounds import find_places
@@ -238,7 +238,7 @@ def _campaign_of(
         places=() if wires is None else tuple(find_places(groups, wires)),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(read.rejected_samples),
-        name=name_of_campaign(shared_folder(files)),
+        name=find_campaign_name(shared_folder(files)),
         decisions=tuple(decision.as_json() for decision in read.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
@@ -250,7 +250,7 @@ class _ReadTests:
 
     samples: list[Sample] = field(default_factory=list)
     wishes: dict[str, Groups] = field(default_factory=dict)
-    kinds: dict[str, NumberKinds] = field(default_factory=dict)
+    kinds: dict[str, ResultKinds] = field(default_factory=dict)
     settings: dict[str, Settings] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     rejected: dict[str, str] = field(default_factory=dict)
@@ -266,7 +266,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
     for file in files:
         say(file.parent.name)
         try:
-            drawable = read_drawable(file, frames_at_steps)
+            drawable = read_drawable(file, choose_frames)
             result = drawable.result
             check_summary(result, file.parent / SUMMARY_FILE)
             # Group settings come from the protocol stored in each result.
@@ -276,7 +276,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
             continue
         specimen = add_sizes(result.specimen, protocol.specimen)
         sized = replace(drawable, result=replace(result, specimen=specimen))
-        sample = sample_of(sized, source=str(file), label=find_label(file, shared))
+        sample = make_sample(sized, source=str(file), label=find_label(file, shared))
         read.decisions.extend(decided.get(file, ()))
         decision = applicable_decision(decided.get(file, ()), run=result.run)
         if decision is not None:
@@ -287,8 +287,8 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
             continue
         read.styles.add(protocol.report.style)
         read.wishes[result.protocol] = protocol.groups
-        read.kinds[result.protocol] = number_kinds(protocol)
-        read.settings[str(file)] = settings_of(protocol)
+        read.kinds[result.protocol] = classify_results(protocol)
+        read.settings[str(file)] = list_settings(protocol)
         recordings.append((file, recording_of(result, protocol)))
         read.samples.append(sample)
     if not read.samples:
@@ -303,13 +303,13 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
 
 def _groups(read: _ReadTests, by: Sequence[str]) -> list[Group]:
     members, by = division(read.samples, by), by or (TYPE,)
-    names = group_names(list(members), by)
+    names = name_groups(list(members), by)
     groups = []
     for key, name in names.items():
         facts = read.wishes[key.protocol], read.kinds[key.protocol]
-        group = _group(name, members[key], *facts, missing_fields(key, by))
+        group = _group(name, members[key], *facts, list_missing_fields(key, by))
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
-        unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
+        unlike = note_differing_settings(map_settings_to_tests(group.samples, read.settings), noted)
         groups.append(replace(group, notes=(*unlike, *group.notes)))
     return with_outliers(groups)
 
@@ -318,7 +318,7 @@ def _group(
     name: str,
     members: Sequence[Sample],
     settings: Groups,
-    kinds: NumberKinds,
+    kinds: ResultKinds,
     not_said: Sequence[str],
 ) -> Group:
     samples, renamed = rename_shared_spools(members)

@@ -173,7 +173,7 @@ class _Run:
                 sync.catalog.release(folder)
                 continue
             self._at_work[sheet] = folder
-            key = sync.content_of(folder).key
+            key = sync.determine_content(folder).key
             yield self._make_task(sheet, sync.campaign.processed / folder, run=key)
 
     def _settle(self, outcome: Outcome) -> None:

@@ -15,19 +15,19 @@ from typing import Literal, TypeAlias, TypeVar
 
 from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog_rows import OK, PENDING, REJECTED, STALE
-from labpipe.campaign.executors import Executor, Outcome, Task, outcome_of, outcome_of_call
+from labpipe.campaign.executors import Executor, Outcome, Task, await_outcome, process_task
 from labpipe.campaign.pairing import (
     Candidate,
+    CandidateListing,
     PairingOutcome,
-    RawListing,
     list_candidates,
     pair_test,
-    plan_of,
+    read_plan,
 )
 from labpipe.campaign.quick_look import (
-    display_settings,
-    failure_lines,
-    group_of,
+    describe_failure,
+    make_group_key,
+    read_display_settings,
     verdict,
 )
 from labpipe.campaign.refreshing import open_campaign
@@ -104,8 +104,8 @@ class WarmWorker:
     def executor(self, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
         """Process tests without figures; see `labpipe.campaign.executors.Executor`."""
         for task in tasks:
-            call = self._submit(partial(outcome_of, replace(task, figures=False)))
-            yield outcome_of_call(task, call.result)
+            call = self._submit(partial(process_task, replace(task, figures=False)))
+            yield await_outcome(task, call.result)
 
     def close(self) -> None:
         """Wait for the started calls, and end the process."""
@@ -184,12 +184,12 @@ class WatchedCampaign:
         sheet : of the test; rejected tests are left out
         """
         label = self._label(sheet)
-        group, values = group_of(self._rows[label]), dict[str, list[float]]()
+        group, values = make_group_key(self._rows[label]), dict[str, list[float]]()
         with open_campaign(self._folders) as sync:
             for folder, row in self._rows.items():
                 is_valid = folder != label and row.run and row.state != REJECTED
-                if is_valid and group_of(row) == group:
-                    for result in sync.catalog.results_of(folder):
+                if is_valid and make_group_key(row) == group:
+                    for result in sync.catalog.read_results(folder):
                         if result.status == OK and result.value is not None:
                             values.setdefault(result.name, []).append(result.value)
         return values
@@ -342,7 +342,7 @@ class Watcher:
     ) -> None:
         self._campaign, self._pair, self._draw = campaign, pair, draw
         self._clock = clock
-        self.plan = plan_of(campaign.raw)
+        self.plan = read_plan(campaign.raw)
         self._plan_mark = _mark(campaign.raw / PLAN_NAME)
         self._files = FileStability(clock, self.plan.still_for)
         self._say, self._printed = say, set[str]()
@@ -399,7 +399,7 @@ class Watcher:
             return
         self._plan_mark = mark
         try:
-            self.plan = plan_of(self._campaign.raw)
+            self.plan = read_plan(self._campaign.raw)
         except LabpipeError as error:
             self._say(f"{error}\n  the last valid {PLAN_NAME} is used")
             return
@@ -409,7 +409,7 @@ class Watcher:
         }
         self._say(f"{PLAN_NAME} was read again")
 
-    def _ready(self, listed: RawListing) -> list[Candidate]:
+    def _ready(self, listed: CandidateListing) -> list[Candidate]:
         """Return the tests that are ready, the newest first, and not those done before."""
         for path, why in listed.unmatched.items():
             if self._files.look(path) == "still" and self._still_for(path) > self.plan.patience:
@@ -521,11 +521,11 @@ class Watcher:
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         label = _printable(candidate.name)
         if outcome.state == "failed" or outcome.folder is None:
-            lines = failure_lines(label, outcome.code, outcome.reason)
+            lines = describe_failure(label, outcome.code, outcome.reason)
         else:
             summary = json.loads((outcome.folder / SUMMARY_FILE).read_bytes())
             others = self._campaign.values_beside(candidate.sheet)
-            lines = verdict(label, summary, others, display_settings(candidate.sheet))
+            lines = verdict(label, summary, others, read_display_settings(candidate.sheet))
             self._draw(outcome.folder)
         self._say("\n".join(lines))
 

@@ -155,7 +155,7 @@ def _submitting(
                 worker.close()
 
 
-def as_completed(
+def run_as_completed(
     work: Callable[[A], T], arguments: Iterable[A], *, jobs: int, limit: float | None = None
 ) -> Generator[tuple[A, Future[T]], None, None]:
     """Call a function on many arguments in parallel processes.
@@ -189,7 +189,7 @@ def as_completed(
             yield argument, future
 
 
-def in_processes(
+def run_in_processes(
     calls: Sequence[Callable[[], T]], *, jobs: int, limit: float | None = None
 ) -> Generator[Future[T], None, None]:
     """Call functions in parallel processes, with results in order.
@@ -197,7 +197,7 @@ def in_processes(
     Parameters
     ----------
     calls : can be pickled, such as partials of module-level functions
-    jobs, limit : see `as_completed`
+    jobs, limit : see `run_as_completed`
 
     Yields
     ------
@@ -209,7 +209,7 @@ def in_processes(
             yield future
 
 
-def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
+def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     """Call functions in parallel, each in its own process.
 
     Parameters
@@ -229,7 +229,7 @@ def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     if jobs == 1:
         return [call() for call in calls]
     try:
-        return [future.result() for future in in_processes(calls, jobs=jobs)]
+        return [future.result() for future in run_in_processes(calls, jobs=jobs)]
     except ProcessDied as died:
         raise died.error("labpipe") from died
 

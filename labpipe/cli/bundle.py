@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterator
 
-from labpipe.cli.terminal import from_here
+from labpipe.cli.terminal import shorten_path
 from labpipe.errors import UsageError
 from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.mechanics.wire.bundle_packing import WANTED_FRACTION
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
         figures=not options.no_figures,
         png=options.png,
     )
-    print(json.dumps(as_json(modelled)) if options.json else bundle_table(modelled))
+    print(json.dumps(as_json(modelled)) if options.json else format_bundle(modelled))
     return 0
 
 
@@ -43,7 +43,7 @@ def _bore(text: str) -> float:
     return bore
 
 
-def bundle_table(modelled: ModelledBundle) -> str:
+def format_bundle(modelled: ModelledBundle) -> str:
     """Lay out the main numbers of a bundle for a terminal.
 
     Parameters
@@ -69,7 +69,7 @@ def bundle_table(modelled: ModelledBundle) -> str:
     ]
     lines += _friction(modelled)
     lines += [f"  {note.severity}: {note.message}" for note in model.notes]
-    return "\n".join([*lines, f"results: {from_here(modelled.folder)}"])
+    return "\n".join([*lines, f"results: {shorten_path(modelled.folder)}"])
 
 
 def _stiffness(label: str, value: float) -> str:

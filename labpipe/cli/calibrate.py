@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.campaign.decisions import exclude_rejected
-from labpipe.campaign.queries import escaped
-from labpipe.cli.terminal import DIGITS, from_here, reading
+from labpipe.campaign.queries import escape_controls
+from labpipe.cli.terminal import DIGITS, shorten_path, show_reading
 from labpipe.mechanics.studies.calibration_study import Calibrated, as_json, calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire_calibration import (
@@ -37,8 +37,10 @@ def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
     files, rejected = exclude_rejected(find_results(options.paths))
     for file, why in rejected.items():
-        print(escaped(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr)
-    with reading(len(options.paths)) as say:
+        print(
+            escape_controls(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr
+        )
+    with show_reading(len(options.paths)) as say:
         done = calibrate_tests(
             files if rejected else options.paths,
             wires=options.wire,
@@ -48,13 +50,13 @@ def run(options: argparse.Namespace) -> int:
             png=options.png,
             say=say,
         )
-    print(json.dumps(as_json(done)) if options.json else calibration_table(done))
+    print(json.dumps(as_json(done)) if options.json else format_calibration(done))
     for reason in done.left_out.values():
         print(f"labpipe calibrate: left out: {reason}", file=sys.stderr)
     return 2 if done.left_out else 0
 
 
-def calibration_table(done: Calibrated) -> str:
+def format_calibration(done: Calibrated) -> str:
     """Lay out a calibration for a terminal.
 
     Parameters
@@ -81,13 +83,13 @@ def calibration_table(done: Calibrated) -> str:
     if calibration.friction_separability is not None:
         lines.append(f"  {calibration.friction_separability.explanation}")
     heading = f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'role'}"
-    lines += ["", heading, *map(_group, done.groups), *comparison_lines(done.comparisons)]
+    lines += ["", heading, *map(_group, done.groups), *format_comparisons(done.comparisons)]
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in calibration.notes
         if note.message not in {*explanations, *conflicts}
     ]
-    lines.append(f"results: {from_here(done.folder)}")
+    lines.append(f"results: {shorten_path(done.folder)}")
     return "\n".join(lines)
 
 
@@ -137,7 +139,7 @@ def _group(group: ValidationGroup) -> str:
     return f"{head}{cells}  {role}"
 
 
-def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:
+def format_comparisons(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:
     """Lay out external curves for a terminal.
 
     Parameters

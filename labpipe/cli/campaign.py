@@ -16,9 +16,9 @@ from labpipe.campaign.decisions import (
     Decision,
     import_decision_file,
 )
-from labpipe.campaign.executors import Task, executor_of
-from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
-from labpipe.campaign.refreshing import Overview, account_for_files, open_campaign
+from labpipe.campaign.executors import Task, parse_executor
+from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
+from labpipe.campaign.refreshing import Overview, list_file_use, open_campaign
 from labpipe.campaign.running import (
     RunSummary,
     clear_failures,
@@ -26,7 +26,7 @@ from labpipe.campaign.running import (
     rebuild,
     run_campaign,
 )
-from labpipe.cli.terminal import counting, from_here
+from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.errors import UsageError
 from labpipe.report.wording import count_of
 from labpipe.store.replace import replacing
@@ -43,18 +43,20 @@ def run(options: argparse.Namespace) -> int:
 def _run(
     options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
 ) -> int:
-    executor = executor_of(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
+    executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
     )
-    with counting("test") as (begin, show_ended):
+    with show_completed("test") as (begin, show_ended):
         summary = run_campaign(
             campaign,
             executor,
             again=again or (),
             make_task=make_task,
             begin=begin,
-            on_outcome=lambda folder, outcome: show_ended(f"{escaped(folder)}: {outcome.state}"),
+            on_outcome=lambda folder, outcome: show_ended(
+                f"{escape_controls(folder)}: {outcome.state}"
+            ),
         )
     _print_notes(summary.overview)
     print(_run_report(campaign, summary))
@@ -64,7 +66,7 @@ def _run(
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
-        files = account_for_files(sync, overview)
+        files = list_file_use(sync, overview)
     _print_notes(overview)
     if options.json:
         print(json.dumps(_as_json(campaign, overview, files), indent=2))
@@ -112,7 +114,7 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
             raise UsageError.about("cli.no_reason", f"--{key}", option=f"--{key}")
     decision = Decision("", "", options.decision, options.because.strip(), options.by.strip())
     row = decide(campaign, options.test, decision)
-    print(f"{escaped(row.folder)}: {row.state}")
+    print(f"{escape_controls(row.folder)}: {row.state}")
     return 0
 
 
@@ -122,11 +124,14 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
         raise UsageError.about("cli.test_and_file", "--from", test=options.test)
     imported, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
     for fault in faults:
-        print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
+        print(f"labpipe campaign: {escape_controls(fault)}", file=sys.stderr)
     for decision in imported.added:
-        print(escaped(f"{decision.test}: {decision.decision}: {decision.describe()}"))
+        print(escape_controls(f"{decision.test}: {decision.decision}: {decision.describe()}"))
     for decision, why in imported.not_imported:
-        print(escaped(f"{decision.test}: {decision.decision} not imported: {why}"), file=sys.stderr)
+        print(
+            escape_controls(f"{decision.test}: {decision.decision} not imported: {why}"),
+            file=sys.stderr,
+        )
     print(f"{count_of(len(imported.added), 'decision')} imported, {imported.n_known} already known")
     return 2 if faults or imported.not_imported else 0
 
@@ -161,7 +166,7 @@ _ACTIONS: dict[str, Any] = {
 
 def _print_notes(overview: Overview) -> None:
     for note in overview.notes:
-        print(f"labpipe campaign: {escaped(note)}", file=sys.stderr)
+        print(f"labpipe campaign: {escape_controls(note)}", file=sys.stderr)
 
 
 def _exit_status(overview: Overview) -> int:
@@ -182,7 +187,7 @@ def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
     if len(failed) > _MAX_LISTED:
         lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
     lines += _unapplied_decisions(summary.overview)
-    return "\n".join(map(escaped, lines))
+    return "\n".join(map(escape_controls, lines))
 
 
 def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
@@ -190,7 +195,7 @@ def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
     states = (
         ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
     )
-    return escaped(f"{campaign.name}: {states}  ->  {from_here(campaign.processed)}")
+    return escape_controls(f"{campaign.name}: {states}  ->  {shorten_path(campaign.processed)}")
 
 
 def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[str]:
@@ -232,7 +237,7 @@ def _section_lines(heading: str, lines: list[str]) -> list[str]:
     more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
     return [
         f"{heading} ({len(lines)})",
-        *(f"  {escaped(line)}" for line in lines[:_MAX_LISTED]),
+        *(f"  {escape_controls(line)}" for line in lines[:_MAX_LISTED]),
         *more,
     ]
 

@@ -11,12 +11,12 @@ from shutil import copyfile
 
 from labpipe.campaign.executors import default_jobs
 from labpipe.campaign.reporting import ReportOptions, report_tests
-from labpipe.campaign.workers import run_jobs
-from labpipe.cli.calibrate import calibration_table
-from labpipe.cli.harness import harness_table
-from labpipe.cli.process import headline, process_all, table
-from labpipe.cli.report import status_of
-from labpipe.cli.terminal import from_here
+from labpipe.campaign.workers import run_calls
+from labpipe.cli.calibrate import format_calibration
+from labpipe.cli.harness import format_harness
+from labpipe.cli.process import format_headline, process_all, table
+from labpipe.cli.report import print_left_out
+from labpipe.cli.terminal import shorten_path
 from labpipe.mechanics.studies.calibration_study import MODEL_FILE, calibrate_tests
 from labpipe.mechanics.studies.harness_section import DEFAULT_SHEET
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
 def _one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     """Process and report one test of each kind."""
     print(f"making a synthetic test of each kind in {raw}", file=sys.stderr)
-    folders_by_kind = run_jobs(
+    folders_by_kind = run_calls(
         [partial(simulate_campaigns, [campaign], raw) for campaign in FIRST_LOOK], jobs=options.jobs
     )
     tests = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
@@ -86,7 +86,7 @@ def _one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     if not processed:
         return 2  # messages are printed already
     first, *others = processed
-    print("\n".join((table(first), "", *map(headline, others))))
+    print("\n".join((table(first), "", *map(format_headline, others))))
     page, status = _report(out, write_wire_sheet(raw))
     main_figures = [
         next(path for name in _MAIN_FIGURES for path in test.figures if path.name == f"{name}.svg")
@@ -94,14 +94,14 @@ def _one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
         if test.figures
     ]
     _print_files("open in a browser, the report first", (page, *main_figures))
-    print(_NEXT.format(export=from_here(raw / first.result.test / first.result.inputs[0].file)))
+    print(_NEXT.format(export=shorten_path(raw / first.result.test / first.result.inputs[0].file)))
     return _status(processed, refused, status)
 
 
 def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
     """Process three campaigns, report each, calibrate, and compute four harness lines."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
-    run_jobs(
+    run_calls(
         [partial(simulate_campaigns, campaign, raw / name) for name, campaign in CAMPAIGNS.items()],
         jobs=options.jobs,
     )
@@ -118,22 +118,22 @@ def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
     for done_test in processed:
         firsts.setdefault(done_test.result.protocol, done_test)
     lines = (
-        f"\n{table(test)}\n" if test is firsts[test.result.protocol] else headline(test)
+        f"\n{table(test)}\n" if test is firsts[test.result.protocol] else format_headline(test)
         for test in processed
     )
     print("\n".join(lines).replace("\n\n\n", "\n\n").strip())
     wires = write_wire_sheet(raw / WIRES)
     print(f"reporting {', '.join(CAMPAIGNS)}", file=sys.stderr)
-    reports = run_jobs(
+    reports = run_calls(
         [partial(_report, out / name, wires) for name in CAMPAIGNS], jobs=options.jobs
     )
     plan = raw / WIRES / "plan.yaml"
     plan.write_text(PLAN, encoding="utf-8")
     is_drawn = not options.no_figures
     calibrated = calibrate_tests([out / WIRES], wires=wires, plan=plan, figures=is_drawn)
-    print(f"\n{calibration_table(calibrated)}")
+    print(f"\n{format_calibration(calibrated)}")
     harnesses = _follow_harnesses(raw / LINES, out / LINES, calibrated.folder / MODEL_FILE, options)
-    print("\n".join(f"\n{harness_table(harness)}" for harness in harnesses))
+    print("\n".join(f"\n{format_harness(harness)}" for harness in harnesses))
     _print_files("reports, one page each", [page for page, _ in reports])
     of_lines = [path for harness in harnesses for path in harness.files]
     drawn = [path for first in firsts.values() for path in first.figures]
@@ -167,7 +167,7 @@ def _report(folder: Path, wires: Path) -> tuple[Path, int]:
     """Report a campaign; return its page and the exit status."""
     title = f"Synthetic demo campaign: {folder.name}"
     reported = report_tests([folder], options=ReportOptions(title, wires=wires))
-    return reported.files[0], status_of(reported)
+    return reported.files[0], print_left_out(reported)
 
 
 def _follow_harnesses(
@@ -191,4 +191,4 @@ def _follow_harnesses(
 
 def _print_files(heading: str, paths: Iterable[Path]) -> None:
     print(f"\n{heading}:")
-    print("\n".join(f"  {from_here(path)}" for path in paths))
+    print("\n".join(f"  {shorten_path(path)}" for path in paths))

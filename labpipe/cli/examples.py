@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shutil
 
-from labpipe.cli.terminal import from_here
+from labpipe.cli.terminal import shorten_path
 from labpipe.errors import UsageError
 from labpipe.protocol.load import shipped_folder
 from labpipe.store.replace import storing
@@ -30,5 +30,5 @@ def run(options: argparse.Namespace) -> int:
         for goal, source in wanted.items():
             goal.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, goal)
-            print(f"wrote {from_here(goal)}")
+            print(f"wrote {shorten_path(goal)}")
     return 0

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from labpipe.cli.terminal import from_here, progress_bar, statuses_of
+from labpipe.cli.terminal import count_statuses, progress_bar, shorten_path
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
 from labpipe.mechanics.studies.harness_study import Watcher, as_json, follow_harness
 from labpipe.records.result import Result, Status
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
                 png=options.png,
                 watcher=watcher,
             )
-        print(json.dumps(as_json(harness)) if options.json else harness_table(harness))
+        print(json.dumps(as_json(harness)) if options.json else format_harness(harness))
         faults = list(_faults(harness))
         for fault in faults:
             print(f"labpipe harness: {file}: {fault}", file=sys.stderr)
@@ -74,7 +74,7 @@ def _faults(harness: FollowedHarness) -> Iterator[str]:
         yield "".join(_limit(harness)).strip()
 
 
-def harness_table(solution: FollowedHarness) -> str:
+def format_harness(solution: FollowedHarness) -> str:
     """Lay out a harness for a terminal.
 
     Parameters
@@ -86,7 +86,9 @@ def harness_table(solution: FollowedHarness) -> str:
     Its status, results, allowed bend radius, doubts and the folder of the files.
     """
     line, steps = solution.prepared.line, solution.harness.steps
-    status = solution.status if solution.status is Status.FAILED else statuses_of(solution.results)
+    status = (
+        solution.status if solution.status is Status.FAILED else count_statuses(solution.results)
+    )
     head = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
         f"{count_of(len(line.lengths), 'element')}, {count_of(steps, 'step')}"
@@ -107,16 +109,16 @@ def harness_table(solution: FollowedHarness) -> str:
     reasons = dict.fromkeys([*solution.reasons, *result_reasons])
     lines += [f"  doubtful: {reason.code}: {reason.message}" for reason in reasons]
     lines += [f"  {note.severity}: {note.message}" for note in solution.material.notes]
-    return "\n".join([*lines, f"results: {from_here(solution.folder)}"])
+    return "\n".join([*lines, f"results: {shorten_path(solution.folder)}"])
 
 
 def _line(result: Result) -> str:
-    name_width = 32
+    compute_name_width = 32
     factor, unit = _DISPLAY_UNITS[result.unit]
     if result.value is None:
-        return f"  {result.name:<{name_width}}{'-':>11}  {result.why}"
+        return f"  {result.name:<{compute_name_width}}{'-':>11}  {result.why}"
     written = plain_numbers(result.value, result.interval, factor)
-    line = f"  {result.name:<{name_width}}{written(result.value):>11} {unit_words(unit):<5}"
+    line = f"  {result.name:<{compute_name_width}}{written(result.value):>11} {unit_words(unit):<5}"
     if result.interval is not None:
         line += f"  95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
     doubts = [result.status] if result.status is Status.DOUBTFUL else []

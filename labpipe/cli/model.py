@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.cli.terminal import from_here, reading
+from labpipe.cli.terminal import shorten_path, show_reading
 from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
 from labpipe.mechanics.wire.end_load_path import force_at
@@ -26,17 +26,17 @@ _DEFLECTION = 0.3  # of the length
 
 def run(options: argparse.Namespace) -> int:
     """Turn a sheet of wires into moment-curvature and stiffness tables."""
-    with reading(1) as say:
+    with show_reading(1) as say:
         modelled = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )
-    print(json.dumps(as_json(modelled)) if options.json else model_table(modelled))
+    print(json.dumps(as_json(modelled)) if options.json else format_wire_models(modelled))
     for reason in modelled.refused.values():
         print(f"labpipe model: {reason}", file=sys.stderr)
     return 1 if modelled.refused else 0
 
 
-def model_table(modelled: ModelledWires) -> str:
+def format_wire_models(modelled: ModelledWires) -> str:
     """Lay out the main numbers of modelled wires for a terminal.
 
     Parameters
@@ -57,7 +57,7 @@ def model_table(modelled: ModelledWires) -> str:
     if modelled.removed:
         names = _wire_list(modelled.removed, 0)
         lines.append(f"  no longer in the sheet, files removed: {names}")
-    lines.append(f"results: {from_here(modelled.folder)}")
+    lines.append(f"results: {shorten_path(modelled.folder)}")
     return "\n".join(lines)
 
 

@@ -9,7 +9,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from labpipe.campaign.executors import default_jobs, process_tests
-from labpipe.cli.terminal import from_here, name_width, progress, result_line, statuses_of
+from labpipe.cli.terminal import (
+    compute_name_width,
+    count_statuses,
+    format_result,
+    shorten_path,
+    show_stages,
+)
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused
 from labpipe.records.quality import QualityNote
@@ -62,7 +68,7 @@ def process_all(
     refused : number of tests that were refused
     """
     processed, refused = [], 0
-    with progress(len(tests)) as begin:
+    with show_stages(len(tests)) as begin:
         for done in process_tests(
             tests,
             out=out,
@@ -95,7 +101,10 @@ def table(processed: Processed) -> str:
     A heading, one line per result, then reasons for doubtful and failed results.
     """
     result = processed.result
-    lines, width = [headline(processed)], name_width(result.name for result in result.results)
+    lines, width = (
+        [format_headline(processed)],
+        compute_name_width(result.name for result in result.results),
+    )
     quantities: dict[str, list[Result]] = {}  # energy.1, energy.2, ... together
     for quantity in result.results:
         quantities.setdefault(quantity.name.partition(".")[0], []).append(quantity)
@@ -117,7 +126,7 @@ def _placed(note: QualityNote) -> str:
     return note.message if has_place else f"{note.where}: {note.message}"
 
 
-def headline(processed: Processed) -> str:
+def format_headline(processed: Processed) -> str:
     """Summarise a test in one line.
 
     Parameters
@@ -125,18 +134,18 @@ def headline(processed: Processed) -> str:
     processed : the test
     """
     result = processed.result
-    counts = statuses_of(result.results)
-    return f"{result.test}  ({result.protocol}): {counts}  ->  {from_here(processed.folder)}"
+    counts = count_statuses(result.results)
+    return f"{result.test}  ({result.protocol}): {counts}  ->  {shorten_path(processed.folder)}"
 
 
 def _lines(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
     """Lay out one line per result; of many cycles the first ones and the range of the rest."""
     max_lines = 8
     if len(results) <= max_lines:
-        return [result_line(result, display, width) for result in results]
+        return [format_result(result, display, width) for result in results]
     rest = results[max_lines // 2 :]
     values = [result.value for result in rest if result.value is not None]
-    lines = [result_line(result, display, width) for result in results[: max_lines // 2]]
+    lines = [format_result(result, display, width) for result in results[: max_lines // 2]]
     if values:
         display_scale = shown_in(results[0].name, results[0].unit, display)
         low, high = display_scale.factor * min(values), display_scale.factor * max(values)

@@ -7,9 +7,9 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from labpipe.campaign.queries import escaped
+from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.reporting import Reported, ReportOptions, report_tests
-from labpipe.cli.terminal import from_here, name_width, reading, result_line
+from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_reading
 from labpipe.errors import UsageError, nearest
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
@@ -23,10 +23,10 @@ from labpipe.report.wording import count_words
 def run(options: argparse.Namespace) -> int:
     """Report processed tests in a page, figures and a workbook."""
     files, wanted = find_results(options.paths), report_options(options)
-    with reading(len(files)) as say:
+    with show_reading(len(files)) as say:
         reported = report_tests(files, out=options.out, say=say, options=wanted)
-    print(report_table(reported))
-    return status_of(reported)
+    print(format_report(reported))
+    return print_left_out(reported)
 
 
 def report_options(options: argparse.Namespace) -> ReportOptions:
@@ -67,7 +67,7 @@ def _list_of(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
-def status_of(reported: Reported) -> int:
+def print_left_out(reported: Reported) -> int:
     """Print the tests left out; return 2 for any of these, 1 for failed results, else 0."""
     for reason in reported.campaign.left_out.values():
         print(f"labpipe report: left out: {reason}", file=sys.stderr)
@@ -78,7 +78,7 @@ def status_of(reported: Reported) -> int:
     return 1 if failed else 0
 
 
-def report_table(reported: Reported) -> str:
+def format_report(reported: Reported) -> str:
     """Lay out the main numbers of a report for a terminal.
 
     Parameters
@@ -93,13 +93,17 @@ def report_table(reported: Reported) -> str:
     for group in reported.campaign.groups:
         lines.append(f"{group.name}  ({group.protocol}): {count_words(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
-        width = name_width(number.name for number in group.numbers)
+        width = compute_name_width(number.name for number in group.numbers)
         lines += [_mean_line(number, display, width) for number in group.numbers]
         lines.append("")
     for file, why in reported.campaign.rejected.items():
-        lines.append(f"rejected: {from_here(Path(file).absolute().parent)}: {escaped(why)}")
+        lines.append(
+            f"rejected: {shorten_path(Path(file).absolute().parent)}: {escape_controls(why)}"
+        )
     lines.append(
-        f"report: {from_here(reported.files[0])}" if reported.files else "report: nothing written"
+        f"report: {shorten_path(reported.files[0])}"
+        if reported.files
+        else "report: nothing written"
     )
     return "\n".join(lines)
 
@@ -120,4 +124,4 @@ def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> s
         estimate=mean.estimate if mean is not None else None,
     )
     missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
-    return f"{result_line(as_result, display, width)}{missing}"
+    return f"{format_result(as_result, display, width)}{missing}"

@@ -6,11 +6,11 @@ import argparse
 import webbrowser
 from pathlib import Path
 
-from labpipe.campaign.campaign_folders import name_of_campaign
+from labpipe.campaign.campaign_folders import find_campaign_name
 from labpipe.campaign.reporting import ReportOptions, page_of_test, report_tests
 from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import report_options
-from labpipe.cli.terminal import reading
+from labpipe.cli.terminal import show_reading
 from labpipe.process.output_paths import find_results, shared_folder
 from labpipe.report.lab_report import PAGE_FILE
 
@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     folder = shared_folder(find_results(options.paths))
     report = folder / REPORT_FOLDER if options.out is None else options.out
     site = Site(
-        folder, name_of_campaign(folder), report, lambda: _make(options, report), page_of_test
+        folder, find_campaign_name(folder), report, lambda: _make(options, report), page_of_test
     )
     with ReportServer(site, options.port) as server:
         if not (report / PAGE_FILE).is_file():
@@ -39,5 +39,5 @@ def run(options: argparse.Namespace) -> int:
 def _make(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
     wanted = report_options(options).or_earlier(ReportOptions.read(folder))
-    with reading(len(files)) as say:
+    with show_reading(len(files)) as say:
         report_tests(files, out=options.out, say=say, options=wanted)

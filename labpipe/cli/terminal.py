@@ -38,7 +38,7 @@ def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]
 
 
 @contextmanager
-def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
+def show_stages(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
     """Show the progress of tests: a bar on a terminal, a line each in a pipe.
 
     Parameters
@@ -63,7 +63,7 @@ def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
 
 
 @contextmanager
-def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
+def show_completed(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
     """Show what has ended, in any order: a bar on a terminal, a line each in a pipe.
 
     Parameters
@@ -87,7 +87,7 @@ def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str],
 
 
 @contextmanager
-def reading(count: int) -> Iterator[Callable[[str], None]]:
+def show_reading(count: int) -> Iterator[Callable[[str], None]]:
     """Show on a terminal which test is being read; in a pipe, nothing.
 
     Parameters
@@ -107,7 +107,7 @@ def _advance(bar: tqdm[NoReturn], text: str) -> None:
     bar.update()
 
 
-def from_here(path: Path) -> Path:
+def shorten_path(path: Path) -> Path:
     """Return a path relative to the working folder, if it is below it.
 
     Parameters
@@ -118,13 +118,13 @@ def from_here(path: Path) -> Path:
     return path.relative_to(current) if path.is_relative_to(current) else path
 
 
-def name_width(names: Iterable[str]) -> int:
+def compute_name_width(names: Iterable[str]) -> int:
     """Return the column width for the names of a table."""
     min_width = 26
     return max(min_width, *(len(name) for name in names), 0)
 
 
-def statuses_of(results: Iterable[Result]) -> str:
+def count_statuses(results: Iterable[Result]) -> str:
     """Count results by status, such as ``20 ok, 1 doubtful``.
 
     Parameters
@@ -135,7 +135,7 @@ def statuses_of(results: Iterable[Result]) -> str:
     return ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
 
 
-def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
+def format_result(result: Result, display: Mapping[str, str], width: int) -> str:
     """Lay out a result with its interval and its largest contribution, in its display unit.
 
     Parameters

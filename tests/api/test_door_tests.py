@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from labpipe.api.data_frames import PARTS, dataset_of
-from labpipe.api.many_tests import path_of, paths_of
-from labpipe.api.one_test import Test, inspect, page_of
+from labpipe.api.data_frames import PARTS, make_dataset
+from labpipe.api.many_tests import parse_path, parse_paths
+from labpipe.api.one_test import Test, format_html, inspect
 from labpipe.errors import ProcessingError, ReadError, UsageError
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Specimen, TestResult
@@ -116,7 +116,7 @@ SIZES = {
 
 
 def part_of(result: TestResult, part: str) -> Any:
-    dataset = dataset_of(result, part)
+    dataset = make_dataset(result, part)
     assert dataset is not None
     return dataset
 
@@ -129,7 +129,7 @@ def test_parts_have_their_axes_as_in_the_file(part: str, written: TestResult) ->
     for name, variable in dataset.data_vars.items():
         assert isinstance(variable.attrs["units"], str), name
     bare = replace(written, curve=None, aligned=None, shape=None, bending=None)
-    assert part not in PARTS or dataset_of(bare, part) is None
+    assert part not in PARTS or make_dataset(bare, part) is None
 
 
 def test_values_are_found_by_their_axes(written: TestResult) -> None:
@@ -147,7 +147,7 @@ def test_values_are_found_by_their_axes(written: TestResult) -> None:
 def test_without_xarray(written: TestResult, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(UsageError, match=r"expected the package, found none\. Install it: pip ins"):
-        dataset_of(written, "curve")
+        make_dataset(written, "curve")
 
 
 def test_an_export_says_what_the_command_prints(pristine: Lab, run: Run) -> None:
@@ -177,9 +177,9 @@ def test_tables_of_an_export(pristine: Lab) -> None:
 
 
 def test_paths_of_any_kind(tmp_path: Path) -> None:
-    assert path_of(str(tmp_path)) == path_of(tmp_path) == tmp_path
-    assert paths_of(tmp_path) == paths_of(iter([tmp_path])) == [tmp_path]
-    assert paths_of([str(tmp_path), tmp_path / "a"]) == [tmp_path, tmp_path / "a"]
+    assert parse_path(str(tmp_path)) == parse_path(tmp_path) == tmp_path
+    assert parse_paths(tmp_path) == parse_paths(iter([tmp_path])) == [tmp_path]
+    assert parse_paths([str(tmp_path), tmp_path / "a"]) == [tmp_path, tmp_path / "a"]
 
 
 def test_paths_that_cannot_be() -> None:
@@ -188,9 +188,9 @@ def test_paths_that_cannot_be() -> None:
         ("a\0b", r"'a\\x00b': expected a path, found embedded null"),
     ):
         with pytest.raises(UsageError, match=message):
-            path_of(given)
+            parse_path(given)
         with pytest.raises(UsageError, match=message):
-            paths_of([given])
+            parse_paths([given])
 
 
 RESULT = build_result(half_cycle=0.5)
@@ -201,7 +201,7 @@ def texts(page: str) -> list[str]:
 
 
 def test_numbers_are_shown_in_display_units_with_their_intervals() -> None:
-    said = texts(page_of(RESULT))
+    said = texts(format_html(RESULT))
     assert said[0] == "A2-085-1"
     assert said[2:5] == ["Peak force, cycle 1", "0.620 N", "estimate 0.600, 0.590 to 0.610"]
     assert "3.100 mm" in said
@@ -214,7 +214,7 @@ def test_hostile_words_are_text() -> None:
     bad = "<script>alert(1)</script>&\x07\"'"
     results = (replace(RESULT.results[0], name=bad), *RESULT.results[1:])
     hostile = replace(RESULT, test=bad, operator=bad, specimen=Specimen(bad, bad, bad))
-    page = page_of(replace(hostile, results=results))
+    page = format_html(replace(hostile, results=results))
     assert "<script" not in page
     assert "\x07" not in page
     assert texts(page)[0] == bad.replace("\x07", "\ufffd")

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.campaign.grouping import find_differences, group_names, key_of, sort_keys
+from labpipe.campaign.grouping import find_differences, find_group_key, name_groups, sort_groups
 from labpipe.protocol.schema import Groups
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
@@ -84,9 +84,9 @@ def grouped(samples: Sequence[Sample], *by: str) -> list[Group]:
     fields = by or (TYPE,)
     members: dict[object, list[Sample]] = {}
     for sample in samples:
-        members.setdefault(key_of(sample, fields), []).append(sample)
-    keys = sort_keys(dict.fromkeys(key_of(sample, fields) for sample in samples), fields)
-    names = group_names(keys, fields)
+        members.setdefault(find_group_key(sample, fields), []).append(sample)
+    keys = sort_groups(dict.fromkeys(find_group_key(sample, fields) for sample in samples), fields)
+    names = name_groups(keys, fields)
     return [build_group(name, PROTOCOL, members[key], scaled=True) for key, name in names.items()]
 
 

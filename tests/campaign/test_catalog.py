@@ -32,7 +32,7 @@ from labpipe.campaign.catalog import (
     new_claim,
     sqlite_errors,
 )
-from labpipe.campaign.catalog_rows import OK, STALE, Entry, ResultRow, Seen, TestRow
+from labpipe.campaign.catalog_rows import OK, STALE, Entry, FileState, ResultRow, TestRow
 from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError
@@ -40,7 +40,10 @@ from tests.builders.kept_campaigns import KeptCampaign, content_of
 
 RESULT = ResultRow("peak", 1.5, "N", 1.0, 2.0, 0.95, None, "ok", "", "")
 ENTRY = Entry(
-    TestRow("T1", test="T1", state=OK, run="r"), Seen("{}", "m"), (("force", "a", "1"),), (RESULT,)
+    TestRow("T1", test="T1", state=OK, run="r"),
+    FileState("{}", "m"),
+    (("force", "a", "1"),),
+    (RESULT,),
 )
 
 
@@ -56,11 +59,11 @@ def test_what_is_put_comes_back_unless_another_process_knows_better(catalog: Cat
     catalog.put([ENTRY])
     assert catalog.rows() == catalog.rows("T1") == {"T1": ENTRY.row}
     assert (catalog.rows("T2"), catalog.seen("T2")) == ({}, {})
-    assert catalog.results_of("T1") == (RESULT,)
-    assert catalog.inputs_of("T1") == (("force", "a", "1"),)
+    assert catalog.read_results("T1") == (RESULT,)
+    assert catalog.read_inputs("T1") == (("force", "a", "1"),)
     before = catalog.seen()
     assert before == {"T1": ENTRY.seen}
-    newer = replace(ENTRY, row=replace(ENTRY.row, run="newer"), seen=Seen("{}", "newer"))
+    newer = replace(ENTRY, row=replace(ENTRY.row, run="newer"), seen=FileState("{}", "newer"))
     catalog.put([newer])
     catalog.put([replace(ENTRY, row=replace(ENTRY.row, state=STALE))], before)
     bad = replace(ENTRY, row=replace(ENTRY.row, folder="T2", state=None))  # type: ignore[arg-type]

@@ -18,13 +18,13 @@ import pytest
 from labpipe.campaign import executors
 from labpipe.campaign.executors import (
     Outcome,
-    executor_of,
-    outcome_of,
-    outcome_of_call,
+    await_outcome,
+    parse_executor,
+    process_task,
     process_tests,
 )
 from labpipe.campaign.watching import WarmWorker
-from labpipe.campaign.workers import ProcessDied, WorkerProcess, in_processes
+from labpipe.campaign.workers import ProcessDied, WorkerProcess, run_in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, Task, process_test
 from tests.builders.small_pulls import small_pulls
@@ -35,7 +35,7 @@ from tests.builders.small_tests import Lab
 def test_no_executor_of_that_name(text: str) -> None:
     said = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
     with pytest.raises(UsageError, match=said):
-        executor_of(text)
+        parse_executor(text)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_the_address_of_a_scheduler(
 ) -> None:
     asked: list[str] = []
     monkeypatch.setattr(executors, "dask", lambda where, **_: asked.append(where))
-    executor_of(text)
+    parse_executor(text)
     assert asked == [address]
 
 
@@ -81,9 +81,9 @@ def test_a_process_that_dies_costs_its_call_alone() -> None:
         partial(os._exit, 3),
         *(partial(max, number, 0) for number in range(4)),
     ]
-    killed, left, *others = in_processes(calls, jobs=2)
+    killed, left, *others = run_in_processes(calls, jobs=2)
     assert [future.result() for future in others] == [*range(4)]
-    assert list(in_processes([], jobs=3)) == []
+    assert list(run_in_processes([], jobs=3)) == []
     for future, how in ((killed, "by the signal SIGTERM"), (left, "with exit code 3")):
         died = future.exception()
         assert isinstance(died, ProcessDied)
@@ -93,7 +93,9 @@ def test_a_process_that_dies_costs_its_call_alone() -> None:
 
 def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> None:
     work = [f"sleep 0.2; echo > '{tmp_path}/{number}'" for number in range(3)]
-    found = in_processes([partial(int, "1"), *(partial(os.system, each) for each in work)], jobs=1)
+    found = run_in_processes(
+        [partial(int, "1"), *(partial(os.system, each) for each in work)], jobs=1
+    )
     assert next(found).result() == 1
     found.close()
     assert [path.name for path in tmp_path.iterdir()] == ["0"]
@@ -101,7 +103,7 @@ def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> N
 
 def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
-    late, second = in_processes(calls, jobs=2, limit=1.0)
+    late, second = run_in_processes(calls, jobs=2, limit=1.0)
     with pytest.raises(ProcessDied) as died:
         late.result()
     assert died.value.limit == 1.0
@@ -123,7 +125,7 @@ def test_a_process_that_dies_between_two_calls_costs_none() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
 def test_where_memory_is_short_a_test_goes_and_not_the_run() -> None:
     file = Path("/proc/self/oom_score_adj")
-    (future,) = in_processes([file.read_text], jobs=1)
+    (future,) = run_in_processes([file.read_text], jobs=1)
     assert future.result() == "500\n"
     assert int(file.read_text()) < 500
 
@@ -132,8 +134,9 @@ ORPHANS = """
 import os, time
 from functools import partial
 from pathlib import Path
-from labpipe.campaign.workers import as_completed
-ended = as_completed(eval, ["__import__('os').getpid()", "__import__('time').sleep(60)"], jobs=1)
+from labpipe.campaign.workers import run_as_completed
+calls = ["__import__('os').getpid()", "__import__('time').sleep(60)"]
+ended = run_as_completed(eval, calls, jobs=1)
 print(next(ended)[1].result(), flush=True)
 time.sleep(60)
 """
@@ -153,7 +156,7 @@ def test_processes_go_with_the_one_that_started_them() -> None:
 
 def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
     lab = small_pulls(tmp_path, 1)[0]
-    said = outcome_of(Task(lab.sheet, figures=False))
+    said = process_task(Task(lab.sheet, figures=False))
     assert (said.folder, said.run) == (lab.processed, lab.summary["run"])
     first = next(result for result in lab.results.values() if result["status"] != "ok")
     reason = first["reasons"][0]
@@ -165,16 +168,16 @@ def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
 
 def test_what_came_of_a_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    died = outcome_of_call(task, raising(ProcessDied(-signal.SIGTERM)))
+    died = await_outcome(task, raising(ProcessDied(-signal.SIGTERM)))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
-    late = outcome_of_call(task, raising(ProcessDied(-signal.SIGTERM, 120.0)))
+    late = await_outcome(task, raising(ProcessDied(-signal.SIGTERM, 120.0)))
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
     done = Outcome(task.sheet, None, "ok")
-    assert outcome_of_call(task, lambda: done) is done
+    assert await_outcome(task, lambda: done) is done
     with pytest.raises(ZeroDivisionError):
-        outcome_of_call(task, raising(ZeroDivisionError()))
+        await_outcome(task, raising(ZeroDivisionError()))
 
 
 def raising(error: Exception) -> Callable[[], Outcome]:
@@ -226,7 +229,7 @@ def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> No
 def test_a_process_that_dies_in_a_test_is_an_outcome(
     worker: WarmWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.watching.outcome_of", die)
+    monkeypatch.setattr("labpipe.campaign.watching.process_task", die)
     (outcome,) = worker.executor([Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 

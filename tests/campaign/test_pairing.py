@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, plan_of
+from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, read_plan
 from labpipe.campaign.watching import FileStability
 from labpipe.errors import ProtocolError, StoreError, UsageError
 from labpipe.protocol.load import load_test_sheet
@@ -44,13 +44,13 @@ def campaign(lab: Lab) -> Path:
 
 
 def only(folder: Path) -> Candidate:
-    (candidate,) = list_candidates(folder, plan_of(folder)).candidates
+    (candidate,) = list_candidates(folder, read_plan(folder)).candidates
     return candidate
 
 
 def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
     before = state(campaign / "incoming")
-    written = pair_test(only(campaign), plan_of(campaign))
+    written = pair_test(only(campaign), read_plan(campaign))
     assert written.sheet == campaign / "A2-085-3" / "test.yaml"
     assert (written.is_new, written.open, written.missing) == (True, (), ())
     sheet = load_test_sheet(written.sheet)
@@ -67,13 +67,13 @@ def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
 
 def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
     candidate = only(campaign)
-    pair_test(candidate, plan_of(campaign))
+    pair_test(candidate, read_plan(campaign))
     candidate.sheet.write_text(candidate.sheet.read_text("utf-8") + "# by hand\n", "utf-8")
     before = state(candidate.folder)
     source = campaign / "incoming" / "A2-085-3.csv"
     source.write_text(source.read_text("utf-8") + "\n", "utf-8")
 
-    written = pair_test(only(campaign), plan_of(campaign))
+    written = pair_test(only(campaign), read_plan(campaign))
 
     assert state(candidate.folder) == before
     assert not written.is_new
@@ -85,17 +85,17 @@ def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
 def test_what_is_not_there_yet_is_waited_for(campaign: Path) -> None:
     take = campaign / "incoming" / "A2-085-3.csv"
     elsewhere = take.rename(campaign.parent / "take.csv")
-    written = pair_test(only(campaign), plan_of(campaign))
+    written = pair_test(only(campaign), read_plan(campaign))
     assert (written.sheet, written.missing) == (None, ("markers",))
     assert not (campaign / "A2-085-3").exists()
     elsewhere.rename(take)
     content = take.read_bytes()
     take.write_bytes(b"")
-    written = pair_test(only(campaign), plan_of(campaign))
+    written = pair_test(only(campaign), read_plan(campaign))
     assert (written.sheet, list(written.unread)) == (None, ["A2-085-3.csv"])
     assert not (campaign / "A2-085-3").exists()
     take.write_bytes(content)
-    assert pair_test(only(campaign), plan_of(campaign)).sheet is not None
+    assert pair_test(only(campaign), read_plan(campaign)).sheet is not None
 
 
 def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
@@ -105,7 +105,7 @@ def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
     with pytest.raises(
         StoreError, match=r"expected a copy of .* found a different file of that name"
     ):
-        pair_test(only(campaign), plan_of(campaign))
+        pair_test(only(campaign), read_plan(campaign))
     assert other.read_bytes() == b"by hand"
 
 
@@ -114,7 +114,7 @@ def test_files_that_no_rule_takes(campaign: Path) -> None:
     for name in ("notes.docx", "A2-085-3_FORCE.mat", "A2-085-4_force.mat", "a\nb.csv", "x.yaml"):
         (incoming / name).write_bytes(b"x")
 
-    listed = list_candidates(campaign, plan_of(campaign))
+    listed = list_candidates(campaign, read_plan(campaign))
 
     assert [candidate.name for candidate in listed.candidates] == ["A2-085-3", "A2-085-4"]
     assert {path.name: why for path, why in listed.unmatched.items()} == {
@@ -129,7 +129,7 @@ def test_one_folder_per_test(lab: Lab) -> None:
     lab.sheet.unlink()
     (folder / "loose.csv").write_text("x", encoding="utf-8")
     (folder / "empty").mkdir()
-    plan = plan_of(folder)
+    plan = read_plan(folder)
     listed = list_candidates(folder, plan)
     assert [candidate.name for candidate in listed.candidates] == ["T1"]
     assert listed.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
@@ -169,7 +169,7 @@ def test_a_force_alone_waits_for_what_the_other_tests_need(
         folder.mkdir()
         (folder / "x.csv").write_text("x", encoding="utf-8")
         (folder / "test.yaml").write_text(SIBLING.format(folder.name, protocol), encoding="utf-8")
-    plan = plan_of(lab.raw.parent)
+    plan = read_plan(lab.raw.parent)
     candidates = list_candidates(lab.raw.parent, plan).candidates
     own = next(candidate for candidate in candidates if candidate.folder == lab.raw)
     written = pair_test(own, plan, waited=waited)
@@ -178,7 +178,7 @@ def test_a_force_alone_waits_for_what_the_other_tests_need(
 
 def test_a_sheet_by_hand_waits_for_the_exports_that_it_names(lab: Lab) -> None:
     (lab.raw / "take.csv").unlink()
-    written = pair_test(only(lab.raw.parent), plan_of(lab.raw.parent))
+    written = pair_test(only(lab.raw.parent), read_plan(lab.raw.parent))
     assert (written.sheet, written.missing) == (None, ("take.csv",))
 
 
@@ -186,10 +186,10 @@ def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
     plan = campaign / "campaign.yaml"
     plan.write_text(BY_NAME.replace("{type}", "{labels.Type}"), encoding="utf-8")
     with pytest.raises(ProtocolError, match="expected one of"):
-        plan_of(campaign)
+        read_plan(campaign)
     plan.write_text(BY_NAME.replace("wire-cantilever", "wire-cantilver"), encoding="utf-8")
     with pytest.raises(UsageError, match="Did you mean 'wire-cantilever'"):
-        pair_test(only(campaign), plan_of(campaign))
+        pair_test(only(campaign), read_plan(campaign))
 
 
 def test_a_file_stands_still_once_it_did_not_change_for_long_enough(tmp_path: Path) -> None:

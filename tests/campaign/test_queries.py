@@ -12,8 +12,14 @@ import openpyxl
 import pytest
 
 from labpipe.campaign.catalog import Catalog, new_catalog
-from labpipe.campaign.catalog_rows import OK, Entry, ResultRow, Seen, TestRow, as_json
-from labpipe.campaign.queries import Answer, escaped, query_results, write_answer, write_workbook
+from labpipe.campaign.catalog_rows import OK, Entry, FileState, ResultRow, TestRow, as_json
+from labpipe.campaign.queries import (
+    QueryResult,
+    escape_controls,
+    query_results,
+    write_answer,
+    write_workbook,
+)
 from labpipe.errors import UsageError
 
 NASTY = "=1+1 " + string.printable + "\x00\x1b[31m\u202eü"
@@ -43,9 +49,9 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
         "T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")}, **{"=odd\x07": "x"}
     )
     made.put([
-        Entry(one, Seen(), (), peaks),
-        Entry(two, Seen(), (), (result("peak_force.1", 2.5),)),
-        Entry(TestRow("T3", test="T3", state="failed", code="process_died"), Seen(), (), ()),
+        Entry(one, FileState(), (), peaks),
+        Entry(two, FileState(), (), (result("peak_force.1", 2.5),)),
+        Entry(TestRow("T3", test="T3", state="failed", code="process_died"), FileState(), (), ()),
     ])  # fmt: skip
     yield made
     made.close()
@@ -126,7 +132,7 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
 def test_a_text_in_a_csv_is_no_formula(cell: str) -> None:
     """A quote stands before what a spreadsheet would take for a formula."""
     out, text = io.StringIO(), cell.removeprefix("'")
-    write_answer(Answer((text, "value"), [(text, -1.5)]), "csv", out)
+    write_answer(QueryResult((text, "value"), [(text, -1.5)]), "csv", out)
     rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
     assert rows == [[cell, "value"], [cell, "-1.5"]]
 
@@ -139,7 +145,7 @@ def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None
     place = [cell.value for cell in rows[0]].index("cured")
     cell = rows[3][place]
     assert (cell.data_type, str(cell.value)[:5]) == ("s", "=1+1 ")
-    assert cell.value == escaped(NASTY.replace("\x00", ""))
+    assert cell.value == escape_controls(NASTY.replace("\x00", ""))
     assert [row[7].value for row in rows[1:]] == [1.5, None, 2.5, None]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected
-from labpipe.campaign.report_samples import add_sizes, number_kinds, sample_of
+from labpipe.campaign.report_samples import add_sizes, classify_results, make_sample
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
     ReportOptions,
@@ -206,7 +206,7 @@ def read(done: Path, name: str) -> TestResult:
 
 
 def kept(result: TestResult, source: str = "") -> Sample:
-    return sample_of(Drawable(result, None, None), source=source)
+    return make_sample(Drawable(result, None, None), source=source)
 
 
 def test_a_sample_keeps_thinned_branches_up_to_the_failure(done: Path) -> None:
@@ -256,6 +256,6 @@ def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them
 def test_numbers_that_the_rig_sets_and_that_can_be_negative(
     name: str, signed: set[str], is_set: bool
 ) -> None:
-    found = number_kinds(load_protocol(known_protocols()[name]))
+    found = classify_results(load_protocol(known_protocols()[name]))
     assert found.signed == signed
     assert found.set_by_rig == ({"peak_displacement"} if is_set else set())

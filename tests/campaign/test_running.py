@@ -18,7 +18,7 @@ import pytest
 from labpipe.campaign.campaign_folders import find_outcome
 from labpipe.campaign.catalog_rows import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.refreshing import account_for_files, open_campaign
+from labpipe.campaign.refreshing import list_file_use, open_campaign
 from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_test
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.store.summaries import FailedTest, write_failure
@@ -364,7 +364,7 @@ def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
     for name in (*odd, "T1/photo.jpg", "notes \x07.txt"):
         (kept.raw / name).write_text("", "utf-8")
     with open_campaign(kept.folders) as sync:
-        files = account_for_files(sync, sync.refresh())
+        files = list_file_use(sync, sync.refresh())
     assert files == {
         "used": ["T1/frame.csv", "T1/test.yaml", "campaign.yaml", odd[0]],
         "waiting": ["T4/test.yaml", odd[1], "more/T3/frame.csv", "more/T3/test.yaml"],

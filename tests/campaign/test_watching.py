@@ -25,7 +25,7 @@ from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.quick_look import (
     DisplaySettings,
     actions,
-    group_of,
+    make_group_key,
     verdict,
 )
 from labpipe.campaign.running import decide, read_overview
@@ -349,7 +349,7 @@ def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -
     row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')
     other = replace(row, specimen='{"length": 1, "sample": "2", "type": "A"}')
     longer = replace(row, specimen='{"type": "A", "length": 2}')
-    assert group_of(row) == group_of(other) != group_of(longer)
+    assert make_group_key(row) == make_group_key(other) != make_group_key(longer)
 
 
 def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 from labpipe.campaign.reporting import Reported
 from labpipe.cli import BAD_INPUT, DONE, SOME_FAILED
 from labpipe.cli.demo import CALIBRATED_WORDS, CAMPAIGNS, FIRST_LOOK, SHEET_WORDS
-from labpipe.cli.report import status_of
+from labpipe.cli.report import print_left_out
 from labpipe.records.group import Campaign
 from labpipe.virtual_lab import Campaign as VirtualCampaign
 from tests.approved import Approve
@@ -214,9 +214,9 @@ def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
 def test_statuses_of_a_report() -> None:
     fine, troubled = build_group("tube", six_samples()), build_group("tube", troubled_samples())
     left_out = {"a/result.h5": "a/result.h5: expected this, found that. Do so."}
-    assert status_of(reported(fine)) == 0
-    assert status_of(reported(troubled)) == 1
-    assert status_of(reported(troubled, left_out=left_out)) == 2
+    assert print_left_out(reported(fine)) == 0
+    assert print_left_out(reported(troubled)) == 1
+    assert print_left_out(reported(troubled, left_out=left_out)) == 2
 
 
 def test_bad_input(

@@ -12,12 +12,12 @@ import pytest
 
 from labpipe.campaign.reporting import Reported
 from labpipe.cli import BAD_INPUT, DONE
-from labpipe.cli.bundle import bundle_table
-from labpipe.cli.calibrate import calibration_table, comparison_lines
-from labpipe.cli.model import model_table
+from labpipe.cli.bundle import format_bundle
+from labpipe.cli.calibrate import format_calibration, format_comparisons
+from labpipe.cli.model import format_wire_models
 from labpipe.cli.process import table
-from labpipe.cli.report import report_table
-from labpipe.cli.terminal import counting, progress
+from labpipe.cli.report import format_report
+from labpipe.cli.terminal import show_completed, show_stages
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
 from labpipe.mechanics.studies.calibration_study import Calibrated
 from labpipe.mechanics.studies.first_loadings import FirstLoading
@@ -101,11 +101,11 @@ def test_digits_are_those_of_the_interval(
 
 def test_progress_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
     """A line for each test that begins, or for each that ended."""
-    with progress(2) as begin:
+    with show_stages(2) as begin:
         for test in TESTS:
             begin(test)("read")
     assert capsys.readouterr().err == "1/2 A\n2/2 B\n"
-    with counting("test") as (begin_all, say):
+    with show_completed("test") as (begin_all, say):
         begin_all(2)
         say("B: ok")
         say("A: failed")
@@ -116,7 +116,7 @@ def of_group(*numbers: GroupNumber) -> list[str]:
     """What is said of a report with one group of six samples from two spools."""
     group = replace(build_group("tube", six_samples()), numbers=numbers)
     campaign = Campaign("Synthetic", (group,))
-    return report_table(Reported(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
+    return format_report(Reported(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
 
 
 def test_means_in_the_display_unit(approved: Approve) -> None:
@@ -141,7 +141,7 @@ def test_a_bore_that_is_none(run: Run, tmp_path: Path, bore: str) -> None:
 def bundle_lines(*conduits: Conduit, bore: float | None = None, **wires: int) -> list[str]:
     made = bundle(*wires.items(), arrangement="asymmetric", conduit_bore=bore)
     model = bundle_model(made, example_wires())
-    return bundle_table(ModelledBundle("T1", model, conduits, 3.478e-3, Path("out"))).splitlines()
+    return format_bundle(ModelledBundle("T1", model, conduits, 3.478e-3, Path("out"))).splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +178,7 @@ def test_rejected_tests_are_not_handed_over(
 
 def model_lines(*tables: WireTable, refused: dict[str, str] | None = None) -> list[str]:
     modelled = ModelledWires(Path("wires.xlsx"), Path("processed/wires"), tables, refused or {}, ())
-    return model_table(modelled).splitlines()
+    return format_wire_models(modelled).splitlines()
 
 
 def test_table_of_bundles(approved: Approve) -> None:
@@ -220,19 +220,19 @@ def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
         (replace(first, is_open_below=True), second, replace(third, intervals=())),
         (silent, second, two),
     )
-    told = [calibration_table(done), calibration_table(replace(done, groups=(lost,)))]
+    told = [format_calibration(done), format_calibration(replace(done, groups=(lost,)))]
     for parameters in odd:
         calibration = replace(done.calibration, parameters=parameters, notes=(note,), n_samples=1)
-        told.append(calibration_table(replace(done, calibration=calibration)))
+        told.append(format_calibration(replace(done, calibration=calibration)))
     prior = ParameterChoice(1.1, factor=1.2, source="tensile tests of strands")
     found = calibrate(wire_of("A2"), measured("A2"), Settings({"copper_scale": prior}))
     assert isinstance(found, Calibration)
-    told.append(calibration_table(replace(done, calibration=found)))
+    told.append(format_calibration(replace(done, calibration=found)))
     lines = [
         re.sub(r"\d[\d.]*( x 10\^?[-\d]+|e[-+]\d+)?", "#", " ".join(line.split()))
         for text in told
         for line in text.splitlines()
     ]
     curves = [external_comparison("n" * 40), external_comparison(), untested(), unmodelled()]
-    assert comparison_lines([]) == []
-    approved([*lines, *comparison_lines(curves)])
+    assert format_comparisons([]) == []
+    approved([*lines, *format_comparisons(curves)])
