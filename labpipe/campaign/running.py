@@ -113,7 +113,7 @@ def run_test(
         sync.read_decisions()
         run = _Run(sync)
         run.process(executor, [folder], [folder] if again else ())
-        row = sync.renew(folder)
+        row = sync.refresh_test(folder)
     return None if folder in run.elsewhere else row, run.outcomes.get(folder)
 
 
@@ -167,7 +167,7 @@ class _Run:
             if not sync.catalog.claim(folder):
                 self.elsewhere.append(folder)
                 continue
-            row = sync.renew(folder)
+            row = sync.refresh_test(folder)
             sheet = sync.campaign.raw / folder / SHEET_NAME
             if (row.state not in {PENDING, STALE} and folder not in again) or not sheet.is_file():
                 sync.catalog.release(folder)
@@ -182,7 +182,7 @@ class _Run:
         if outcome.code == "in_use":  # a process that outlived its killed run
             self._in_use.append(folder)
         else:
-            self._sync.renew(folder)
+            self._sync.refresh_test(folder)
             self.outcomes[folder] = outcome
             self._on_outcome(folder, outcome)
         catalog.release(folder)
@@ -252,7 +252,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
             path = campaign.processed / folder / FAILURE_FILE
             with storing(path):
                 path.unlink(missing_ok=True)
-            sync.renew(folder)
+            sync.refresh_test(folder)
     return chosen
 
 

@@ -171,7 +171,7 @@ def _print_notes(overview: Overview) -> None:
 
 def _exit_status(overview: Overview) -> int:
     """Return the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
-    if overview.bad_input or overview.counts[FAILED]:
+    if overview.has_bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
 

@@ -57,25 +57,25 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
 def test_what_is_put_comes_back_unless_another_process_knows_better(catalog: Catalog) -> None:
     """And of several changes none is kept where one fails."""
     catalog.put([ENTRY])
-    assert catalog.rows() == catalog.rows("T1") == {"T1": ENTRY.row}
-    assert (catalog.rows("T2"), catalog.seen("T2")) == ({}, {})
+    assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
+    assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
     assert catalog.read_results("T1") == (RESULT,)
     assert catalog.read_inputs("T1") == (("force", "a", "1"),)
-    before = catalog.seen()
-    assert before == {"T1": ENTRY.seen}
-    newer = replace(ENTRY, row=replace(ENTRY.row, run="newer"), seen=FileState("{}", "newer"))
+    before = catalog.read_file_states()
+    assert before == {"T1": ENTRY.file_state}
+    newer = replace(ENTRY, row=replace(ENTRY.row, run="newer"), file_state=FileState("{}", "newer"))
     catalog.put([newer])
     catalog.put([replace(ENTRY, row=replace(ENTRY.row, state=STALE))], before)
     bad = replace(ENTRY, row=replace(ENTRY.row, folder="T2", state=None))  # type: ignore[arg-type]
     with pytest.raises(StoreError, match="NOT NULL constraint failed"):
         catalog.put([ENTRY, bad])
-    assert catalog.rows() == {"T1": newer.row}
+    assert catalog.read_rows() == {"T1": newer.row}
 
 
 def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatch) -> None:
     assert catalog.claim("T1")
     assert not catalog.claim("T1")
-    assert set(catalog.claims()) == {"T1"}
+    assert set(catalog.read_claims()) == {"T1"}
     catalog.release("T1")
     assert catalog.claim("T1")
     monkeypatch.setattr("labpipe.campaign.catalog.is_alive", lambda _: False)
@@ -85,19 +85,21 @@ def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    ("said", "remedy"),
+    ("code", "remedy"),
     [
-        ("database is locked", "Another labpipe is writing"),
-        ("attempt to write a readonly database", "Check the disk"),
-        ("database disk image is malformed", "`labpipe campaign rebuild` rebuilds it"),
+        (sqlite3.SQLITE_BUSY, "Another labpipe is writing"),
+        (sqlite3.SQLITE_READONLY, "Check the disk"),
+        (sqlite3.SQLITE_CORRUPT, "`labpipe campaign rebuild` rebuilds it"),
     ],
 )
-def test_what_sqlite_says_is_said_with_what_to_do(said: str, remedy: str) -> None:
+def test_sqlite_errors_name_a_remedy(code: int, remedy: str) -> None:
+    error = sqlite3.OperationalError("a message")
+    error.sqlite_errorcode = code
     with (
-        pytest.raises(StoreError, match=f"found {said}. {remedy}"),
+        pytest.raises(StoreError, match=f"found a message. {remedy}"),
         sqlite_errors(Path("c.sqlite")),
     ):
-        raise sqlite3.OperationalError(said)
+        raise error
 
 
 @pytest.fixture
@@ -187,7 +189,7 @@ def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) ->
     assert {name.partition("/")[0] for name in listing.files} == {
         *("T1", "figures", "linked", "more", "notes.txt")
     }
-    assert listing.refused == [
+    assert listing.problems == [
         f"{campaign.raw / 'figures' / 'test.yaml'}: expected a file, found a pipe or a broken link."
         " Put the test sheet there."
     ]
@@ -197,8 +199,8 @@ def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) ->
 def test_a_name_of_other_bytes_is_said(campaign: CampaignFolders) -> None:
     Path(os.fsdecode(os.fsencode(campaign.raw) + b"/\xff")).mkdir()
     found = list_raw(campaign)
-    assert len(found.refused) == 1
-    assert found.refused[0].endswith(
+    assert len(found.problems) == 1
+    assert found.problems[0].endswith(
         "\\udcff: expected a name in UTF-8, found other bytes. Rename it; it is left out."
     )
 

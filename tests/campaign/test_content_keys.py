@@ -61,7 +61,7 @@ def test_the_key_is_that_of_the_results(tmp_path: Path, ends: str) -> None:
     assert content.key == result.run
     assert content.inputs == tuple((i.role, i.file, i.sha256) for i in result.inputs)
     assert {"sheet": content.sheet, "protocol": content.protocol} == lab.summary["made_of"]
-    assert content.about["test"] == "P-1"
+    assert content.facts["test"] == "P-1"
 
 
 @pytest.mark.parametrize("kind", ["dialects/own.toml", "protocols/corrugated-tube.yaml"])

@@ -106,7 +106,7 @@ def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: 
     path = kept.processed / "decisions.json"
     path.write_text(text, "utf-8")
     overview = read_overview(kept.folders)
-    assert overview.bad_input
+    assert overview.has_bad_input
     assert BROKEN[text] in overview.notes[0]
     with pytest.raises(UsageError, match="Repair the file, or move it away and decide again"):
         decide(kept.folders, "T1", REJECT)
@@ -143,7 +143,7 @@ def test_a_decision_is_carried_over_to_a_newer_way_of_processing(
 ) -> None:
     old = decide(kept.folders, "T1", REJECT)
     monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", 1000)
-    monkeypatch.setattr("labpipe.campaign.content_keys._code", lambda: "newer")
+    monkeypatch.setattr("labpipe.campaign.content_keys._hash_code", lambda: "newer")
     assert read_overview(kept.folders).rows["T1"].why == "newer labpipe"
     kept.stand_in.shift = shift
     kept.run()
