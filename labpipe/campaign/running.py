@@ -11,9 +11,10 @@ from pathlib import Path
 from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog_rows import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
-from labpipe.campaign.executors import Executor, Outcome, Task
+from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
 from labpipe.errors import StoreError, UsageError, nearest
+from labpipe.process.run import Task
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE

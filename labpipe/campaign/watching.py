@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias, TypeVar
 
 from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog_rows import OK, PENDING, REJECTED, STALE
-from labpipe.campaign.executors import Executor, Outcome, Task, await_outcome, process_task
+from labpipe.campaign.executors import Executor, Outcome, await_outcome, process_task
 from labpipe.campaign.pairing import (
     Candidate,
     CandidateListing,
@@ -36,7 +36,7 @@ from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import sentence
 from labpipe.process.protocol_match import all_protocols
-from labpipe.process.run import SUMMARY_FILE, draw_figures
+from labpipe.process.run import SUMMARY_FILE, Task, draw_figures
 from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
 
 T = TypeVar("T")

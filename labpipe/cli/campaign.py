@@ -16,7 +16,7 @@ from labpipe.campaign.decisions import (
     Decision,
     import_decision_file,
 )
-from labpipe.campaign.executors import Task, parse_executor
+from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
 from labpipe.campaign.refreshing import Overview, list_file_use, open_campaign
 from labpipe.campaign.running import (
@@ -28,6 +28,7 @@ from labpipe.campaign.running import (
 )
 from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.errors import UsageError
+from labpipe.process.run import Task
 from labpipe.report.wording import count_of
 from labpipe.store.replace import replacing
 

@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
         summaries = [summary(test.result) for test in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
-        print("\n\n".join(table(test) for test in processed))
+        print("\n\n".join(format_test(test) for test in processed))
     if refused:
         return 2
     return 1 if any(test.n_failed for test in processed) else 0
@@ -67,9 +67,8 @@ def process_all(
     processed : the processed tests
     refused : number of tests that were refused
     """
-    processed, refused = [], 0
     with show_stages(len(tests)) as begin:
-        for done in process_tests(
+        outcomes = process_tests(
             tests,
             out=out,
             figures=figures,
@@ -78,18 +77,17 @@ def process_all(
             jobs=jobs or default_jobs(),
             limit=limit,
             begin=begin,
-        ):
-            if isinstance(done, Refused):
-                print(f"labpipe process: {done.reason}", file=sys.stderr)
-                refused += 1
-                continue
-            if done.finished:
-                print(f"labpipe process: {done.folder}: {_FINISHED}", file=sys.stderr)
-            processed.append(done)
-    return processed, refused
+        )
+    for outcome in outcomes:
+        if isinstance(outcome, Refused):
+            print(f"labpipe process: {outcome.reason}", file=sys.stderr)
+        elif outcome.finished:
+            print(f"labpipe process: {outcome.folder}: {_FINISHED}", file=sys.stderr)
+    processed = [outcome for outcome in outcomes if isinstance(outcome, Processed)]
+    return processed, len(outcomes) - len(processed)
 
 
-def table(processed: Processed) -> str:
+def format_test(processed: Processed) -> str:
     """Lay out the results of one test for a terminal.
 
     Parameters

@@ -235,7 +235,7 @@ def test_the_cores_but_no_more_than_the_memory_takes(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     free = SimpleNamespace(available=int(tests * BYTES_PER_TEST))
     monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
-    monkeypatch.setattr(executors, "_CONTAINER", tmp_path)
+    monkeypatch.setattr(executors, "_CONTROL_GROUP", tmp_path)
     if limit:
         (tmp_path / "memory.max").write_text(f"{limit}\n")
         (tmp_path / "memory.current").write_text("1000000000\n")

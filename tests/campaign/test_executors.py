@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import select
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labpipe.campaign import executors
 from labpipe.campaign.executors import (
     Outcome,
     await_outcome,
@@ -24,7 +25,7 @@ from labpipe.campaign.executors import (
     process_tests,
 )
 from labpipe.campaign.watching import WarmWorker
-from labpipe.campaign.workers import ProcessDied, WorkerProcess, run_in_processes
+from labpipe.campaign.workers import ProcessDied, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, Task, process_test
 from tests.builders.small_pulls import small_pulls
@@ -41,13 +42,10 @@ def test_no_executor_of_that_name(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "address"), [("dask://a:1", "a:1"), ("dask+tls://a:1", "tls://a:1")]
 )
-def test_the_address_of_a_scheduler(
-    text: str, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[str] = []
-    monkeypatch.setattr(executors, "dask", lambda where, **_: asked.append(where))
-    parse_executor(text)
-    assert asked == [address]
+def test_address_of_a_scheduler(text: str, address: str) -> None:
+    executor = parse_executor(text)
+    assert isinstance(executor, partial)
+    assert executor.keywords["address"] == address
 
 
 @pytest.fixture
@@ -64,26 +62,31 @@ def test_two_tests_that_would_go_to_one_folder(tests: list[Path], tmp_path: Path
     tests[2].write_text(text.replace("test: S-0002", "test: s-0000"), "utf-8")
     message = "expected one test for each folder of results, found a second for .*out.s-0000"
     with pytest.raises(UsageError, match=message):
-        list(process_tests(tests, out=tmp_path / "out", jobs=2))
+        process_tests(tests, out=tmp_path / "out", jobs=2)
     assert not (tmp_path / "out").exists()
-    made = list(process_tests(tests[::2], figures=lambda _: False, jobs=2))
+    made = process_tests(tests[::2], figures=lambda _: False, jobs=2)
     assert [type(one) for one in made] == [Processed, Processed]  # each beside its exports
     assert isinstance(made[0], Processed)
     with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
-        list(process_tests([tests[0], made[0].folder / "result.h5"]))
+        process_tests([tests[0], made[0].folder / "result.h5"])
+
+
+def run_all(calls: Sequence[Callable[[], Any]], **options: Any) -> list[Future[Any]]:
+    """Futures of calls in their order."""
+    futures = dict(run_as_completed(operator.call, calls, **options))
+    return [futures[call] for call in calls]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
 def test_a_process_that_dies_costs_its_call_alone() -> None:
-    """Outcomes come in the order of the calls."""
     calls: list[Callable[[], Any]] = [
         partial(signal.raise_signal, signal.SIGTERM),
         partial(os._exit, 3),
         *(partial(max, number, 0) for number in range(4)),
     ]
-    killed, left, *others = run_in_processes(calls, jobs=2)
+    killed, left, *others = run_all(calls, jobs=2)
     assert [future.result() for future in others] == [*range(4)]
-    assert list(run_in_processes([], jobs=3)) == []
+    assert run_all([], jobs=3) == []
     for future, how in ((killed, "by the signal SIGTERM"), (left, "with exit code 3")):
         died = future.exception()
         assert isinstance(died, ProcessDied)
@@ -91,19 +94,23 @@ def test_a_process_that_dies_costs_its_call_alone() -> None:
     assert ProcessDied(-63).how == "by the signal 63"
 
 
-def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> None:
-    work = [f"sleep 0.2; echo > '{tmp_path}/{number}'" for number in range(3)]
-    found = run_in_processes(
-        [partial(int, "1"), *(partial(os.system, each) for each in work)], jobs=1
-    )
-    assert next(found).result() == 1
-    found.close()
-    assert [path.name for path in tmp_path.iterdir()] == ["0"]
+def test_closing_waits_for_started_calls_only(tmp_path: Path) -> None:
+    work = [f"cd '{tmp_path}'; mkdir {n}; sleep 0.2; echo > {n}/done" for n in range(3)]
+    calls: list[Callable[[], Any]] = [
+        partial(int, "1"),
+        *(partial(os.system, text) for text in work),
+    ]
+    completed = run_as_completed(operator.call, calls, jobs=1)
+    assert next(completed)[1].result() == 1
+    while not (tmp_path / "0").exists():
+        time.sleep(0.01)
+    completed.close()
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["0", "0/done"]
 
 
 def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
-    late, second = run_in_processes(calls, jobs=2, limit=1.0)
+    late, second = run_all(calls, jobs=2, limit=1.0)
     with pytest.raises(ProcessDied) as died:
         late.result()
     assert died.value.limit == 1.0
@@ -125,7 +132,7 @@ def test_a_process_that_dies_between_two_calls_costs_none() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
 def test_where_memory_is_short_a_test_goes_and_not_the_run() -> None:
     file = Path("/proc/self/oom_score_adj")
-    (future,) = run_in_processes([file.read_text], jobs=1)
+    (future,) = run_all([file.read_text], jobs=1)
     assert future.result() == "500\n"
     assert int(file.read_text()) < 500
 

@@ -15,7 +15,7 @@ from labpipe.cli import BAD_INPUT, DONE
 from labpipe.cli.bundle import format_bundle
 from labpipe.cli.calibrate import format_calibration, format_comparisons
 from labpipe.cli.model import format_wire_models
-from labpipe.cli.process import table
+from labpipe.cli.process import format_test
 from labpipe.cli.report import format_report
 from labpipe.cli.terminal import show_completed, show_stages
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
@@ -52,7 +52,7 @@ EMPTY = replace(
 
 def table_of(*results: Result, quality: tuple[QualityNote, ...] = ()) -> list[str]:
     result = replace(EMPTY, results=results, quality=quality)
-    lines = table(Processed(Path("out"), result, ())).splitlines()
+    lines = format_test(Processed(Path("out"), result, ())).splitlines()
     return [line.rstrip() for line in lines]
 
 
