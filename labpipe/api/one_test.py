@@ -1,4 +1,4 @@
-"""A processed test and an export, for Python and notebooks."""
+"""A processed test, and an export before processing, for Python and notebooks."""
 
 from __future__ import annotations
 
@@ -27,15 +27,7 @@ from labpipe.errors import ProcessingError, UsageError, nearest
 from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
-from labpipe.report.wording import (
-    as_label,
-    count_of,
-    is_main,
-    printable,
-    shown_in,
-    unit_words,
-    write_number,
-)
+from labpipe.report.wording import printable
 from labpipe.store.summaries import summary
 
 if TYPE_CHECKING:
@@ -56,10 +48,10 @@ class Test:
 
     Parameters
     ----------
-    outcome : the processed test; shapes and recordings may be missing if `whole` has them
-    whole : reads the complete test on first use
+    outcome : the processed test; without shapes and recordings if `read_full` reads them
+    read_full : reads the complete test on first use; None if `outcome` is complete
     folder : of its files; None if there are none
-    units : of the numbers
+    units : of the numbers; None for SI
     """
 
     __test__ = False  # pytest must not collect it
@@ -162,7 +154,7 @@ class Test:
 
     @property
     def curve(self) -> pd.DataFrame:
-        """Return the force against displacement, after all steps and corrections.
+        """Return force against displacement after all steps and corrections.
 
         ``time``, ``displacement``, ``force``, ``branch`` (from 0 in order of travel, -1 outside)
         and ``cycle`` (from 1, 0 outside); units in ``attrs["units"]``.
@@ -194,7 +186,10 @@ class Test:
 
     @property
     def raw(self) -> Recordings:
-        """Return the recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
+        """Return the recordings as tables by role, such as ``test.raw["force"]``.
+
+        Numbers are in SI units where the export states a unit, without calibration.
+        """
         return Recordings(self._full.recordings)
 
     @property
@@ -212,12 +207,11 @@ class Test:
 
         Parameters
         ----------
-        name : such as ``force-displacement``; `figures` lists those of the protocol, but any may be
-            drawn
+        name : such as ``force-displacement``; also one that the protocol does not list
 
         Returns
         -------
-        A matplotlib figure, which a notebook shows. It states if its data is missing.
+        A matplotlib figure, which a notebook shows. A figure without data says so.
 
         Raises
         ------
@@ -258,90 +252,33 @@ class Test:
     @property
     def _status_counts(self) -> str:
         counts = Counter(result.status for result in self._outcome.results)
-        return (
-            ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-            or "nothing"
-        )
+        return ", ".join(f"{counts[s]} {s}" for s in Status if counts[s]) or "nothing"
 
     def _repr_html_(self) -> str:
-        return format_html(self._outcome)
+        """Return HTML for a notebook: the first results in display units."""
+        max_rows = 10
+        heading = f"{self.name} ({self.protocol}): {self._status_counts}"
+        columns = ["value", "lower", "upper", "unit", "status", "reason"]
+        table = self.display.results[columns].head(max_rows)
+        html = table.to_html(float_format="{:.4g}".format, na_rep="")
+        return printable(f"<div><strong>{escape(heading)}</strong></div>{html}")
 
-    def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
+    def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
         if not names:
-            return UsageError.about("api.none_of_these", self.name, what=what)
+            return UsageError.about("api.none_of_kind", self.name, kind=kind)
         examples = ", ".join(nearest(name, names, limit=7))
-        return UsageError.about("api.unknown", self.name, what=what, names=examples, found=name)
+        return UsageError.about("api.unknown", self.name, kind=kind, names=examples, found=name)
 
-    def _missing(self, what: str) -> ProcessingError:
+    def _missing(self, part: str) -> ProcessingError:
         notes = self._outcome.quality
         why = next((note.message for note in notes if note.severity is Severity.ERROR), "")
-        remedy = f"Why: {why.rstrip('.')}." if why else _NOT_ASKED_FOR
-        return ProcessingError.about("api.missing_part", self.name, what=what, remedy=remedy)
-
-
-_NOT_ASKED_FOR = "Its protocol does not ask for one, or see `quality`."
-_CELL = "text-align:left;padding:1px 12px 1px 0"
-
-
-def format_html(result: TestResult) -> str:
-    """Return the HTML of a test for a notebook.
-
-    Parameters
-    ----------
-    result : the processed test
-
-    Returns
-    -------
-    A heading, the first results in display units with intervals, and counts of problems.
-    """
-    # Results that are shown; the rest are counted.
-    max_rows = 10
-    main = [result for result in result.results if is_main(result.name)] or list(result.results)
-    rows = [_row(shown, result) for shown in main[:max_rows]]
-    more = len(result.results) - len(rows)
-    lines = [
-        f"<strong>{_safe(result.test)}</strong> {_safe(_what(result))}",
-        f'<table style="border-collapse:collapse">{"".join(rows)}</table>' if rows else "",
-        f"<small>{_safe(_rest(result, more))}</small>",
-    ]
-    return f"<div>{''.join(f'<div>{line}</div>' for line in lines if line)}</div>"
-
-
-def _safe(text: str) -> str:
-    return escape(printable(text))
-
-
-def _what(result: TestResult) -> str:
-    specimen = result.specimen
-    parts = [result.protocol, f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"]
-    parts += [str(result.date)] if result.date else []
-    return " · ".join([*parts, *filter(None, [result.operator])])
-
-
-def _row(result: Result, test: TestResult) -> str:
-    factor, unit = shown_in(result.name, result.unit, test.display)
-    value = float("nan") if result.value is None else result.value
-    written = write_number(value, result.interval, factor, estimate=result.distinct_estimate)
-    number = f"{written.value} {unit_words(unit)}" if result.value is not None else written.value
-    state = "" if result.status is Status.OK else f"{result.status}: {result.why}"
-    cells = [as_label(result.name), number, written.interval, state]
-    inner = "".join(f'<td style="{_CELL}">{_safe(cell)}</td>' for cell in cells)
-    return f"<tr>{inner}</tr>"
-
-
-def _rest(result: TestResult, more: int) -> str:
-    severities = Counter(note.severity for note in result.quality)
-    parts = [f"95 % intervals; {more} more in .results" if more > 0 else "95 % intervals"]
-    parts += [
-        count_of(severities[severity], severity.value)
-        for severity in (Severity.ERROR, Severity.WARNING)
-        if severities[severity]
-    ]
-    return ", ".join(parts) + (" in .quality" if len(parts) > 1 else "")
+        if not why:
+            return ProcessingError.about("api.not_in_protocol", self.name, part=part)
+        return ProcessingError.about("api.missing_part", self.name, part=part, why=why.rstrip("."))
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:
-    """Read facts about an export: program, channels, rates, gaps, oddities.
+    """Read an export and describe it: program, channels, rates, gaps, oddities.
 
     Parameters
     ----------
@@ -364,7 +301,7 @@ def inspect(file: str | os.PathLike[str]) -> Export:
 
 
 class Export:
-    """An export as its reader understands it.
+    """An export: its channels, notes and data, without protocol and test sheet.
 
     Parameters
     ----------
@@ -376,7 +313,7 @@ class Export:
 
     @property
     def file(self) -> Path:
-        """Return the export."""
+        """Return the path of the export."""
         return self._inspection.file
 
     @cached_property
@@ -388,8 +325,9 @@ class Export:
     def channels(self) -> pd.DataFrame:
         """Return the channels of all clocks.
 
-        ``clock``, ``name``, ``path``, ``unit`` (SI if the export states one, else none),
-        ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (samples).
+        ``clock``, ``name``, ``path``, ``unit`` (SI; missing if the export states none),
+        ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (number of
+        samples).
         """
         rows = [
             {"clock": stream["clock"], **channel}
@@ -399,8 +337,8 @@ class Export:
         texts = ("clock", "name", "path", "unit", "unit_in_file")
         numbers = ("first", "last", "min", "max")
         frame = pd.DataFrame(rows, columns=[*texts, *numbers, "missing"])
-        kinds = dict.fromkeys(texts, "str") | dict.fromkeys(numbers, "float64")
-        return frame.astype(kinds | {"missing": "int64"})
+        types = dict.fromkeys(texts, "str") | dict.fromkeys(numbers, "float64")
+        return frame.astype(types | {"missing": "int64"})
 
     @property
     def notes(self) -> pd.DataFrame:
@@ -409,7 +347,7 @@ class Export:
 
     @property
     def data(self) -> Recordings:
-        """Return the recording as tables by file name without its ending, like `Test.raw`."""
+        """Return the recording as tables, like `Test.raw`; the role is the name of the file."""
         return Recordings({self.file.stem: self._inspection.recording})
 
     def __repr__(self) -> str:

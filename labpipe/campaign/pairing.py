@@ -82,17 +82,17 @@ class PairingOutcome:
     sheet : new or existing; None while exports are missing
     messages : on the content of the sheet, or on problems
     is_new : whether the sheet was written
-    open : keys to fill in before the test can be processed
-    missing : roles without an export yet
-    unread : exports that cannot be read, with the reason
+    open_keys : keys to fill in before the test can be processed
+    missing : roles without an export, or exports of an existing sheet that are missing
+    unreadable : exports that cannot be read, with the reason
     """
 
     sheet: Path | None
     messages: tuple[str, ...] = ()
     is_new: bool = False
-    open: tuple[str, ...] = ()
+    open_keys: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    unread: Mapping[str, str] = field(default_factory=dict)
+    unreadable: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_plan(folder: Path) -> CampaignPlan:
@@ -273,9 +273,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     missing = _missing(seen, plan, neighbours.protocols_beside(candidate.folder), waited)
     if seen.unread or missing:
         _remove_copies(copies, candidate.folder)
-        return PairingOutcome(None, missing=missing, unread=seen.unread)
+        return PairingOutcome(None, missing=missing, unreadable=seen.unread)
     sheet = write_inferred_sheet(add_plan_blocks(seen, plan))
-    return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open=sheet.open)
+    return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open)
 
 
 def _with_sheet(candidate: Candidate) -> PairingOutcome:

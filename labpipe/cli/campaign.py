@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(
-    options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
+    options: argparse.Namespace, campaign: CampaignFolders, forced: list[str] | None = None
 ) -> int:
     executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
@@ -52,7 +52,7 @@ def _run(
         summary = run_campaign(
             campaign,
             executor,
-            again=again or (),
+            forced=forced or (),
             make_task=make_task,
             begin=begin,
             on_outcome=lambda folder, outcome: show_ended(

@@ -52,7 +52,7 @@ def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
     before = state(campaign / "incoming")
     written = pair_test(only(campaign), read_plan(campaign))
     assert written.sheet == campaign / "A2-085-3" / "test.yaml"
-    assert (written.is_new, written.open, written.missing) == (True, (), ())
+    assert (written.is_new, written.open_keys, written.missing) == (True, (), ())
     sheet = load_test_sheet(written.sheet)
     names = (sheet.test, sheet.protocol, sheet.operator, str(sheet.date))
     assert names == ("A2-085-3", "wire-cantilever", "bench 2", "2026-03-04")
@@ -92,7 +92,7 @@ def test_what_is_not_there_yet_is_waited_for(campaign: Path) -> None:
     content = take.read_bytes()
     take.write_bytes(b"")
     written = pair_test(only(campaign), read_plan(campaign))
-    assert (written.sheet, list(written.unread)) == (None, ["A2-085-3.csv"])
+    assert (written.sheet, list(written.unreadable)) == (None, ["A2-085-3.csv"])
     assert not (campaign / "A2-085-3").exists()
     take.write_bytes(content)
     assert pair_test(only(campaign), read_plan(campaign)).sheet is not None
@@ -134,7 +134,7 @@ def test_one_folder_per_test(lab: Lab) -> None:
     assert [candidate.name for candidate in listed.candidates] == ["T1"]
     assert listed.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
     written = pair_test(listed.candidates[0], plan)
-    assert written.open == ("type", "spool", "sample")
+    assert written.open_keys == ("type", "spool", "sample")
     with pytest.raises(ProtocolError, match=r"specimen\.spool"):
         load_test_sheet(lab.sheet)
 
@@ -195,24 +195,22 @@ def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
 def test_a_file_stands_still_once_it_did_not_change_for_long_enough(tmp_path: Path) -> None:
     times, path = [100.0], tmp_path / "x"
     files = FileStability(lambda: times[-1], 2.0)
-    assert files.look(path) == "gone"
+    assert files.look(path) == "missing"
     for text, seconds, state_of_file in (
         ("1", 0.0, "growing"),
         ("1", 1.9, "growing"),
         ("12", 0.0, "growing"),
         ("12", 1.9, "growing"),
-        ("12", 0.1, "still"),
+        ("12", 0.1, "stable"),
     ):
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
         times.append(times[-1] + seconds)
         assert files.look(path) == state_of_file
-    assert files.moving_for(path) == pytest.approx(3.9)
-    assert times[-1] - files.still_since([path]) == pytest.approx(2.0)
+    assert times[-1] - files.last_change([path]) == pytest.approx(2.0)
     os.utime(path, (1.0, 1.0))  # it changes at the same size
     assert files.look(path) == "growing"
     times.append(times[-1] + 1.0)
     assert files.look(path) == "growing"
-    assert files.moving_for(path) == pytest.approx(1.0)
     path.unlink()
-    assert (files.look(path), files.mark(path)) == ("gone", None)
+    assert (files.look(path), files.stamp(path)) == ("missing", None)

@@ -114,7 +114,7 @@ def test_a_result_of_a_newer_labpipe_is_left_alone_until_it_is_cleared(kept: Kep
     assert "expected 2 or less, found 99. A newer labpipe made it" in row.reason
     kept.run()
     assert kept.stand_in.processed == []
-    kept.run(again=clear_failures(kept.folders, "newer_result"))
+    kept.run(forced=clear_failures(kept.folders, "newer_result"))
     assert kept.stand_in.processed == ["T1"]
 
 
@@ -407,7 +407,7 @@ def test_a_failure_beside_earlier_results(one_test: KeptCampaign) -> None:
 def test_a_test_that_an_orphan_still_writes_is_tried_again(
     kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.running._RETRY_PAUSE", 0.01)
+    monkeypatch.setattr("labpipe.campaign.running._RETRY_DELAY", 0.01)
     (kept.raw / "T1" / "frame.csv").write_text("fail in_use", "utf-8")
     tries: list[str] = []
 
