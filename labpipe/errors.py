@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, Self, TypeAlias
 
-from labpipe.messages import error_parts, template_of
+from labpipe.messages import find_template, format_error_parts
 
 KeyPath: TypeAlias = tuple[str | int, ...]
 """Way from the top of a YAML file to one value in it: keys, and item numbers counted from 0."""
@@ -39,11 +39,11 @@ class LabpipeError(Exception):
         Parameters
         ----------
         name : of the template, such as ``readers.no_header``
-        file, place : see `error_text`
+        file, place : see `format_error`
         facts : values of the fields of the template
         """
-        message = error_text(file, place, **error_parts(name, **facts))
-        return cls(message, code=template_of(name).get("code", ""))
+        message = format_error(file, place, **format_error_parts(name, **facts))
+        return cls(message, code=find_template(name).get("code", ""))
 
 
 class UsageError(LabpipeError):
@@ -140,10 +140,10 @@ class Fault:
         path, at, missing : see the class
         facts : values of the fields of the template
         """
-        return cls(path, **error_parts(name, **facts), at=at, missing=missing)
+        return cls(path, **format_error_parts(name, **facts), at=at, missing=missing)
 
 
-def error_text(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
+def format_error(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
     """Format one message: file, place: expected X, found Y. What to do.
 
     Parameters
@@ -159,7 +159,7 @@ def error_text(file: object, place: str, *, expected: str, found: str, remedy: s
 
     Examples
     --------
-    >>> error_text("take.csv", "line 7", expected="a header row", found="nothing",
+    >>> format_error("take.csv", "line 7", expected="a header row", found="nothing",
     ...           remedy="Export the take again.")
     'take.csv, line 7: expected a header row, found nothing. Export the take again.'
     """
@@ -171,7 +171,7 @@ _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start ne
 """Messages of libraries and threads that run out of memory."""
 
 
-def code_of(error: Exception) -> str:
+def find_error_code(error: Exception) -> str:
     """Find the code of an error that ended the processing of a test, or a command.
 
     Parameters
@@ -194,7 +194,7 @@ def code_of(error: Exception) -> str:
     return "system_refused" if is_of_system else "fault_of_labpipe"
 
 
-def refusal(error: Exception) -> str:
+def describe_system_error(error: Exception) -> str:
     """Describe an error of the operating system.
 
     Parameters
@@ -207,18 +207,18 @@ def refusal(error: Exception) -> str:
 
     Examples
     --------
-    >>> refusal(OSError(36, "File name too long", "xxx"))
+    >>> describe_system_error(OSError(36, "File name too long", "xxx"))
     'xxx: expected a file that can be used, found file name too long. Check the path and the disk.'
     """
     if isinstance(error, UnicodeEncodeError):
-        return error_text(
+        return format_error(
             repr(error.object)[:80],
             "",
             expected=f"names that this system can write, whose encoding is {error.encoding}",
             found=ascii(error.object[error.start : error.end])[:80],
             remedy="Choose a locale of UTF-8, such as LC_ALL=C.UTF-8, or set PYTHONUTF8=1.",
         )
-    return error_text(
+    return format_error(
         getattr(error, "filename", None) or "files",
         "",
         expected="a file that can be used",
@@ -227,7 +227,7 @@ def refusal(error: Exception) -> str:
     )
 
 
-def nearest(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
+def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
     """Sort known words so that those most like `word` come first.
 
     Parameters
@@ -242,7 +242,7 @@ def nearest(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
 
     Examples
     --------
-    >>> nearest("forse", ["time", "force"])
+    >>> sort_by_likeness("forse", ["time", "force"])
     ['force', 'time']
     """
     import difflib  # only needed once something is already wrong
@@ -253,7 +253,7 @@ def nearest(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
     return sorted(choices, key=likeness, reverse=True)[:limit]
 
 
-def in_test_sheet(key: str, value: str, **more: str) -> str:
+def format_overrides(key: str, value: str, **more: str) -> str:
     """Format overrides of a test sheet for messages.
 
     Parameters
@@ -264,7 +264,7 @@ def in_test_sheet(key: str, value: str, **more: str) -> str:
 
     Examples
     --------
-    >>> in_test_sheet("rig.cycles", "1")
+    >>> format_overrides("rig.cycles", "1")
     "'rig.cycles: {value: 1, because: ...}' under 'overrides' in test.yaml"
     """
     lines = (f"'{k}: {{value: {v}, because: ...}}'" for k, v in {key: value, **more}.items())

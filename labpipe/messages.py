@@ -24,7 +24,7 @@ Template = dict[str, str]
 
 
 @cache
-def templates_of(room: str) -> dict[str, Template]:
+def read_templates(room: str) -> dict[str, Template]:
     """Read the templates of a room.
 
     Parameters
@@ -40,14 +40,14 @@ def templates_of(room: str) -> dict[str, Template]:
     return tomllib.loads(text)
 
 
-def rooms_with_templates() -> list[str]:
+def list_rooms() -> list[str]:
     """Return the rooms that have a ``messages.toml``."""
     package = Path(str(files("labpipe")))
     found = sorted(package.rglob("messages.toml"))
     return [".".join(path.relative_to(package).parts[:-1]) for path in found]
 
 
-def template_of(name: str) -> Template:
+def find_template(name: str) -> Template:
     """Find a template by room and name, such as ``readers.no_header``.
 
     Raises
@@ -56,15 +56,15 @@ def template_of(name: str) -> Template:
         If the room has no such template.
     """
     room, _, template = name.rpartition(".")
-    return templates_of(room)[template]
+    return read_templates(room)[template]
 
 
-def code_of_template(name: str) -> str:
+def find_code(name: str) -> str:
     """Return the code of a note or a reason."""
-    return template_of(name).get("code", name.rpartition(".")[2])
+    return find_template(name).get("code", name.rpartition(".")[2])
 
 
-def sentence(name: str, /, **facts: object) -> str:
+def format_sentence(name: str, /, **facts: object) -> str:
     """Fill in the sentence ``says`` of a template.
 
     Parameters
@@ -72,15 +72,15 @@ def sentence(name: str, /, **facts: object) -> str:
     name : of the template, such as ``process.rest_force``
     facts : values of its fields; their formats stand in the template
     """
-    return template_of(name)["says"].format(**facts)
+    return find_template(name)["says"].format(**facts)
 
 
-def error_parts(name: str, /, **facts: object) -> dict[str, str]:
+def format_error_parts(name: str, /, **facts: object) -> dict[str, str]:
     """Fill in what an error expected, what it found, and what to do.
 
     Parameters
     ----------
-    name, facts : see `sentence`
+    name, facts : see `format_sentence`
     """
-    template = template_of(name)
+    template = find_template(name)
     return {part: template[part].format(**facts) for part in ("expected", "found", "remedy")}

@@ -29,7 +29,7 @@ from pathlib import Path
 from labpipe.cli import main as labpipe
 from labpipe.cli.demo import CAMPAIGNS, PLAN
 from labpipe.records.curve import Interval
-from labpipe.report.wording import plain_numbers
+from labpipe.report.wording import make_number_writer
 from labpipe.units import si_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
 
@@ -308,7 +308,7 @@ def _checked_examples(path: Path, *, update: bool) -> list[str]:
             return words
         nearest = min(own, key=lambda entry: abs(entry["value"] - number))
         ends = Interval(nearest["lower"], nearest["upper"])
-        write = plain_numbers(nearest["value"], ends, 1.0 / factor, 5)
+        write = make_number_writer(nearest["value"], ends, 1.0 / factor, 5)
         low, high = write(ends.lower), write(ends.upper)
         now = f"{write(nearest['value'])}{example[2]}, 95 %: {low} to {high}"
         if now != words:

@@ -373,21 +373,21 @@ def test_every_key_step_and_reader_is_named(name: str) -> None:
 
 
 def test_the_listing_of_the_result_file_holds_the_names_of_the_layout() -> None:
-    from labpipe.store.layout import ROW_AXES, columns_of, fields_of
+    from labpipe.store.layout import ROW_AXES, list_columns, list_datasets
 
     text = page("docs/reference/result-file.md")
     assert len(ROW_AXES) > 5
-    for name in {name for row in ROW_AXES for name in columns_of(row)}:
+    for name in {name for row in ROW_AXES for name in list_columns(row)}:
         assert f"`{name}`" in text or f"/{name} " in text, name
     listing = "".join(fenced(page("docs/reference/result-file.md"), ""))
     for name in ("lines/slope", "slips/drop", "branches/start"):
         assert f"/curve/{name} " in listing
     fields = {
-        "/curve/": fields_of(Curve),
-        "/shape/": fields_of(Shape),
-        "/aligned/events/": fields_of(ClockFit),
-        "/raw/markers/markers/": fields_of(MarkerTracks),
-        "/raw/markers/rigid_bodies/Clamp/": fields_of(RigidBody),
+        "/curve/": list_datasets(Curve),
+        "/shape/": list_datasets(Shape),
+        "/aligned/events/": list_datasets(ClockFit),
+        "/raw/markers/markers/": list_datasets(MarkerTracks),
+        "/raw/markers/rigid_bodies/Clamp/": list_datasets(RigidBody),
     }
     for group, kinds in fields.items():
         for name, kind in kinds.items():

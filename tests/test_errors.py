@@ -7,14 +7,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe import errors
-from labpipe.errors import CODES, LabpipeError, ReadError, code_of, error_text, nearest, refusal
+from labpipe.errors import (
+    CODES,
+    LabpipeError,
+    ReadError,
+    describe_system_error,
+    find_error_code,
+    format_error,
+    sort_by_likeness,
+)
 from labpipe.mechanics.studies.first_loadings import NotUsableError
 from labpipe.readers.channels import NoChannelError
 
 
 def test_grammar() -> None:
     for place, where in (("line 7", "a.csv, line 7"), ("", "a.csv")):
-        text = error_text("a.csv", place, expected="a row", found="none", remedy="Export it again.")
+        text = format_error(
+            "a.csv", place, expected="a row", found="none", remedy="Export it again."
+        )
         assert text == f"{where}: expected a row, found none. Export it again."
 
 
@@ -60,25 +70,27 @@ NO_SEGMENT = "_special_ufuncs.so: failed to map segment from shared object"
     ],
 )
 def test_the_code_of_an_error(error: Exception, code: str) -> None:
-    assert code_of(error) == code
+    assert find_error_code(error) == code
     assert code in CODES
 
 
 def test_a_name_that_the_system_cannot_write() -> None:
-    said = refusal(UnicodeEncodeError("ascii", "a/\xfc", 2, 3, "ordinal not in range"))
+    said = describe_system_error(
+        UnicodeEncodeError("ascii", "a/\xfc", 2, 3, "ordinal not in range")
+    )
     assert said.startswith("'a/\xfc': expected names that this system can write, whose encoding is")
     assert r"ascii, found '\xfc'. Choose a locale of UTF-8" in said
 
 
 def test_nearest_ignores_case_and_keeps_to_the_most() -> None:
     known = ["Time", "Force", "Displacement", "Forces"]
-    assert nearest("FORCE", known, limit=2) == ["Force", "Forces"]
-    assert nearest("x", []) == []
+    assert sort_by_likeness("FORCE", known, limit=2) == ["Force", "Forces"]
+    assert sort_by_likeness("x", []) == []
 
 
 @pytest.mark.slow
 @given(st.text(max_size=10), st.lists(st.text(max_size=10), max_size=8))
 def test_nearest_only_sorts(word: str, known: list[str]) -> None:
-    found = nearest(word, known)
+    found = sort_by_likeness(word, known)
     assert len(found) == min(5, len(known))
-    assert sorted(nearest(word, known, limit=99)) == sorted(known)
+    assert sorted(sort_by_likeness(word, known, limit=99)) == sorted(known)

@@ -15,11 +15,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from labpipe.errors import UsageError, nearest
+from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.records.arrays import AXIS_LABELS
 from labpipe.records.curve import Series
-from labpipe.report.wording import Scale, shown_in
-from labpipe.store.layout import NO_UNIT, Field, fields_of, link_name, scales_of
+from labpipe.report.wording import Scale, find_display_unit
+from labpipe.store.layout import (
+    UNSTATED_UNIT,
+    DatasetSpec,
+    find_scales,
+    list_datasets,
+    make_link_name,
+)
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
@@ -48,7 +54,11 @@ class Units:
 
     def scale_result(self, name: str, unit: str) -> Scale:
         """Return factor and unit for a result, or for a change of it."""
-        return Scale(1.0, unit) if self.display is None else shown_in(name, unit, self.display)
+        return (
+            Scale(1.0, unit)
+            if self.display is None
+            else find_display_unit(name, unit, self.display)
+        )
 
     def scale_quantity(self, quantity: str, unit: str) -> Scale:
         """Return factor and unit for a quantity such as ``force``."""
@@ -93,9 +103,16 @@ def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     def make_row(result: Result) -> list[object]:
         factor, unit = units.scale_result(result.name, result.unit)
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
-        numbers = (result.value, result.likely, *ends)
+        numbers = (result.value, result.best_estimate, *ends)
         scaled = [np.nan if number is None else number * factor for number in numbers]
-        return [result.name, *scaled, unit, result.status, ", ".join(result.codes), result.why]
+        return [
+            result.name,
+            *scaled,
+            unit,
+            result.status,
+            ", ".join(result.codes),
+            result.reason_text,
+        ]
 
     return _make_frame(_RESULT_TYPES, map(make_row, results)).set_index("name")
 
@@ -205,7 +222,7 @@ class Recordings(Mapping[str, pd.DataFrame]):
         if not self._tables:
             raise UsageError.about("api.no_recordings", "raw")
         if name not in self._tables:
-            names = ", ".join(nearest(name, list(self._tables)))
+            names = ", ".join(sort_by_likeness(name, list(self._tables)))
             raise UsageError.about("api.no_recording", "raw", name=name, names=names)
         return self._tables[name]()
 
@@ -252,7 +269,7 @@ def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
     }
     columns = {name: channel.values for name, channel in named.items()}
     frame = pd.DataFrame(columns, index=pd.Index(clock.time, name="time"))
-    units = {name: channel.unit or NO_UNIT for name, channel in named.items()}
+    units = {name: channel.unit or UNSTATED_UNIT for name, channel in named.items()}
     frame.attrs["units"] = {"time": clock.unit} | units
     return frame
 
@@ -310,16 +327,18 @@ def _find_record(result: TestResult, part: str) -> object:
 def _make_record_dataset(record: object) -> Dataset:
     fields = {
         name: replace(field, unit=getattr(record, field.stated_in, field.unit))
-        for name, field in fields_of(type(record)).items()
+        for name, field in list_datasets(type(record)).items()
     }
     return _assemble_dataset({name: np.asarray(getattr(record, name)) for name in fields}, fields)
 
 
-def _assemble_dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field]) -> Dataset:
+def _assemble_dataset(
+    arrays: Mapping[str, np.ndarray], fields: Mapping[str, DatasetSpec]
+) -> Dataset:
     """Make a Dataset whose dimensions have the names of the scales in a result file."""
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
-    scales = scales_of(fields)
+    scales = find_scales(fields)
     for name, values in arrays.items():
         axes = [
             scales.get(axis, axis) + ("_2" if axis in fields[name].axes[:place] else "")
@@ -337,7 +356,7 @@ def _assemble_dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, Fie
 
 def _make_aligned_dataset(aligned: Aligned) -> Dataset:
     series = {"time": Series(aligned.time, aligned.time_unit), **aligned.series}
-    fields = {name: Field(("sample",), channel.unit) for name, channel in series.items()}
+    fields = {name: DatasetSpec(("sample",), channel.unit) for name, channel in series.items()}
     return _assemble_dataset({name: channel.values for name, channel in series.items()}, fields)
 
 
@@ -352,8 +371,8 @@ def _make_recording_dataset(recording: Recording) -> Dataset:
         dimension = dimensions[clock.name]
         variables[dimension] = ([dimension], clock.time, {"units": clock.unit})
     for channel in recording.channels:
-        name = link_name(channel.name, variables)
-        attributes = {"units": channel.unit or NO_UNIT, "name_in_file": channel.path}
+        name = make_link_name(channel.name, variables)
+        attributes = {"units": channel.unit or UNSTATED_UNIT, "name_in_file": channel.path}
         variables[name] = ([dimensions[channel.clock]], channel.values, attributes)
     tracks = recording.markers
     if tracks is not None:

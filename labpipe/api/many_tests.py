@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from labpipe.errors import LabpipeError, StoreError, UsageError, nearest, refusal
+from labpipe.errors import (
+    LabpipeError,
+    StoreError,
+    UsageError,
+    describe_system_error,
+    sort_by_likeness,
+)
 from labpipe.process.output_paths import RESULT_FILE, files_below, find_results
 from labpipe.store.replace import is_cut_off
 from labpipe.store.summaries import SUMMARY_FILE, read_summary
@@ -42,7 +48,7 @@ def parse_path(location: PathLike) -> Path:
     except (FileNotFoundError, NotADirectoryError):
         return path  # the caller reports missing files
     except OSError as error:
-        raise UsageError(refusal(error)) from error
+        raise UsageError(describe_system_error(error)) from error
     except ValueError as error:
         raise UsageError.about("api.no_path", repr(os.fspath(location)), found=error) from error
     return path
@@ -214,7 +220,7 @@ def _require_fields(by: Sequence[str], fields: list[str]) -> None:
     """Refuse to group by a field that no test sheet has."""
     for name in by:
         if name not in fields:
-            valid = ", ".join(nearest(name, fields))
+            valid = ", ".join(sort_by_likeness(name, fields))
             raise UsageError.about("api.no_field", "by", fields=valid, found=name)
 
 

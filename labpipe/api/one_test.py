@@ -23,12 +23,12 @@ from labpipe.api.data_frames import (
     make_results_frame,
     make_shape_frame,
 )
-from labpipe.errors import ProcessingError, UsageError, nearest
+from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
-from labpipe.report.wording import printable
-from labpipe.store.summaries import summary
+from labpipe.report.wording import replace_unprintable
+from labpipe.store.summaries import build_summary
 
 if TYPE_CHECKING:
     import datetime
@@ -106,7 +106,7 @@ class Test:
     @property
     def summary(self) -> dict[str, object]:
         """Return the content of ``summary.json``, in SI units."""
-        return summary(self._outcome)
+        return build_summary(self._outcome)
 
     @property
     def display(self) -> Test:
@@ -261,12 +261,12 @@ class Test:
         columns = ["value", "lower", "upper", "unit", "status", "reason"]
         table = self.display.results[columns].head(max_rows)
         html = table.to_html(float_format="{:.4g}".format, na_rep="")
-        return printable(f"<div><strong>{escape(heading)}</strong></div>{html}")
+        return replace_unprintable(f"<div><strong>{escape(heading)}</strong></div>{html}")
 
     def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
         if not names:
             return UsageError.about("api.none_of_kind", self.name, kind=kind)
-        examples = ", ".join(nearest(name, names, limit=7))
+        examples = ", ".join(sort_by_likeness(name, names, limit=7))
         return UsageError.about("api.unknown", self.name, kind=kind, names=examples, found=name)
 
     def _missing(self, part: str) -> ProcessingError:

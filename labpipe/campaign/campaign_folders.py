@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from labpipe.errors import StoreError, UsageError, refusal
+from labpipe.errors import StoreError, UsageError, describe_system_error
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import FIGURES, SUMMARY_FILE
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -213,7 +213,7 @@ def _walk(
         except FileNotFoundError:
             continue
         except OSError as error:
-            problems.append(refusal(error))
+            problems.append(describe_system_error(error))
             continue
         files = [entry.name for entry in visible if entry.name not in folders]
         yield label, place, files, {entry.name for entry in every if entry.name.startswith(".")}

@@ -30,7 +30,7 @@ from labpipe.campaign.catalog_rows import (
     TestRow,
 )
 from labpipe.errors import StoreError, UsageError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.store.replace import storing
 
 CATALOG: Final = "catalog.sqlite"
@@ -375,7 +375,7 @@ def open_catalog(folder: Path) -> Catalog:
     """
     path = folder / CATALOG
     if not path.is_file():
-        raise NoCatalog(sentence("campaign.missing_catalog"))
+        raise NoCatalog(format_sentence("campaign.missing_catalog"))
     is_writable = can_write(path)
     try:
         with ExitStack() as opened:
@@ -442,4 +442,4 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _damaged(why: object) -> NoCatalog:
-    return NoCatalog(sentence("campaign.damaged_catalog", why=why))
+    return NoCatalog(format_sentence("campaign.damaged_catalog", why=why))

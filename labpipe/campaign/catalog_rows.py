@@ -12,7 +12,7 @@ from labpipe.campaign.campaign_folders import OutcomeFiles
 from labpipe.errors import StoreError
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import SUMMARY_FILE
-from labpipe.store.summaries import FAILURE_FILE, SUMMARY_SCHEMA, sealed
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_SCHEMA, compute_entry_seal
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
@@ -249,7 +249,7 @@ def _parse_inputs(entries: Iterable[Mapping[str, Any]]) -> Inputs:
 
 def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
     seal = encodable(entry.get("seal") or "")
-    if seal and seal != sealed(entry):
+    if seal and seal != compute_entry_seal(entry):
         message = f"the numbers of {entry['name']} were changed"
         raise ValueError(message)
     numbers = ("value", "lower", "upper", "level", "estimate")

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from labpipe.campaign.catalog_rows import ResultRow, encodable
 from labpipe.errors import LabpipeError, StoreError, UsageError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
@@ -200,7 +200,7 @@ def applicable_decision(decisions: Sequence[Decision], *, run: str) -> Decision 
     """
     current = next((made for made in reversed(decisions) if made.run == run), None)
     if current is None and decisions and decisions[-1].decision == REJECT:
-        because = f"{decisions[-1].because} ({sentence('campaign.needs_new_decision')})"
+        because = f"{decisions[-1].because} ({format_sentence('campaign.needs_new_decision')})"
         return replace(decisions[-1], because=because)
     return current
 
@@ -226,9 +226,9 @@ def find_unapplied_decisions(
             last[decision.test] = decision
     for test, decision in last.items():
         if test not in runs:
-            yield decision, sentence("campaign.no_such_test")
+            yield decision, format_sentence("campaign.no_such_test")
         elif runs[test] != decision.run:
-            yield decision, sentence("campaign.other_key")
+            yield decision, format_sentence("campaign.other_key")
 
 
 def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) -> None:
@@ -321,7 +321,7 @@ def carry_over(
     change = largest_change(before, after)
     if change > max_change:
         return None
-    note = sentence("campaign.carried_over", run=decision.run, change=change)
+    note = format_sentence("campaign.carried_over", run=decision.run, change=change)
     return replace(decision, run=run, note=note)
 
 
@@ -518,13 +518,13 @@ def _find_result(
     try:
         datetime.fromisoformat(decision.when or now())
     except ValueError:
-        return None, sentence("campaign.bad_time", time=decision.when[:40], valid=now())
-    why = sentence("campaign.no_such_test")
+        return None, format_sentence("campaign.bad_time", time=decision.when[:40], valid=now())
+    why = format_sentence("campaign.no_such_test")
     for file in files:
         key, fault = read_key(file)
         if key == decision.run:
             return file, ""
-        why = fault or sentence("campaign.other_key")
+        why = fault or format_sentence("campaign.other_key")
     return None, why
 
 

@@ -8,23 +8,23 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
-from labpipe.errors import UsageError, nearest
-from labpipe.messages import sentence
+from labpipe.errors import UsageError, sort_by_likeness
+from labpipe.messages import format_sentence
 from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Difference, Group, Sample
 from labpipe.records.quality import QualityNote
 from labpipe.statistics.group_fields import (
     NOT_SAID,
     TYPE,
-    differing_fields,
-    divide,
-    fields_of,
-    in_order,
-    known_fields,
+    divide_samples,
+    find_differing_fields,
+    list_field_names,
+    list_fields,
+    make_field_sort_key,
 )
-from labpipe.statistics.group_notes import parted, tests_with_fewer_facts
+from labpipe.statistics.group_notes import describe_values, list_minority_tests
 from labpipe.statistics.groups import compare_groups
-from labpipe.statistics.two_groups import judged
+from labpipe.statistics.two_groups import judge_family
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
 """Sections of a protocol that control processing; the rest describes the sample and files."""
@@ -91,11 +91,11 @@ def note_differing_settings(
             blocks.setdefault(key.partition(".")[0], {})[key] = tests
     notes = []
     for block, differences in blocks.items():
-        key, text = next((key, parted(tests)) for key, tests in differences.items())
+        key, text = next((key, describe_values(tests)) for key, tests in differences.items())
         if len(differences) > 1:
             key, text = block, f"{len(differences)} settings, the first {key}: {text}"
         those = dict.fromkeys(
-            test for tests in differences.values() for test in tests_with_fewer_facts(tests)
+            test for tests in differences.values() for test in list_minority_tests(tests)
         )
         note = QualityNote.of("campaign.settings_differ", key, text=text)
         notes.append(replace(note, tests=tuple(those)))
@@ -158,7 +158,7 @@ def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, 
     keys = list(differing(settings))
     if len(keys) > max_listed:
         keys = list(dict.fromkeys(key.partition(".")[0] for key in keys))
-    return (sentence("campaign.settings_of_pair", keys=", ".join(keys)),) if keys else ()
+    return (format_sentence("campaign.settings_of_pair", keys=", ".join(keys)),) if keys else ()
 
 
 _WITHOUT = ""
@@ -189,7 +189,7 @@ def find_group_key(sample: Sample, by: Sequence[str]) -> GroupKey:
     sample : with or without the fields
     by : grouping fields
     """
-    fields = fields_of(sample.specimen)
+    fields = list_fields(sample.specimen)
     return GroupKey(tuple(fields.get(name, _WITHOUT) for name in by), sample.protocol)
 
 
@@ -200,7 +200,7 @@ def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[GroupKey
     ----------
     samples : in any order
     by : grouping fields; if empty, the type and all fields of the specimen that differ within
-        a type (`divide`)
+        a type (`divide_samples`)
 
     Returns
     -------
@@ -213,13 +213,13 @@ def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[GroupKey
         members = {
             key._replace(more=tuple(part.fields.items())): list(part.samples)
             for key, group_samples in members.items()
-            for part in divide(group_samples)
+            for part in divide_samples(group_samples)
         }
     return {key: members[key] for key in sort_groups(members, by or (TYPE,))}
 
 
 def sort_groups(keys: Iterable[GroupKey], by: Sequence[str]) -> list[GroupKey]:
-    """Sort groups: types alphabetically, other fields by `in_order`.
+    """Sort groups: types alphabetically, other fields by `make_field_sort_key`.
 
     Parameters
     ----------
@@ -229,10 +229,14 @@ def sort_groups(keys: Iterable[GroupKey], by: Sequence[str]) -> list[GroupKey]:
 
     def turn(key: GroupKey) -> tuple[object, ...]:
         sort_values: list[object] = [
-            word if name == TYPE else in_order(name, word or NOT_SAID)
+            word if name == TYPE else make_field_sort_key(name, word or NOT_SAID)
             for name, word in zip(by, key.field_values, strict=True)
         ]
-        return (*sort_values, key.protocol, *(in_order(name, word) for name, word in key.more))
+        return (
+            *sort_values,
+            key.protocol,
+            *(make_field_sort_key(name, word) for name, word in key.more),
+        )
 
     return sorted(keys, key=turn)
 
@@ -288,13 +292,13 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
     UsageError
         If there is one; the message lists the fields, the nearest first.
     """
-    fields = known_fields(sample.specimen for sample in samples)
+    fields = list_field_names(sample.specimen for sample in samples)
     unknown = [name for name in wanted if name not in fields]
     if not unknown:
         return
     raise UsageError.about(
         "campaign.unknown_field", option, fields=", ".join(fields),
-        found=", ".join(map(repr, unknown)), near=nearest(unknown[0], fields, limit=1)[0],
+        found=", ".join(map(repr, unknown)), near=sort_by_likeness(unknown[0], fields, limit=1)[0],
     )  # fmt: skip
 
 
@@ -387,7 +391,7 @@ def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
     for difference in differences:
         families.setdefault(difference.family, []).append(difference)
     judged_by_family = {
-        family: iter(judged(family, members) if family else members)
+        family: iter(judge_family(family, members) if family else members)
         for family, members in families.items()
     }
     for difference in differences:
@@ -397,7 +401,7 @@ def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
 def _question_rank(pair: Sequence[Difference]) -> tuple[int, str]:
     """Return the place of a pair by its field: others follow, then the type, then several."""
     order = (*_ORDER, None, TYPE, "")
-    question = pair[0].question
+    question = pair[0].single_field
     return (order.index(question), "") if question in order else (len(_ORDER), question)
 
 
@@ -405,10 +409,14 @@ def _compare(
     one: Group, other: Group, options: Groups, settings: Mapping[str, Settings], by: Sequence[str]
 ) -> list[Difference]:
     """Return the differences of a pair, with their family and caveats."""
-    fields = differing_fields(one, other, by)
+    fields = find_differing_fields(one, other, by)
     is_alone = len(fields) == 1
     ((name, (before, after)), *_) = (*fields.items(), ("", ("", "")))
-    if is_alone and name != TYPE and in_order(name, after) < in_order(name, before):
+    if (
+        is_alone
+        and name != TYPE
+        and make_field_sort_key(name, after) < make_field_sort_key(name, before)
+    ):
         one, other, fields = other, one, {name: (after, before)}
     unlike = describe_differing_settings(
         map_settings_to_tests((*one.samples, *other.samples), settings)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labpipe.errors import LabpipeError, ProtocolError, StoreError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.protocol_match import all_protocols, majority
 from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
 from labpipe.process.sheet_writing import write_inferred_sheet
@@ -290,7 +290,7 @@ def _with_sheet(candidate: Candidate) -> PairingOutcome:
         return PairingOutcome(None, missing=absent)
     elsewhere = [path for path in candidate.files.values() if path.parent != candidate.folder]
     messages = [
-        sentence("campaign.newer_export", file=path.name)
+        format_sentence("campaign.newer_export", file=path.name)
         for path in elsewhere
         if _differs(path, candidate.folder / path.name)
     ]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from labpipe.campaign.catalog import Catalog
-from labpipe.errors import UsageError, nearest
+from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.store.replace import replacing
 
 COLUMNS: Final = {
@@ -113,7 +113,7 @@ def _condition_error(where: str, message: str, columns: list[str]) -> UsageError
     place = repr(where)
     missing = re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message)
     if missing:
-        close = ", ".join(nearest(missing[1], columns, limit=3))
+        close = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
         return UsageError.about(
             "campaign.unknown_column", "--where", place, message=message, near=close
         )

@@ -19,8 +19,8 @@ import numpy as np
 from labpipe.campaign.catalog_rows import TestRow
 from labpipe.errors import LabpipeError
 from labpipe.protocol.load import load_test_sheet, resolve
-from labpipe.report.wording import shown_in
-from labpipe.statistics.means import t_quantile
+from labpipe.report.wording import find_display_unit
+from labpipe.statistics.means import compute_t_quantile
 
 MAX_NUMBERS: Final = 3
 """Largest number of results in a verdict."""
@@ -183,7 +183,7 @@ def _compare_with_group(result: _Entry, others: Values, display: Mapping[str, st
     """Compare a result with the other tests of its group, by the prediction interval of Student."""
     min_group_tests = 6  # of fewer tests, only the range is shown
     name, value = result["name"], float(result["value"])
-    scale = shown_in(name, result["unit"], display)
+    scale = find_display_unit(name, result["unit"], display)
     values = np.array(others.get(name, ()))
     text = f"{name} {scale.factor * value:.4g} {scale.unit}".rstrip()
     n = len(values)
@@ -194,7 +194,7 @@ def _compare_with_group(result: _Entry, others: Values, display: Mapping[str, st
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
         return _Comparison(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")
     false_alarm_rate = 0.05  # of all numbers of a verdict together
-    quantile = t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
+    quantile = compute_t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
     half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
     mean = float(values.mean())
     low, high = (scale.factor * (mean + side * half_width) for side in (-1.0, 1.0))

@@ -52,7 +52,7 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -140,14 +140,14 @@ def _open_or_make_catalog(
         folder.mkdir(parents=True, exist_ok=True)
     path = folder / CATALOG
     if not can_write(path):
-        notes.append(sentence("campaign.catalog_in_memory", path=path))
+        notes.append(format_sentence("campaign.catalog_in_memory", path=path))
         return new_catalog(folder)
     with locked(folder, patience=lock_timeout):
         try:
             catalog = open_catalog(folder)
         except NoCatalog as why:
             if path.exists():
-                notes.append(sentence("campaign.catalog_rebuilt", path=path, why=why))
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
             return new_catalog(folder)
         if not start_empty:
             return catalog  # another process has just made it

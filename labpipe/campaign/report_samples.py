@@ -9,15 +9,15 @@ from math import floor, log10
 import numpy as np
 
 from labpipe.protocol.schema import Protocol, SpecimenBlock
-from labpipe.records.arrays import Floats, Ints, block_means
+from labpipe.records.arrays import Floats, Ints, average_blocks
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Output
 from labpipe.records.group import Sample, SampleCurve
 from labpipe.records.result import Specimen, TestResult
-from labpipe.store.read import Drawable
+from labpipe.store.read import ReportedTest
 
 
-def make_sample(read: Drawable, *, source: str, label: str = "") -> Sample:
+def make_sample(read: ReportedTest, *, source: str, label: str = "") -> Sample:
     """Reduce a processed test to its data for a report.
 
     Parameters
@@ -109,9 +109,9 @@ def _thin(result: TestResult, branch: Branch) -> SampleCurve:
     measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
     order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
     return SampleCurve(
-        displacement=block_means(curve.displacement[part][order], max_points),
-        force=block_means(force[order], max_points),
-        as_measured=block_means(measured[order], max_points),
+        displacement=average_blocks(curve.displacement[part][order], max_points),
+        force=average_blocks(force[order], max_points),
+        as_measured=average_blocks(measured[order], max_points),
         cycle=branch.cycle,
     )
 

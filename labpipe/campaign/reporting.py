@@ -51,15 +51,15 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Groups
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
-from labpipe.report.page_facts import report_id, samples_of
-from labpipe.report.page_tables import page_file
+from labpipe.report.page_facts import compute_report_id, list_samples
+from labpipe.report.page_tables import name_page_file
 from labpipe.report.single_test import render_test
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
-from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, grouping_notes
+from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, make_grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
-from labpipe.statistics.outliers import with_outliers
-from labpipe.store.read import read_drawable, read_result
+from labpipe.statistics.outliers import mark_outliers
+from labpipe.store.read import read_reported, read_result
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
@@ -175,10 +175,10 @@ def report_tests(
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
-        paged = (*samples_of(campaign), *campaign.rejected_samples)
+        paged = (*list_samples(campaign), *campaign.rejected_samples)
         pages = {
-            page_file(sample.label or sample.test): page_of_test(
-                Path(sample.source), report_id(campaign)
+            name_page_file(sample.label or sample.test): page_of_test(
+                Path(sample.source), compute_report_id(campaign)
             )
             for sample in (paged if options.has_test_pages else ())
         }
@@ -266,7 +266,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
     for file in files:
         say(file.parent.name)
         try:
-            drawable = read_drawable(file, choose_frames)
+            drawable = read_reported(file, choose_frames)
             result = drawable.result
             check_summary(result, file.parent / SUMMARY_FILE)
             # Group settings come from the protocol stored in each result.
@@ -280,9 +280,9 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
         read.decisions.extend(decided.get(file, ()))
         decision = applicable_decision(decided.get(file, ()), run=result.run)
         if decision is not None:
-            sample = replace(sample, decided=decision.describe())
+            sample = replace(sample, decision=decision.describe())
         if decision is not None and decision.decision == REJECT:
-            read.rejected[str(file)] = sample.decided
+            read.rejected[str(file)] = sample.decision
             read.rejected_samples.append(sample)
             continue
         read.styles.add(protocol.report.style)
@@ -311,7 +311,7 @@ def _groups(read: _ReadTests, by: Sequence[str]) -> list[Group]:
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         unlike = note_differing_settings(map_settings_to_tests(group.samples, read.settings), noted)
         groups.append(replace(group, notes=(*unlike, *group.notes)))
-    return with_outliers(groups)
+    return mark_outliers(groups)
 
 
 def _group(
@@ -343,7 +343,7 @@ def _group(
         group,
         samples=tuple(by_source[sample.source] for sample in group.samples),
         numbers=(*first, *numbers.values()),
-        notes=(*grouping_notes(not_said, renamed), *group.notes),
+        notes=(*make_grouping_notes(not_said, renamed), *group.notes),
     )
 
 

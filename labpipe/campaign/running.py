@@ -13,7 +13,7 @@ from labpipe.campaign.catalog_rows import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
 from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
-from labpipe.errors import StoreError, UsageError, nearest
+from labpipe.errors import StoreError, UsageError, sort_by_likeness
 from labpipe.process.run import Task
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import storing
@@ -245,7 +245,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
         if code and not chosen:
             codes = sorted({row.code for row in failed.values()})
-            near = nearest(code, codes, limit=1)
+            near = sort_by_likeness(code, codes, limit=1)
             raise UsageError.about(
                 "campaign.no_such_failures", campaign.processed, code=code,
                 found=", ".join(codes) or "no failures",
@@ -295,7 +295,7 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     named = [row for row in overview.rows.values() if row.test == test]
     if len(named) == 1:
         return named[0]
-    similar = ", ".join(nearest(label, [*overview.rows], limit=3))
+    similar = ", ".join(sort_by_likeness(label, [*overview.rows], limit=3))
     raise UsageError.about(
         "campaign.unknown_test", test, campaign=campaign.name, count=len(named) or "none",
         remedy=f"Nearest: {similar}." if similar else "List them with labpipe campaign status.",

@@ -25,17 +25,17 @@ from labpipe.campaign.decisions import (
     parse_decisions,
     read_decisions_on,
 )
-from labpipe.errors import LabpipeError, UsageError, refusal
-from labpipe.messages import sentence
+from labpipe.errors import LabpipeError, UsageError, describe_system_error
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server
-from labpipe.report.page_tables import page_file
-from labpipe.report.wording import count_of
+from labpipe.report.page_tables import name_page_file
+from labpipe.report.wording import write_count
 from labpipe.units import whole_number
 
 LOOPBACK_ADDRESS: Final = "127.0.0.1"
 REPORT_FOLDER: Final = "report"
-_TEST_PAGES_FOLDER: Final = page_file("").partition("/")[0]
+_TEST_PAGES_FOLDER: Final = name_page_file("").partition("/")[0]
 _INLINE_CONTENT_TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".svg": "image/svg+xml",
@@ -181,7 +181,9 @@ class _RequestHandler(BaseHTTPRequestHandler):
         except (ConnectionError, TimeoutError):
             raise  # the browser closed the connection
         except OSError as error:
-            reply = _json_reply({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+            reply = _json_reply(
+                {"error": describe_system_error(error)}, HTTPStatus.INTERNAL_SERVER_ERROR
+            )
         self.send_response(reply.status)
         headers = _COMMON_HEADERS | {
             "Content-Type": reply.content_type,
@@ -202,7 +204,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             raise _not_found() from None
         own_token = self.server.site.token
         if not secrets.compare_digest(token.encode("utf-8", "replace"), own_token.encode()):
-            raise _RefusedRequest(HTTPStatus.FORBIDDEN, sentence("campaign.wrong_address"))
+            raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.wrong_address"))
         return path
 
     def _reply_to_get(self, path: list[str]) -> _Reply:
@@ -224,7 +226,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     def _reply_to_post(self, path: list[str]) -> _Reply:
         if self.headers.get("Origin") is None:
-            raise _RefusedRequest(HTTPStatus.FORBIDDEN, sentence("campaign.no_origin"))
+            raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.no_origin"))
         body = self._read_body()
         site = self.server.site
         with site.lock:
@@ -232,7 +234,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
                 return _json_reply(_save_decisions(body, site))
             if path == [REPORT_FOLDER, "report"]:
                 site.make_report()
-                return _json_reply({"message": sentence("campaign.report_rebuilt")})
+                return _json_reply({"message": format_sentence("campaign.report_rebuilt")})
         raise _not_found()
 
     def _read_body(self) -> bytes:
@@ -242,7 +244,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         if length is None or length > max_bytes:
             self.close_connection = True
             found = header[:20] or "no length"
-            message = sentence("campaign.large_request", limit=max_bytes, found=found)
+            message = format_sentence("campaign.large_request", limit=max_bytes, found=found)
             raise _RefusedRequest(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, message)
         return self.rfile.read(length)
 
@@ -258,11 +260,11 @@ def _require_own_page(headers: Any, port: int) -> None:
     elif headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
         why = "The request came from another site."
     if why:
-        raise _RefusedRequest(HTTPStatus.FORBIDDEN, sentence("campaign.other_site", why=why))
+        raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.other_site", why=why))
 
 
 def _not_found() -> _RefusedRequest:
-    return _RefusedRequest(HTTPStatus.NOT_FOUND, sentence("campaign.no_such_file"))
+    return _RefusedRequest(HTTPStatus.NOT_FOUND, format_sentence("campaign.no_such_file"))
 
 
 def _find_file(path: list[str], site: Site) -> Path:
@@ -280,7 +282,7 @@ def _find_file(path: list[str], site: Site) -> Path:
 def _find_result(page: str, site: Site) -> Path:
     """Find the result file of a test by the name of its page."""
     for file in files_below(site.results_folder, RESULT_FILE):
-        if page_file(find_label(file, site.results_folder)) == page:
+        if name_page_file(find_label(file, site.results_folder)) == page:
             return file
     raise _not_found()
 
@@ -293,11 +295,11 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     imported = import_decisions(site.results_folder, site.campaign, sent.decisions)
     stored = read_decisions_on(files_below(site.results_folder, RESULT_FILE))
     entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
-    sentences = [f"{count_of(len(imported.added) + imported.n_known, 'decision')} saved."]
+    sentences = [f"{write_count(len(imported.added) + imported.n_known, 'decision')} saved."]
     refused = [f"{decision.test}: not saved: {why}." for decision, why in imported.not_imported]
     sentences += refused[:_MAX_LISTED]
     if len(refused) > _MAX_LISTED:
         sentences.append(f"{len(refused) - _MAX_LISTED} more not saved.")
     if imported.added:
-        sentences.append(sentence("campaign.decisions_take_effect"))
+        sentences.append(format_sentence("campaign.decisions_take_effect"))
     return {"message": " ".join(sentences), "decisions": entries}

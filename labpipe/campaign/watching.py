@@ -34,7 +34,7 @@ from labpipe.campaign.refreshing import open_campaign
 from labpipe.campaign.running import read_overview, run_test
 from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.protocol_match import all_protocols
 from labpipe.process.run import SUMMARY_FILE, Task, draw_figures
 from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
@@ -357,11 +357,11 @@ class Watcher:
                 self._is_folder_missing = True
                 why = (error.strerror or str(error)).lower()
                 path = error.filename or raw
-                self._say(sentence("campaign.lost_folder", path=path, why=why))
+                self._say(format_sentence("campaign.lost_folder", path=path, why=why))
             return False
         if self._is_folder_missing:
             self._is_folder_missing = False
-            self._say(sentence("campaign.folder_is_back", path=raw))
+            self._say(format_sentence("campaign.folder_is_back", path=raw))
         return len(ready) > 1
 
     def _say_once(self, text: str) -> None:
@@ -388,14 +388,14 @@ class Watcher:
         try:
             self.plan = read_plan(self._campaign.raw)
         except LabpipeError as error:
-            self._say(sentence("campaign.faulty_plan", error=error, file=PLAN_NAME))
+            self._say(format_sentence("campaign.faulty_plan", error=error, file=PLAN_NAME))
             return
         self._files.still_for = self.plan.still_for
         self._tests = {
             folder: _WatchedTest(test.done, handled_at=test.handled_at)
             for folder, test in self._tests.items()
         }
-        self._say(sentence("campaign.plan_read_again", file=PLAN_NAME))
+        self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self, listing: CandidateListing) -> list[Candidate]:
         """Find the tests that are ready, the newest first.
@@ -406,7 +406,7 @@ class Watcher:
             is_stable = self._files.look(path) == "stable"
             if is_stable and self._stable_for(path) > self.plan.patience:
                 file = _printable(self._below(path))
-                self._say_once(sentence("campaign.unused_file", file=file, why=why))
+                self._say_once(format_sentence("campaign.unused_file", file=file, why=why))
         ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
@@ -428,7 +428,7 @@ class Watcher:
         for path, state in states.items():
             if state == "locked" and self._stable_for(path) > self.plan.patience:
                 label, file = _printable(candidate.name), _printable(path.name)
-                self._say_once(sentence("campaign.locked_file", test=label, file=file))
+                self._say_once(format_sentence("campaign.locked_file", test=label, file=file))
         is_unstable = not {"growing", "locked"}.isdisjoint(states.values())
         if is_unstable or any(states[path] == "missing" for path in candidate.files.values()):
             test.handled_at = self._clock()
@@ -485,11 +485,13 @@ class Watcher:
             path = candidate.files.get(name, candidate.folder / name)
             if self._stable_for(path) > self.plan.patience:
                 file = _printable(name)
-                self._say_once(sentence("campaign.unread_file", test=label, file=file, why=why))
+                self._say_once(
+                    format_sentence("campaign.unread_file", test=label, file=file, why=why)
+                )
         missing = "" if pairing.unreadable else ", ".join(pairing.missing)
         if missing and missing != test.missing:
             test.missing = missing
-            self._say(sentence("campaign.missing_files", test=label, files=missing))
+            self._say(format_sentence("campaign.missing_files", test=label, files=missing))
 
     def _say_sheet(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         lines = [*pairing.messages]
@@ -497,7 +499,9 @@ class Watcher:
             head = f"{_printable(candidate.name)}: wrote {_printable(self._below(candidate.sheet))}"
             lines = [head, *(f"  {message}" for message in lines)]
         if pairing.open_keys:
-            lines.append(sentence("campaign.keys_to_fill_in", keys=", ".join(pairing.open_keys)))
+            lines.append(
+                format_sentence("campaign.keys_to_fill_in", keys=", ".join(pairing.open_keys))
+            )
         if lines:
             self._say("\n".join(lines))
 

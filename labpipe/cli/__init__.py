@@ -61,7 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lambda: None) -> int:
-    from labpipe.errors import LabpipeError, code_of, refusal  # not needed for --help
+    from labpipe.errors import (
+        LabpipeError,
+        describe_system_error,
+        find_error_code,
+    )  # not needed for --help
 
     # The matrices of a test are too small for more than one BLAS thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -82,9 +86,9 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
-        if (code := code_of(error)) == "fault_of_labpipe":
+        if (code := find_error_code(error)) == "fault_of_labpipe":
             raise
-        message = _NO_MEMORY if code == "out_of_memory" else refusal(error)
+        message = _NO_MEMORY if code == "out_of_memory" else describe_system_error(error)
         print(f"labpipe {options.command}: {message}", file=sys.stderr)
         return BAD_INPUT
 

@@ -12,7 +12,7 @@ from labpipe.errors import UsageError
 from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.mechanics.wire.bundle_packing import WANTED_FRACTION
 from labpipe.records.curve import Interval
-from labpipe.report.wording import plain_numbers
+from labpipe.report.wording import make_number_writer
 from labpipe.units import parse_quantity
 
 _LABEL_WIDTH = 44
@@ -84,7 +84,7 @@ def _friction(modelled: ModelledBundle) -> Iterator[str]:
     fit = modelled.friction
     if fit is None:
         return
-    written = plain_numbers(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
+    written = make_number_writer(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     held = f"{written(fit.held):>6} %, 95 %: {written(fit.held_lower)} to {written(fit.held_upper)}"
     for label, number in (
         ("share of the wires' axial stiffness that takes part", _share(fit.composite_share)),

@@ -23,7 +23,7 @@ from labpipe.records.wire_calibration import (
     Identifiability,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.report.wording import plain_numbers
+from labpipe.report.wording import make_number_writer
 
 _DOUBTED = {
     Identifiability.NOT,
@@ -101,12 +101,12 @@ def _parameter(parameter: CalibratedParameter) -> str:
     enclosing = next(
         (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper), None
     )
-    written = plain_numbers(parameter.value, enclosing or parameter.interval, factor, DIGITS)
+    written = make_number_writer(parameter.value, enclosing or parameter.interval, factor, DIGITS)
     line = f"{mark} {parameter.name:<20}{written(parameter.value):>10} {unit:<4}"
     if parameter.interval is None:
         return f"{line} {parameter.verdict}"
     ends = [
-        [*map(plain_numbers(part.lower, part, factor), (part.lower, part.upper))]
+        [*map(make_number_writer(part.lower, part, factor), (part.lower, part.upper))]
         for part in parameter.intervals
     ]
     ends[0][0] = "?" if parameter.is_open_below else ends[0][0]

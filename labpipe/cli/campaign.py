@@ -29,7 +29,7 @@ from labpipe.campaign.running import (
 from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.errors import UsageError
 from labpipe.process.run import Task
-from labpipe.report.wording import count_of
+from labpipe.report.wording import write_count
 from labpipe.store.replace import replacing
 
 _MAX_LISTED = 20
@@ -133,7 +133,9 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
             escape_controls(f"{decision.test}: {decision.decision} not imported: {why}"),
             file=sys.stderr,
         )
-    print(f"{count_of(len(imported.added), 'decision')} imported, {imported.n_known} already known")
+    print(
+        f"{write_count(len(imported.added), 'decision')} imported, {imported.n_known} already known"
+    )
     return 2 if faults or imported.not_imported else 0
 
 

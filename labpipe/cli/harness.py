@@ -13,7 +13,7 @@ from labpipe.cli.terminal import count_statuses, progress_bar, shorten_path
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
 from labpipe.mechanics.studies.harness_study import Watcher, as_json, follow_harness
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import count_of, plain_numbers, unit_words
+from labpipe.report.wording import make_number_writer, typeset_unit, write_count
 
 _DISPLAY_UNITS = {
     "m": (1e3, "mm"),
@@ -91,7 +91,7 @@ def format_harness(solution: FollowedHarness) -> str:
     )
     head = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
-        f"{count_of(len(line.lengths), 'element')}, {count_of(steps, 'step')}"
+        f"{write_count(len(line.lengths), 'element')}, {write_count(steps, 'step')}"
     )
     if solution.status is Status.FAILED:
         reached = len(solution.path.states) - 1
@@ -113,12 +113,12 @@ def format_harness(solution: FollowedHarness) -> str:
 
 
 def _line(result: Result) -> str:
-    compute_name_width = 32
+    name_width = 32
     factor, unit = _DISPLAY_UNITS[result.unit]
     if result.value is None:
-        return f"  {result.name:<{compute_name_width}}{'-':>11}  {result.why}"
-    written = plain_numbers(result.value, result.interval, factor)
-    line = f"  {result.name:<{compute_name_width}}{written(result.value):>11} {unit_words(unit):<5}"
+        return f"  {result.name:<{name_width}}{'-':>11}  {result.reason_text}"
+    written = make_number_writer(result.value, result.interval, factor)
+    line = f"  {result.name:<{name_width}}{written(result.value):>11} {typeset_unit(unit):<5}"
     if result.interval is not None:
         line += f"  95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
     doubts = [result.status] if result.status is Status.DOUBTFUL else []

@@ -21,7 +21,8 @@ _HEADING = (
     *("first slip", "range", "force at 0.3 L"),
 )
 _UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
-_DEFLECTION = 0.3  # of the length
+_TIP_DEFLECTION_SHARE = 0.3
+"""Share of the free length: the tip deflection at which the force is printed."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -77,7 +78,7 @@ def _cells(table: WireTable) -> tuple[str, ...]:
 
 def _force(table: WireTable) -> str:
     """Return the end load at the deflection of the heading; a dash beyond the curve."""
-    force = force_at(table, _DEFLECTION * table.spec.length)
+    force = force_at(table, _TIP_DEFLECTION_SHARE * table.spec.length)
     return "-" if np.isnan(force) else f"{force:.4g}"
 
 

@@ -20,8 +20,8 @@ from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
-from labpipe.report.wording import shown_in
-from labpipe.store.summaries import summary
+from labpipe.report.wording import find_display_unit
+from labpipe.store.summaries import build_summary
 
 _FINISHED = "completed a replacement of files that a killed process had left unfinished"
 
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     if not processed:
         return 2  # messages are printed already
     if options.json:
-        summaries = [summary(test.result) for test in processed]
+        summaries = [build_summary(test.result) for test in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
         print("\n\n".join(format_test(test) for test in processed))
@@ -111,7 +111,9 @@ def format_test(processed: Processed) -> str:
     reasons: dict[str, list[str]] = {}
     for quantity in result.results:
         if quantity.reasons:
-            reasons.setdefault(f"{quantity.status}: {quantity.why}", []).append(quantity.name)
+            reasons.setdefault(f"{quantity.status}: {quantity.reason_text}", []).append(
+                quantity.name
+            )
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
     warnings = [note for note in result.quality if note.severity != "info"]
     lines += [f"  {note.severity}: {_placed(note)}" for note in warnings]
@@ -145,7 +147,7 @@ def _lines(results: list[Result], display: Mapping[str, str], width: int) -> lis
     values = [result.value for result in rest if result.value is not None]
     lines = [format_result(result, display, width) for result in results[: max_lines // 2]]
     if values:
-        display_scale = shown_in(results[0].name, results[0].unit, display)
+        display_scale = find_display_unit(results[0].name, results[0].unit, display)
         low, high = display_scale.factor * min(values), display_scale.factor * max(values)
         span = f"{low:.5g} to {high:.5g} {display_scale.unit}"
         name = f"... to {rest[-1].name}"

@@ -10,14 +10,14 @@ from pathlib import Path
 from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.reporting import Reported, ReportOptions, report_tests
 from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_reading
-from labpipe.errors import UsageError, nearest
+from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.report.figure_page import FORMATS
 from labpipe.report.lab_report import Letterhead, read_logo
-from labpipe.report.saving import FORMATS
-from labpipe.report.wording import count_words
+from labpipe.report.wording import describe_counts
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,7 +47,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
         raise UsageError.about(
             "cli.figure_format", "--figures", known=", ".join(FORMATS),
             found=", ".join(map(repr, unknown)),
-            near=nearest(unknown[0], list(FORMATS), limit=1)[0],
+            near=sort_by_likeness(unknown[0], list(FORMATS), limit=1)[0],
         )  # fmt: skip
     entries = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
     logo = "" if options.logo is None else read_logo(options.logo)
@@ -91,7 +91,7 @@ def format_report(reported: Reported) -> str:
     """
     lines: list[str] = []
     for group in reported.campaign.groups:
-        lines.append(f"{group.name}  ({group.protocol}): {count_words(group)}")
+        lines.append(f"{group.name}  ({group.protocol}): {describe_counts(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
         width = compute_name_width(number.name for number in group.numbers)
         lines += [_mean_line(number, display, width) for number in group.numbers]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import plain_numbers, shown_in
+from labpipe.report.wording import find_display_unit, make_number_writer
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -145,11 +145,11 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     width : of the column of names
     """
     interval_width = 26
-    factor, unit = shown_in(result.name, result.unit, display)
+    factor, unit = find_display_unit(result.name, result.unit, display)
     mark = _MARK[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
-    written = plain_numbers(result.value, result.interval, factor, DIGITS)
+    written = make_number_writer(result.value, result.interval, factor, DIGITS)
     line = f"{mark} {result.name:<{width}}{written(result.value):>12} {unit:<6}"
     if result.interval is None:
         return line

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from labpipe.markers.specimen_frame import Selection
-from labpipe.markers.tracklets import in_sight
+from labpipe.markers.tracklets import is_in_sight
 from labpipe.records.arrays import Flags, Floats, Ints
 
 SETTLED = 1e-10
@@ -37,27 +37,27 @@ class CurveBasis:
 
     def value(self, arc_length: Floats) -> Floats:
         """Return values of the basis at arc lengths of shape (n,); shape (n, unknowns)."""
-        return powers(arc_length / self.length, len(self.matrix)) @ self.matrix
+        return compute_powers(arc_length / self.length, len(self.matrix)) @ self.matrix
 
     def slope(self, arc_length: Floats) -> Floats:
         """Return derivatives in arc length, 1/m; shape (n, unknowns)."""
-        rates = power_slopes(arc_length / self.length, len(self.matrix)) / self.length
+        rates = compute_power_slopes(arc_length / self.length, len(self.matrix)) / self.length
         return rates @ self.matrix
 
 
-def powers(u: Floats, terms: int) -> Floats:
+def compute_powers(u: Floats, terms: int) -> Floats:
     """Return powers 0 to terms - 1 of u; shape (n, terms)."""
     return np.asarray(np.vander(u, terms, increasing=True), dtype=np.float64)
 
 
-def power_slopes(u: Floats, terms: int) -> Floats:
+def compute_power_slopes(u: Floats, terms: int) -> Floats:
     """Return derivatives of the powers of u; shape (n, terms)."""
     rates = np.zeros((len(u), terms))
-    rates[:, 1:] = np.arange(1, terms) * powers(u, terms)[:, :-1]
+    rates[:, 1:] = np.arange(1, terms) * compute_powers(u, terms)[:, :-1]
     return rates
 
 
-def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
+def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
     """Build the basis of curves that satisfy the end conditions.
 
     Parameters
@@ -81,7 +81,7 @@ def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> 
 
 @cache
 def _unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
-    """Return the powers of each unknown of `curve_basis`, which do not depend on the length."""
+    """Return the powers of each unknown of `build_curve_basis`, for any length."""
     power = np.arange(2 if clamped else 0, terms)
     if len(power) < 1 + free_tip:
         message = f"terms={terms}: expected at least {(2 if clamped else 0) + 1 + free_tip}"
@@ -90,11 +90,11 @@ def _unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
     if free_tip:
         bend = (power * (power - 1.0))[:, None]
         select = select @ np.linalg.qr(bend, mode="complete")[0][:, 1:]
-    _, triangle = np.linalg.qr(powers(np.linspace(0, 1, 10 * terms), terms) @ select)
+    _, triangle = np.linalg.qr(compute_powers(np.linspace(0, 1, 10 * terms), terms) @ select)
     return np.asarray(select @ np.linalg.inv(triangle), dtype=np.float64)
 
 
-def coupled_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:
+def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:
     """Return positions of marker centres per unknown of x and y.
 
     Parameters
@@ -127,7 +127,7 @@ class RestCurve:
     arc_length: Floats
 
 
-def curve_at_rest(
+def fit_rest_curve(
     markers: Floats,
     *,
     grip_offset: float | None,
@@ -183,8 +183,8 @@ def _rest_coefficients(
     # Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic.
     rest_terms = 4
     terms = min(rest_terms, len(markers) - 1 + free_tip)
-    basis = curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
-    design = coupled_design(basis, arc_length, centre_offset)
+    basis = build_curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
+    design = build_marker_design(basis, arc_length, centre_offset)
     in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
     across = np.linalg.lstsq(basis.value(arc_length), markers[:, 2], rcond=None)[0]
     return np.asarray(np.vstack([in_plane, across]) @ basis.matrix.T, dtype=np.float64)
@@ -194,7 +194,7 @@ def _lengths_along(coefficients: Floats, arc_length: Floats, length: float) -> F
     """Return the length of the curve up to each parameter (Gauss-Legendre)."""
     half = arc_length[:, None] / 2
     u = half * (1 + _NODES) / length
-    rates = power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
+    rates = compute_power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
     speed = np.linalg.norm(rates, axis=1).reshape(u.shape)
     return np.asarray((half * speed * _WEIGHTS).sum(axis=1), dtype=np.float64)
 
@@ -227,14 +227,14 @@ class FrameFits:
     gain : shape (frames, 3), standard error of the last point per standard deviation of one
         coordinate of one marker
     freedom : shape (frames,), degrees of freedom per coordinate
-    needed : least number of markers in a frame
+    min_markers : least number of markers in a frame
     """
 
     coefficients: Floats
     misfit: Floats
     gain: Floats
     freedom: Ints
-    needed: int
+    min_markers: int
 
     @property
     def last_point(self) -> Floats:
@@ -242,9 +242,9 @@ class FrameFits:
         return np.asarray(self.coefficients.sum(axis=2), dtype=np.float64)
 
     @property
-    def spare(self) -> int:
+    def n_spare(self) -> int:
         """Return the number of further coefficients that all markers would allow."""
-        return int(self.misfit.shape[2]) - self.needed
+        return int(self.misfit.shape[2]) - self.min_markers
 
     @property
     def residual(self) -> Floats:
@@ -301,7 +301,7 @@ def fit_frames(
     with the same markers in sight.
     """
     free = conditions.direction is None
-    basis = curve_basis(
+    basis = build_curve_basis(
         terms=terms,
         length=conditions.length,
         clamped=not free,
@@ -320,9 +320,9 @@ def fit_frames(
         misfit=np.full((frames, 2, count), np.nan),
         gain=np.full((frames, 3), np.nan),
         freedom=np.zeros(frames, dtype=np.int64),
-        needed=basis.unknowns,
+        min_markers=basis.unknowns,
     )
-    for pattern, chosen in _patterns(in_sight(markers)):
+    for pattern, chosen in _patterns(is_in_sight(markers)):
         if pattern.sum() >= basis.unknowns:
             places = np.flatnonzero(pattern)
             unknowns, misfit, gain = _solve(
@@ -336,7 +336,7 @@ def fit_frames(
     return fits
 
 
-def last_heights(
+def compute_tip_heights(
     markers: Floats, fits: Sequence[tuple[RestCurve, EndConditions, float]], *, terms: int
 ) -> Floats:
     """Return the height of the last point of the curves of `fit_frames` only.
@@ -358,7 +358,7 @@ def last_heights(
     """
     flat = np.concatenate([markers[..., 0], markers[..., 1]], axis=1)
     heights = np.full((len(fits), len(markers)), np.nan)
-    for pattern, chosen in _patterns(in_sight(markers)):
+    for pattern, chosen in _patterns(is_in_sight(markers)):
         seen = flat[np.ix_(chosen, np.flatnonzero(np.tile(pattern, 2)))]
         for number, fit in enumerate(fits):
             weights, height = _height_of_end(*fit, pattern, terms)
@@ -379,11 +379,13 @@ def _height_of_end(
     There are no weights if there are too few markers.
     """
     length, direction = conditions.length, at_rest.tangent
-    basis = curve_basis(terms=terms, length=length, clamped=True, free_tip=conditions.free_tip)
+    basis = build_curve_basis(
+        terms=terms, length=length, clamped=True, free_tip=conditions.free_tip
+    )
     if pattern.sum() < basis.unknowns:
         return np.zeros(0), np.nan
     places = at_rest.arc_length[pattern]
-    solve = np.linalg.pinv(coupled_design(basis, places, centre_offset))
+    solve = np.linalg.pinv(build_marker_design(basis, places, centre_offset))
     weights = basis.value(np.array([length]))[0] @ solve[basis.unknowns :]
     known_height = at_rest.clamped_end + _known_part(direction, places, centre_offset)
     return weights, float(direction[1] * length - weights @ known_height[:, :2].T.ravel())
@@ -397,7 +399,7 @@ def _solve(
     Returns unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
     """
     count = basis.unknowns
-    design, value = coupled_design(basis, arc_length, centre_offset), basis.value(arc_length)
+    design, value = build_marker_design(basis, arc_length, centre_offset), basis.value(arc_length)
     solve, solve_across = np.linalg.pinv(design), np.linalg.pinv(value)
     flat = np.concatenate([data[..., 0], data[..., 1]], axis=1)
     plane = flat @ solve.T

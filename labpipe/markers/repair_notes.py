@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.marker_names import Chain, Naming, is_unlabelled
-from labpipe.markers.tracklets import Links, Tracklets, in_sight
-from labpipe.records.arrays import Flags, Floats, stretches_of
+from labpipe.markers.tracklets import Links, Tracklets, is_in_sight
+from labpipe.records.arrays import Flags, Floats, find_runs
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 
@@ -20,13 +20,13 @@ _MAX_NOTES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Take:
+class TrackletTake:
     """Data of a take for the notes: column names, frame numbers, times, tracklets."""
 
     names: tuple[str, ...]
     frames: Floats
     time: Floats
-    pieces: Tracklets
+    tracklets: Tracklets
 
     def span(self, start: int, stop: int) -> str:
         """Describe a stretch of frames, `stop` excluded."""
@@ -35,8 +35,8 @@ class Take:
         return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
 
 
-def describe(
-    take: Take,
+def make_repair_notes(
+    take: TrackletTake,
     links: Links,
     naming: Naming,
     *,
@@ -72,8 +72,8 @@ def describe(
     )
 
 
-def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
-    seen = np.flatnonzero(in_sight(measured).any(axis=0)).tolist()
+def _missing_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+    seen = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
     named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named:
         if column not in naming.markers:
@@ -88,10 +88,10 @@ def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
 
 
 def _stretch_notes(
-    take: Take, mask: Flags, names: list[str], note: Callable[..., QualityNote]
+    take: TrackletTake, mask: Flags, names: list[str], note: Callable[..., QualityNote]
 ) -> Iterator[QualityNote]:
     for name, flags in zip(names, mask.T, strict=True):
-        stretches = stretches_of(flags)
+        stretches = find_runs(flags)
         if len(stretches) > _MAX_NOTES:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             count = f"{len(stretches)} times, {int(flags.sum())} frames"
@@ -115,11 +115,11 @@ def _left(where: str, *, name: str, span: str) -> QualityNote:
     return QualityNote.of("markers.gap_left", where, name=name, span=span)
 
 
-def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+def _relabel_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
     """Yield a note per exchange of labels, and per stretch without a label."""
     exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
-        for column, start, stop in _stretches_under_other_labels(take.pieces, label, chains):
+        for column, start, stop in _stretches_under_other_labels(take.tracklets, label, chains):
             name, other = take.names[label], take.names[column]
             text, span = f"{name} was labelled as {other}", take.span(start, stop)
             if is_unlabelled(other):
@@ -160,14 +160,14 @@ def _stretches_under_other_labels(
             yield column, int(pieces.start[run[0]]), int(pieces.stop[run[-1]])
 
 
-def _elimination_notes(take: Take, naming: Naming) -> Iterator[QualityNote]:
+def _elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[QualityNote]:
     for label, chain in naming.eliminated:
         name, span = take.names[label], take.span(chain.start, chain.stop)
         where = f"{name}, {span}"
         yield QualityNote.of("markers.label_by_elimination", where, name=name, span=span)
 
 
-def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
+def _jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
     """Yield a note per jump between successive tracklets of one label."""
     for label, chains in naming.markers.items():
         for before, after in pairwise(chains):
@@ -177,8 +177,8 @@ def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNot
                 yield QualityNote.of("markers.marker_jump", where, name=name, span=span)
 
 
-def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
-    pieces = take.pieces
+def _ambiguity_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
+    pieces = take.tracklets
     for one, two in links.ambiguous[:_MAX_NOTES]:
         last = int(pieces.stop[one]) - 1
         span = take.span(last, int(pieces.start[two]) + 1)
@@ -192,12 +192,12 @@ def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[Quali
         yield QualityNote.of("markers.second_track", where, when, name=name, span=span)
 
 
-def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+def _dropped_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
     chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
     for chain in chains[:_MAX_NOTES]:
-        columns = take.pieces.column[list(chain.tracklets)]
+        columns = take.tracklets.column[list(chain.tracklets)]
         names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
-        span, extent = take.span(chain.start, chain.stop), _extent(take.pieces, chain, measured)
+        span, extent = take.span(chain.start, chain.stop), _extent(take.tracklets, chain, measured)
         where, size = f"{names}, {span}", 1e3 * extent
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
     rest = chains[_MAX_NOTES:]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.track_repair import RepairedTracks
-from labpipe.markers.tracklets import in_sight
+from labpipe.markers.tracklets import is_in_sight
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
@@ -19,7 +19,7 @@ SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.
 """Possible directions (y, z) from the axis to the markers, by the side they face."""
 
 
-def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Group markers by the part of their name before the colon.
 
     Parameters
@@ -32,7 +32,7 @@ def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
     Examples
     --------
-    >>> rings_by_body(["low:1", "low:2", "tip"])
+    >>> group_rings(["low:1", "low:2", "tip"])
     {'low': ('low:1', 'low:2'), 'tip': ('tip',)}
     """
     rings: dict[str, tuple[str, ...]] = {}
@@ -42,13 +42,15 @@ def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return rings
 
 
-def ring_centres(repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]) -> RepairedTracks:
+def compute_ring_centres(
+    repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]
+) -> RepairedTracks:
     """Return the centre of every ring of markers.
 
     Parameters
     ----------
     repaired : tracks of the single markers
-    groups : names of the markers of each ring, from `rings_by_body`
+    groups : names of the markers of each ring, from `group_rings`
 
     Returns
     -------
@@ -85,7 +87,7 @@ def ring_centres(repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]) 
 
 
 def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.uint8]]:
-    seen = in_sight(positions)
+    seen = is_in_sight(positions)
     complete = seen.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
     origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
@@ -244,7 +246,7 @@ def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
     return np.asarray(sign * main, dtype=np.float64)
 
 
-def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:
+def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:
     """Return the position of the axis of the cylinder in the plane across it.
 
     Parameters
@@ -274,7 +276,7 @@ def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, flo
     return np.asarray(axis, dtype=np.float64)
 
 
-def section_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[Floats, Floats]:
+def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[Floats, Floats]:
     """Return the twist of every section about the axis relative to rest.
 
     Parameters
@@ -318,7 +320,9 @@ def section_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
     return twist, lever
 
 
-def section_centres(sections: Sections, axis: Floats, slope: Floats, twist: Floats) -> Floats:
+def compute_section_centres(
+    sections: Sections, axis: Floats, slope: Floats, twist: Floats
+) -> Floats:
     """Return the point on the axis of every section.
 
     Parameters

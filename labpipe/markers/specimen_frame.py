@@ -51,7 +51,7 @@ def _direction(vector: Floats, name: str) -> Floats:
     return np.asarray(values / length, dtype=np.float64)
 
 
-def specimen_frame(
+def find_specimen_frame(
     clamp_lab: Floats | None,
     markers_lab: Floats,
     *,

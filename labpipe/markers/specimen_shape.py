@@ -15,14 +15,14 @@ from labpipe.markers.curve_fits import (
     EndConditions,
     FrameFits,
     RestCurve,
-    curve_at_rest,
+    compute_tip_heights,
     fit_frames,
-    last_heights,
+    fit_rest_curve,
 )
 from labpipe.markers.specimen_frame import Selection
 from labpipe.markers.track_repair import MIN_MARKERS
-from labpipe.markers.tracklets import in_sight
-from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.markers.tracklets import is_in_sight
+from labpipe.records.arrays import Flags, Floats, find_run_times
 from labpipe.records.causes import CENTRE, GRIP, PULL
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.quality import QualityNote
@@ -46,8 +46,8 @@ class ShapeFit:
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
     tip_systematic : shape (frames, 3), m, change of the last point with one more coefficient; NaN
         if the markers do not allow one more
-    tip_moved : by cause, shape (frames,), m, height of the last point over the first with an offset
-        one standard uncertainty longer; empty for a specimen without a clamp
+    perturbed_tip : by cause, shape (frames,), m, height of the last point over the first with an
+        offset one standard uncertainty longer; empty for a specimen without a clamp
     notes : quality notes
     """
 
@@ -57,7 +57,7 @@ class ShapeFit:
     marker_noise: float
     tip_gain: Floats
     tip_systematic: Floats
-    tip_moved: Mapping[str, Floats]
+    perturbed_tip: Mapping[str, Floats]
     notes: tuple[QualityNote, ...]
 
 
@@ -76,7 +76,7 @@ class Offsets:
     pull: float = 0.0
     centre: float = 0.0
 
-    def moved(self, by: Offsets) -> dict[str, Offsets]:
+    def perturb(self, by: Offsets) -> dict[str, Offsets]:
         """Return the offsets with each one increased separately, by cause, without exact ones.
 
         Parameters
@@ -138,7 +138,7 @@ def fit_shape(
     Notes
     -----
     Relative to the clamp, which does not turn, x(s), y(s), z(s) are power series in s / L with
-    r(0) and r'(0) given by the shape at rest (`curve_at_rest`), and r''(L) = 0 for a free tip. The
+    r(0) and r'(0) given by the shape at rest (`fit_rest_curve`), and r''(L) = 0 for a free tip. The
     centre of marker i is r(s_i) + h n(s_i), n = (-y', x', 0), so least squares is linear, and one
     pseudo-inverse is enough for all frames with the same markers. The source fits y(x) by a quartic
     (App. A), which fails as the tip approaches the vertical.
@@ -151,17 +151,17 @@ def fit_shape(
     _check(markers_specimen, flags, names, time)
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
-    settled = np.asarray(in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
+    settled = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
     straight = _mean_at_rest(relative[:, settled], rest)
     begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
-    others = offsets.moved(uncertainties) if clamped else {}
+    others = offsets.perturb(uncertainties) if clamped else {}
     models = [(*begin(other, settled=tolerance), other.centre) for other in others.values()]
-    heights = last_heights(relative[:, settled], models, terms=terms)
+    heights = compute_tip_heights(relative[:, settled], models, terms=terms)
     relative = relative - (at_rest.clamped_end if clamped else 0.0)
     model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)
     fit = fit_frames(*model, terms=terms)
-    finer = fit_frames(*model, terms=terms + 1) if fit.spare > 0 else None
+    finer = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
     points = _Points(relative[:, settled], flags[:, settled], _kept(names, settled), at_rest)
     return ShapeFit(
         shape=_shape(points, fit, time, rotation_lab_to_specimen, conditions, clamped=clamped),
@@ -172,7 +172,7 @@ def fit_shape(
         tip_systematic=(
             np.full_like(fit.gain, np.nan) if finer is None else finer.last_point - fit.last_point
         ),
-        tip_moved=dict(zip(others, heights, strict=True)),
+        perturbed_tip=dict(zip(others, heights, strict=True)),
         notes=_notes(names, settled, fit, time),
     )
 
@@ -186,7 +186,7 @@ def _beginning(
     settled: float = SETTLED,
 ) -> tuple[RestCurve, EndConditions]:
     """Return the curve at rest through the means of the markers, and the end conditions."""
-    at_rest = curve_at_rest(
+    at_rest = fit_rest_curve(
         straight,
         grip_offset=offsets.grip if clamped else None,
         pull_offset=offsets.pull,
@@ -202,7 +202,7 @@ def _beginning(
     return at_rest, ends
 
 
-def deflection(shape: Shape, *, rest: Selection) -> Floats:
+def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
     """Return the deflection of the last point relative to the first, across the specimen.
 
     Parameters
@@ -274,11 +274,11 @@ def _shape(
     """Return the shape with clamped end, markers and pull point in order."""
     frames = len(time)
     positions, names = [points.positions], list(points.names)
-    flags = [np.where(in_sight(points.positions), points.flags, PointFlag.MISSING)]
+    flags = [np.where(is_in_sight(points.positions), points.flags, PointFlag.MISSING)]
     arc_length = [points.at_rest.arc_length]
-    built = np.where(in_sight(fit.last_point), PointFlag.CONSTRUCTED, 0)[:, None]
+    built = np.where(is_in_sight(fit.last_point), PointFlag.CONSTRUCTED, 0)[:, None]
     if clamped:
-        start = np.where(in_sight(points.positions).any(axis=1), 0.0, np.nan)
+        start = np.where(is_in_sight(points.positions).any(axis=1), 0.0, np.nan)
         positions.insert(0, np.repeat(start, 3).reshape(frames, 1, 3))
         flags.insert(0, np.where(np.isfinite(start), PointFlag.CONSTRUCTED, 0)[:, None])
         names.insert(0, CLAMPED_END)
@@ -307,7 +307,7 @@ def _notes(
         QualityNote.of("markers.marker_not_at_rest", name, name=name)
         for name in _kept(names, ~settled)
     ]
-    gone = ~in_sight(fit.last_point)
+    gone = ~is_in_sight(fit.last_point)
     lost = np.flatnonzero(gone)
     if len(lost):
         share = f"{len(lost)} of {len(time)} frames"
@@ -315,10 +315,10 @@ def _notes(
         note = QualityNote.of(
             "markers.shape_missing",
             "markers",
-            *times_of(gone, time),
+            *find_run_times(gone, time),
             share=share,
             span=span,
-            needed=fit.needed,
+            needed=fit.min_markers,
         )
         notes.append(note)
     return tuple(notes)

@@ -7,7 +7,13 @@ from typing import Annotated
 
 import numpy as np
 
-from labpipe.markers.rings import SIDES, Sections, axis_at_rest, section_centres, section_twist
+from labpipe.markers.rings import (
+    SIDES,
+    Sections,
+    compute_section_centres,
+    compute_twist,
+    fit_rest_axis,
+)
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 TERMS = 3
@@ -91,16 +97,16 @@ class SpanShape(ArrayRecord):
 
     Parameters
     ----------
-    bent : the axis in every frame; x from mid-span
+    axis : the axis in every frame; x from mid-span
     mid_span : m, position of mid-span on the x axis of the sections
     centres : shape (frames, sections, 3), m, points on the axis, x from mid-span
     twist : shape (frames, sections), rad; NaN where unknown
-    lever : shape (sections,), m, from `section_twist`
+    lever : shape (sections,), m, from `compute_twist`
     fewer_terms : shape (frames,), 1/m, curvature at mid-span with one term less
     side_share : relative change of the curvature with the markers on the other side
     """
 
-    bent: BentAxis
+    axis: BentAxis
     mid_span: float
     centres: Annotated[Floats, "frames", "sections", 3]
     twist: Annotated[Floats, "frames", "sections"]
@@ -151,9 +157,9 @@ def fit_span(
     few = replace(sections, markers=sections.markers[chosen])
     fits = []
     for towards in SIDES[facing]:
-        axis = axis_at_rest(sections, radius=radius, towards=towards)
+        axis = fit_rest_axis(sections, radius=radius, towards=towards)
         middle, misfit = _find_middle(few, axis, span, radius)
-        curvature = float(np.nanmean(_fit(few, axis, middle, span, radius).bent.mid_span))
+        curvature = float(np.nanmean(_fit(few, axis, middle, span, radius).axis.mid_span))
         fits.append((misfit, axis, middle, curvature))
     fits.sort(key=lambda fit: fit[0])
     _, axis, middle, curvature = fits[0]
@@ -198,7 +204,7 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
     guess = float(np.average(few.at_rest[:, 0], weights=np.nan_to_num(weight) + 1e-30))
 
     def misfit(middle: float) -> float:
-        bent = _fit(few, axis, middle, span, radius).bent
+        bent = _fit(few, axis, middle, span, radius).axis
         return float(np.nanmean(bent.residual**2))
 
     lowest = misfit(guess)
@@ -229,8 +235,8 @@ def _locate_centres(
     sections: Sections, axis: Floats, slope: Floats, radius: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return points on the axis, twist and lever for the current slope."""
-    twist, lever = section_twist(sections, slope, radius=radius)
-    return section_centres(sections, axis, slope, twist), twist, lever
+    twist, lever = compute_twist(sections, slope, radius=radius)
+    return compute_section_centres(sections, axis, slope, twist), twist, lever
 
 
 def fit_bent_axis(

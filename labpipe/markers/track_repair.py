@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.marker_names import Chain, Naming, name_chains
-from labpipe.markers.repair_notes import Take, describe
+from labpipe.markers.repair_notes import TrackletTake, make_repair_notes
 from labpipe.markers.tracklets import (
     Links,
     Tracklets,
     cut_tracklets,
-    frozen_samples,
+    find_frozen_samples,
     link_tracklets,
 )
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
@@ -88,7 +88,7 @@ def repair_tracks(
     _check(max_gap=max_gap, max_jump=max_jump, frozen=frozen)
     measured, names = _copy_tracks(tracks, along), tuple(along)
     base = np.zeros((len(measured), 3)) if reference is None else _bridged(reference, tracks.time)
-    stale = frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
+    stale = find_frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
     measured[stale] = np.nan
     relative = measured - base[:, None]
     pieces = cut_tracklets(measured, relative, tracks.time, max_jump=max_jump)
@@ -103,11 +103,11 @@ def repair_tracks(
         min_distance=double_share * max_jump,
     )
     _require_markers(names, naming)
-    take = Take(names, tracks.frames, tracks.time, pieces)
+    take = TrackletTake(names, tracks.frames, tracks.time, pieces)
     positions, flags = _assemble(measured, pieces, naming)
     holes = _holes(pieces, links, naming, len(measured))
     _fill(positions, flags, base, tracks.time, holes)
-    notes = describe(take, links, naming, stale=stale, flags=flags, measured=measured)
+    notes = make_repair_notes(take, links, naming, stale=stale, flags=flags, measured=measured)
     return RepairedTracks(tuple(names[label] for label in naming.markers), positions, flags, notes)
 
 

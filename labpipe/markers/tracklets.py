@@ -31,18 +31,18 @@ class Tracklets:
         return len(self.column)
 
 
-def in_sight(positions: Floats) -> Flags:
+def is_in_sight(positions: Floats) -> Flags:
     """Return which points have a position; shape (..., 3) of floats to shape (...) of flags."""
     x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 x slower
     return np.asarray(x & y & z, dtype=np.bool_)
 
 
-def frame_period(time: Floats) -> float:
+def compute_frame_period(time: Floats) -> float:
     """Return the frame period, s: the median, so that holes in a cut take do not count."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 1.0
 
 
-def frozen_samples(
+def find_frozen_samples(
     positions: Floats, time: Floats, *, frozen: float, reference: Floats | None = None
 ) -> Flags:
     """Mark samples that repeat the last pose while other points move.
@@ -105,7 +105,7 @@ def cut_tracklets(
     -------
     The tracklets.
     """
-    seen = in_sight(positions)
+    seen = is_in_sight(positions)
     joined = seen[1:] & seen[:-1]
     joined &= ~_jumps(positions, relative, time, max_jump)
     before = np.pad(joined, ((1, 0), (0, 0)))
@@ -119,7 +119,7 @@ def cut_tracklets(
 
 
 def _jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
-    steps = np.maximum(1.0, np.diff(time) / frame_period(time))
+    steps = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
     moved = np.minimum(_squared_steps(positions), _squared_steps(relative))
     jumps: Flags = np.asarray(moved > (max_jump * steps[:, None]) ** 2, dtype=np.bool_)
     # Two neighbours closer than max_jump can exchange labels without a jump.
@@ -211,7 +211,7 @@ def link_tracklets(
 def _candidates(
     tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
 ) -> _Pairs:
-    period = frame_period(time)
+    period = compute_frame_period(time)
     starts, ends = time[tracklets.start], time[tracklets.stop - 1]
     first = np.searchsorted(starts, ends, side="right")
     last = np.searchsorted(starts, ends + max_gap + 1.1 * period, side="right")

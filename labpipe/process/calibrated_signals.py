@@ -11,14 +11,14 @@ import numpy as np
 from labpipe.errors import ProcessingError
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
-from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.records.arrays import Flags, Floats, find_run_times
 from labpipe.records.curve import Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, QualityNote, doubtful_stretches
+from labpipe.records.quality import Finding, QualityNote, doubt_stretches
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.reduced_test import SpanBend
-from labpipe.signal.bad_samples import StuckRun, stuck_runs
+from labpipe.signal.bad_samples import StuckRun, find_stuck_runs
 
 if TYPE_CHECKING:
     from labpipe.markers.specimen_frame import SpecimenFrame
@@ -113,18 +113,26 @@ def calibrate(
         for channel in recording.channels:
             clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
-            signal = _signal(channel, source, clock, role)
+            signal = _signal(channel, source, clock, role, protocol.specimen.gauge_length)
             if channel.name in reversed_channels:
                 signal = replace(signal, values=-signal.values)
-            signals = signals.with_new(channel.name, signal)
+            signals = signals.add_signal(channel.name, signal)
             quantity = signals.quantities.get(channel.name, channel.name)
             findings += _missing(channel.name, signal, quantity)
             findings += _peak(channel.name, signal, quantity, source.peak_range)
     return Prepared(signals, take), findings
 
 
-def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) -> Signal:
+def _signal(
+    channel: Channel, source: ChannelSource, clock: Clock, role: str, gauge_length: float | None
+) -> Signal:
     values = channel.values
+    if source.is_extension and channel.unit == "1":
+        if gauge_length is None:
+            raise ProcessingError.about(
+                "process.strain_without_gauge", role, f"channel {channel.path!r}"
+            )
+        values = gauge_length * values
     if source.calibration is not None:
         values = source.gain * values + source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
@@ -191,9 +199,9 @@ def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
     finite = np.flatnonzero(~missing)
     if finite[0] + len(missing) - 1 - finite[-1] <= max_blank_end_share * len(missing):
         missing[: finite[0]] = missing[finite[-1] :] = False
-    times, total = times_of(missing, signal.time), len(missing)
+    times, total = find_run_times(missing, signal.time), len(missing)
     note = QualityNote.of("process.missing_samples", name, *times, count=count, total=total)
-    return [doubtful_stretches(quantity, note, signal.clock) if times else Finding(note)]
+    return [doubt_stretches(quantity, note, signal.clock) if times else Finding(note)]
 
 
 def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
@@ -223,14 +231,14 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
     for name, signal in signals.raw.items():
         other = signals.raw.get(others.get(name, ""))
         other_values = other.values if other is not None and other.clock == signal.clock else None
-        runs = stuck_runs(signal.time, signal.values, other_values)
+        runs = find_stuck_runs(signal.time, signal.values, other_values)
         quantity = quantities.get(name, name)
         saturated = [run for run in runs if run.is_clipped]
         if saturated:
             note = _saturation(name, signal, saturated)
-            yield doubtful_stretches(quantity, note, signal.clock)
+            yield doubt_stretches(quantity, note, signal.clock)
             if getattr(protocol.align, "channel", "") == name:  # the times of its peaks are wrong
-                yield doubtful_stretches("clock", replace(note, stretches=()), signal.clock)
+                yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
             start, stop = times = _times(signal, run)
             note = QualityNote.of(
@@ -243,10 +251,10 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
                 stop=stop,
                 of="s" if signal.has_time else "of the samples",
             )
-            yield doubtful_stretches(quantity, note, signal.clock)
+            yield doubt_stretches(quantity, note, signal.clock)
             if protocol.branches is not None and protocol.branches.channel == name:
                 # the branches are at wrong times
-                yield doubtful_stretches("force", note, signal.clock)
+                yield doubt_stretches("force", note, signal.clock)
 
 
 def _saturation(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:

@@ -11,33 +11,33 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import ProcessingError, nearest
-from labpipe.markers.rings import Sections, find_sections, ring_centres, rings_by_body
-from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
-from labpipe.markers.specimen_shape import Offsets, ShapeFit, deflection, fit_shape
+from labpipe.errors import ProcessingError, sort_by_likeness
+from labpipe.markers.marker_names import is_unlabelled
+from labpipe.markers.rings import Sections, compute_ring_centres, find_sections, group_rings
+from labpipe.markers.specimen_frame import SpecimenFrame, find_specimen_frame
+from labpipe.markers.specimen_shape import Offsets, ShapeFit, compute_deflection, fit_shape
 from labpipe.markers.three_point_axis import SpanShape, fit_span
 from labpipe.markers.track_repair import RepairedTracks, repair_tracks
-from labpipe.markers.tracklets import frozen_samples
-from labpipe.messages import sentence
+from labpipe.markers.tracklets import find_frozen_samples
+from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.motion import turning_points
 from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, mean_level
 from labpipe.protocol.schema import Markers, Protocol
-from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.records.arrays import Flags, Floats, find_run_times
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import ClockFit, Interval, PointFlag, Shape
 from labpipe.records.declarations import FitShape, RepairMarkers, ThreePointShape
 from labpipe.records.declarations import SpecimenFrame as SpecimenFrameStep
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, QualityNote, Severity, doubtful_stretches
+from labpipe.records.quality import Finding, QualityNote, Severity, doubt_stretches
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
 from labpipe.results.reduced_test import SpanBend
 from labpipe.signal.clock_alignment import match_peaks
 from labpipe.signal.turning_points import Stroke, find_strokes
-from labpipe.uncertainty.autocorrelation import long_run_variance
+from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
-UNLABELLED = ("Unlabeled", "Unlabelled")
 _DOUBTFUL = {
     "label_ambiguous",
     "marker_missing",
@@ -71,11 +71,13 @@ def repair(
 
 
 def _ring_centres(repaired: RepairedTracks) -> RepairedTracks:
-    rings = rings_by_body(repaired.names)
+    rings = group_rings(repaired.names)
     if len(rings) < 3:
         count, markers, names = len(rings), len(repaired.names), ", ".join(rings)
-        raise ValueError(sentence("process.few_rings", count=count, markers=markers, names=names))
-    return ring_centres(repaired, rings)
+        raise ValueError(
+            format_sentence("process.few_rings", count=count, markers=markers, names=names)
+        )
+    return compute_ring_centres(repaired, rings)
 
 
 def turn_into_specimen(
@@ -85,10 +87,10 @@ def turn_into_specimen(
     take, findings = prepared.take, list[Finding]()
     tracks, settings = _require_markers(take, settings)
     if take.repaired is None:
-        raise ValueError(sentence("process.needs_repair"))
+        raise ValueError(format_sentence("process.needs_repair"))
     rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     find_frame = partial(
-        specimen_frame,
+        find_specimen_frame,
         take.clamp,
         take.repaired.positions,
         out_of_plane_limit=step.max_out_of_plane,
@@ -109,7 +111,7 @@ def turn_into_specimen(
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
         travel = travel - np.nanmean(travel[rest])
-        signals = signals.with_new("travel", take.signal_of(tracks.time, travel))
+        signals = signals.add_signal("travel", take.signal_of(tracks.time, travel))
     return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), findings
 
 
@@ -128,12 +130,12 @@ def _before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> 
 def fit_shapes(
     prepared: Prepared, step: FitShape, settings: Markers | None
 ) -> tuple[Prepared, list[Finding]]:
-    """Carry out ``fit-shape``: the shape and the signal ``deflection``."""
+    """Carry out ``fit-shape``: the shape and the signal ``compute_deflection``."""
     take, signals = prepared.take, prepared.signals
     tracks, settings = _require_markers(take, settings)
     frame, rest, repaired = take.frame, take.rest, take.repaired
     if frame is None or rest is None or repaired is None:
-        raise ValueError(sentence("process.needs_frame"))
+        raise ValueError(format_sentence("process.needs_frame"))
     order = list(frame.order)
     fit = fit_shape(
         frame.to_specimen(repaired.positions[:, order]),
@@ -160,10 +162,12 @@ def fit_shapes(
     off, angle = 1e3 * misfit, float(np.degrees(fit.clamp_angle))
     findings.append(Finding.of("process.shape_fit", take.role, off=off, angle=angle))
     if take.clamp is not None:
-        signals = signals.with_new("deflection", _deflection(fit, rest, take))
+        signals = signals.add_signal("deflection", _deflection(fit, rest, take))
         stretch = tracks.time[rest]
         at_rest_for = (float(stretch[0]), float(stretch[-1]))
-        signals = replace(signals, zeroed={**signals.zeroed, "deflection": at_rest_for})
+        signals = replace(
+            signals, zero_stretches={**signals.zero_stretches, "deflection": at_rest_for}
+        )
     return replace(prepared, signals=signals, shape=fit.shape), findings
 
 
@@ -173,29 +177,29 @@ def _deflection(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     The change with one more term is the half width of a rectangular distribution, whose standard
     uncertainty is 1 / sqrt(3) of it.
     """
-    values = deflection(fit.shape, rest=rest)
+    values = compute_deflection(fit.shape, rest=rest)
     seen = ~np.isnan(values)
     _, error = mean_level(values[rest & seen], values[~rest])
     change = fit.tip_systematic[:, 1]
     usable = not np.isnan(change[rest]).all()
-    moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.tip_moved.items()}
+    moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.perturbed_tip.items()}
     if usable:
         moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
-    return replace(take.signal_of(fit.shape.time, values), zero_error=error, moved=moved)
+    return replace(take.signal_of(fit.shape.time, values), zero_error=error, perturbed=moved)
 
 
 def _shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
     """Make findings of notes; those that make the shape doubtful also doubt the displacement."""
     for note in notes:
         if note.code in _DOUBTFUL:
-            yield doubtful_stretches("displacement", note, role)
+            yield doubt_stretches("displacement", note, role)
         else:
             yield Finding(note)
 
 
 def _require_markers(take: Take, settings: Markers | None) -> tuple[MarkerTracks, Markers]:
     if take.tracks is None or settings is None:
-        raise ValueError(sentence("process.needs_markers"))
+        raise ValueError(format_sentence("process.needs_markers"))
     return take.tracks, settings
 
 
@@ -206,7 +210,7 @@ def _find_clamp(
         return None, []
     body = tracks.body(settings.clamp)
     if body is None:
-        near = nearest(settings.clamp, [body.name for body in tracks.bodies])
+        near = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
         found = ", ".join(map(repr, near)) or "no rigid body in the take"
         raise ProcessingError.about(
             "process.no_clamp", role, "rigid bodies", clamp=settings.clamp, found=found
@@ -223,15 +227,15 @@ def _clamp_path(
 ) -> tuple[Floats, list[Finding]]:
     """Return the path of the clamp without stale poses, short gaps interpolated linearly."""
     together = np.concatenate([body.position[:, None], tracks.positions], axis=1)
-    stale = frozen_samples(together, tracks.time, frozen=step.frozen)[:, 0]
+    stale = find_frozen_samples(together, tracks.time, frozen=step.frozen)[:, 0]
     path: Floats = np.where(stale[:, None], np.nan, body.position)
     findings: list[Finding] = []
     if stale.any():
-        times, count = times_of(stale, tracks.time), int(stale.sum())
+        times, count = find_run_times(stale, tracks.time), int(stale.sum())
         note = QualityNote.of(
             "process.clamp_frozen", body.name, *times, body=body.name, count=count
         )
-        findings.append(doubtful_stretches("displacement", note, role))
+        findings.append(doubt_stretches("displacement", note, role))
     lost = np.isnan(path).any(axis=1)
     if not lost.any():
         return path, findings
@@ -273,7 +277,7 @@ def _specimen_tracks(
         candidates = [
             name
             for name in candidates
-            if name.startswith(UNLABELLED)
+            if is_unlabelled(name)
             or any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
         ]
     seen = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
@@ -318,7 +322,7 @@ def bend_between_supports(
     take, settings = prepared.take, protocol.markers
     tracks, repaired = take.tracks, take.repaired
     if tracks is None or settings is None or repaired is None:
-        raise ValueError(sentence("process.needs_repair"))
+        raise ValueError(format_sentence("process.needs_repair"))
     span = protocol.specimen.span
     if span is None:
         return _without_span(prepared, Failure.of("process.no_span"))
@@ -336,7 +340,7 @@ def bend_between_supports(
         return _without_span(prepared, Failure("too_few_markers", str(error)))
     bent = replace(
         prepared,
-        signals=prepared.signals.with_new("mid_span", _mid_span(shape, tracks.time, rest, take)),
+        signals=prepared.signals.add_signal("mid_span", _mid_span(shape, tracks.time, rest, take)),
         shape=_span_shape(sections, shape, tracks.time, repaired.flags),
         span=SpanBend(shape, tracks.time, rest),
     )
@@ -345,7 +349,7 @@ def bend_between_supports(
         take.role,
         count=sections.count,
         around=int((shape.lever > 0.0).sum()),
-        noise=1e6 * shape.bent.noise,
+        noise=1e6 * shape.axis.noise,
     )
     return bent, [note]
 
@@ -356,10 +360,10 @@ def _without_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[F
 
 
 def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
-    deflection = shape.bent.deflection
-    at_rest = deflection[rest & np.isfinite(deflection)]
-    zero = float(np.sqrt(long_run_variance(at_rest, parameters=1) / len(at_rest)))
-    return replace(take.signal_of(time, deflection - at_rest.mean()), zero_error=zero)
+    compute_deflection = shape.axis.deflection
+    at_rest = compute_deflection[rest & np.isfinite(compute_deflection)]
+    zero = float(np.sqrt(estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)))
+    return replace(take.signal_of(time, compute_deflection - at_rest.mean()), zero_error=zero)
 
 
 def _is_bent_most(sections: Sections) -> Flags:
@@ -384,7 +388,7 @@ def _span_shape(
     share = np.linspace(0.0, 1.0, 61)
     drawn = x[0] + share * (x[-1] - x[0])
     to_terms = np.linalg.pinv(np.vander(share, degree + 1, increasing=True))
-    height = shape.bent.y(drawn) @ to_terms.T
+    height = shape.axis.y(drawn) @ to_terms.T
     coefficients = np.zeros((len(time), 3, degree + 1))
     coefficients[:, 0, :2] = [x[0], x[-1] - x[0]]
     coefficients[:, 1] = height

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, nearest
+from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, sort_by_likeness
 from labpipe.process.calibrated_signals import Prepared, calibrate
 from labpipe.process.output_paths import files_below
 from labpipe.process.reading import join_exports, read_role
@@ -226,7 +226,7 @@ def _marker_faults(
     if markers.clamp is not None and markers.clamp not in bodies:
         missing.insert(0, ("rigid body", "markers.clamp", markers.clamp))
     for kind, key, name in missing:
-        near = nearest(name, bodies if kind == "rigid body" else names)
+        near = sort_by_likeness(name, bodies if kind == "rigid body" else names)
         yield str(
             ReadError.about(
                 "process.marker_missing_in_take",

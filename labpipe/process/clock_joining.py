@@ -10,7 +10,7 @@ from typing import assert_never
 
 import numpy as np
 
-from labpipe.errors import in_test_sheet
+from labpipe.errors import format_overrides
 from labpipe.process.motion import (
     Turn,
     check_turns,
@@ -31,11 +31,11 @@ from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
-from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, rough_peaks
+from labpipe.signal.clock_alignment import Repeat, find_rough_peaks, fit_clocks, fit_lag
 from labpipe.signal.corners import Corner
 from labpipe.signal.reversals import Reversal
-from labpipe.signal.turning_points import Stroke, sharpest_turn
-from labpipe.uncertainty.noise_model import drift_modes
+from labpipe.signal.turning_points import Stroke, find_sharpest_turn
+from labpipe.uncertainty.noise_model import compute_drift_modes
 
 
 def join_clocks(
@@ -107,7 +107,7 @@ def align_clocks(
         )
         return None, [error]
     if is_ambiguous:
-        state = in_test_sheet("align", "{method: stated, offset: ...}")
+        state = format_overrides("align", "{method: stated, offset: ...}")
         findings.append(
             Finding.of(
                 "process.alignment_ambiguous", "align", "clock", counted=counted, state=state
@@ -181,7 +181,7 @@ def _measure_repeat(
     error = float(np.hypot(moved.error, pulled.error))
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
     time, values = _block_means(force.time), _block_means(force.values)
-    waves = drift_modes(time - time[0], drift)
+    waves = compute_drift_modes(time - time[0], drift)
     lags = [lag_of(time, values + wave) for wave in (np.zeros_like(time), *waves)] if waves else []
     known = [lag.value for lag in lags if not isinstance(lag, Failure)]
     wander = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
@@ -347,7 +347,7 @@ def _check_stated_offset(
     if not strokes or _is_constant(force):
         return
     force = with_rising_force(force)
-    peaks = rough_peaks(force.time, force.values, smoothing=smoothing, share=peak_share)
+    peaks = find_rough_peaks(force.time, force.values, smoothing=smoothing, share=peak_share)
     if not len(peaks):
         return
     ends = [motion.time[[before.stop, after.start]] for before, after in pairwise(strokes)]
@@ -409,7 +409,7 @@ def _rough_turns(
     """Pair the strokes that load with the rough times at which the force turns."""
     loads = [stroke.sign == strokes[0].sign for stroke in strokes[:-1]]
     if sum(loads) == 1:
-        near = sharpest_turn(force.time, force.values, width=align.force_window)
+        near = find_sharpest_turn(force.time, force.values, width=align.force_window)
         return [] if near is None else [(0, near)]
     return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
 

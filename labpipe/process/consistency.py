@@ -15,19 +15,19 @@ from typing import Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, median, stretches_of
+from labpipe.records.arrays import Floats, find_runs, median
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import LIMITS, Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.signals import Signals
 from labpipe.results.reduced_test import FailurePoint, sense_of_loading
-from labpipe.signal.rests_and_jumps import level_jumps
-from labpipe.signal.turning_points import noise_level
+from labpipe.signal.rests_and_jumps import find_level_jumps
+from labpipe.signal.turning_points import estimate_noise_level
 
 NO_FINDINGS = Findings()
 COMPARED_POINTS = 40
 """Displacements of a branch at which cycles are compared."""
-MIN_BRANCH_SAMPLES = 5
+MIN_COMPARED_SAMPLES = 5
 """Shorter branches are not compared."""
 REST_ERROR_FACTOR = 6.0
 """Standard errors that a difference of levels must exceed."""
@@ -82,7 +82,7 @@ def _cycles(curve: Curve) -> Iterator[Cycle]:
         if first.direction is not Direction.LOADING or second.cycle != first.cycle:
             continue
         paths = _path(curve, first), _path(curve, second)
-        if min(len(path[0]) for path in paths) >= MIN_BRANCH_SAMPLES:
+        if min(len(path[0]) for path in paths) >= MIN_COMPARED_SAMPLES:
             yield Cycle(first, second, paths)
 
 
@@ -100,7 +100,7 @@ def _path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
 def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     """Return the forces of several paths at common displacements; empty if they hardly overlap."""
     min_common_share = 0.5
-    if min(len(path[0]) for path in paths) < MIN_BRANCH_SAMPLES:
+    if min(len(path[0]) for path in paths) < MIN_COMPARED_SAMPLES:
         return ()
     low, high = max(path[0][0] for path in paths), min(path[0][-1] for path in paths)
     span = max(path[0][-1] for path in paths) - min(path[0][0] for path in paths)
@@ -125,7 +125,7 @@ def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
         return
     lag = int(np.argmax(np.bincount(np.abs(lags))))
     same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
-    for start, stop in stretches_of(same):
+    for start, stop in find_runs(same):
         if len(np.unique(force[start:stop])) >= min_repeated:
             at, count = _at(curve, start), stop - start
             quantities = "force", "displacement"
@@ -148,7 +148,7 @@ def _jumps(
     ]
     return [
         (sample, size)
-        for sample, size in level_jumps(curve.time, getattr(curve, quantity))
+        for sample, size in find_level_jumps(curve.time, getattr(curve, quantity))
         if all(abs(sample - end) > max_samples_after_run for end in stuck_until)
     ]
 
@@ -190,9 +190,13 @@ def _check_rest_force(
     """Report the force before the motion if no step zeroes it."""
     min_samples, min_share = 8, 1e-4  # share of the largest force
     name, before = signals.force, _finite(curve.force[: curve.branches[0].start])
-    if name in signals.zeroed or name in signals.lined or len(before) < min_samples:
+    if (
+        name in signals.zero_stretches
+        or name in signals.moving_zero_stretches
+        or len(before) < min_samples
+    ):
         return
-    level, error = median(before), noise_level(curve.force) / sqrt(len(before))
+    level, error = median(before), estimate_noise_level(curve.force) / sqrt(len(before))
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * largest):
         return
     part = abs(level) / largest
@@ -220,7 +224,7 @@ def _check_drift(where: str, curve: Curve, share: float, *, is_level: bool) -> I
     part, level = curve.force[first.start : last.stop], median(before)
     end = median(after[-len(before) :])  # the end of a long rest, because specimens relax
     largest = float(np.nanmax(np.abs(part - level)))
-    error = noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
+    error = estimate_noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
     change = sense_of_loading(part) * (end - level)
     if (abs(change) if is_level else change) >= max(share * largest, REST_ERROR_FACTOR * error):
         yield Finding.of(
@@ -247,7 +251,7 @@ def check_break(
     if len(after) < min_tail_samples:
         return
     level, largest = median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
-    error = noise_level(curve.force) * sqrt(2.0 / len(after))
+    error = estimate_noise_level(curve.force) * sqrt(2.0 / len(after))
     below = -sense_of_loading(curve.force[: failure.sample + 1]) * level
     if below >= max(limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
         yield Finding.of(
@@ -330,7 +334,7 @@ def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> It
     """Report a force that still grows after the motion has turned: it is late, or has jumped."""
     noise_factor = 8.0
     sense = _sense(curve, curve.branches[0])
-    min_growth = noise_factor * noise_level(curve.force)
+    min_growth = noise_factor * estimate_noise_level(curve.force)
     growths = []
     for before, after in pairwise(curve.branches):
         if before.direction is after.direction:

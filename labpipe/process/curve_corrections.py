@@ -20,7 +20,7 @@ from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
-from labpipe.records.estimates import Failure, or_failure
+from labpipe.records.estimates import Failure, return_failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
@@ -38,9 +38,10 @@ from labpipe.results.slack_and_slips import (
     samples_before,
     slack_of,
 )
+from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
-from labpipe.signal.filters import in_pieces
-from labpipe.signal.turning_points import branch_numbers
+from labpipe.signal.filters import filter_pieces
+from labpipe.signal.turning_points import number_branches
 from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
 
@@ -52,7 +53,7 @@ def align_signals(test: ReducedTest) -> Aligned:
     time = test.displacement.time
     series = {
         test.signals.quantities.get(name, name): Series(
-            test.clocks.sampled(signal, time), signal.unit
+            test.clocks.interpolate(signal, time), signal.unit
         )
         for name, signal in test.signals.raw.items()
     }
@@ -72,7 +73,7 @@ def build_curve(
     """
     displacement = test.displacement
     time = displacement.time
-    force = test.clocks.sampled(unfiltered, time)  # filtered after its corners are known
+    force = test.clocks.interpolate(unfiltered, time)  # filtered after its corners are known
     if np.isnan(force).all():
         note = Finding.of(
             "process.no_overlap",
@@ -85,7 +86,7 @@ def build_curve(
         )
         return None, [note]
     moved = tuple(_branch_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
-    branch, cycle = branch_numbers(len(time), moved)
+    branch, cycle = number_branches(len(time), moved)
     return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
 
 
@@ -115,7 +116,7 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
     rule = lost = None
     if block.failure is not None:
         failure = block.failure
-        rule = LossOfForce(failure.force_below, failure.loss, failure.within)
+        rule = LossOfForce(failure.force_below, failure.loss, failure.within, failure.at_end_below)
         lost = find_final_loss(test, rule)  # in the unfiltered force
     test, findings = _filter_branches(test, lost), list[Finding]()
     if block.compliance is not None and block.compliance.value > 0.0:
@@ -129,6 +130,9 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
     if block.slack is not None:
         test, more_findings = _subtract_slack(test, block.slack)
         findings += more_findings
+    if (line := block.elastic_line) is not None and test.curve is not None:
+        choice = ElasticWindow(line.start, line.stop, line.of, line.straight)
+        test = replace(test, pull=fit_pull(test, choice))
     # Reported last, because slack shifts the origin of the displacement.
     return test, [*findings, *(_slip_note(test.signals.force, slip) for slip in test.slips)]
 
@@ -165,12 +169,12 @@ def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Co
     if curve is None:
         return test, []
     value = compliance.value
-    signal = test.displacement.changed(lambda displacement: displacement - value * curve.force)
+    signal = test.displacement.map_values(lambda displacement: displacement - value * curve.force)
     _refuse_backwards(test, curve, signal.values, value)
     if compliance.uncertainty:
         higher = value * (1.0 + compliance.uncertainty)
         other = curve.displacement - higher * curve.force
-        signal = replace(signal, moved={**signal.moved, COMPLIANCE: other})
+        signal = replace(signal, perturbed={**signal.perturbed, COMPLIANCE: other})
     largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     where, size = test.signals.displacement, 1e6 * value
     note = Finding.of("process.compliance_removed", where, size=size, largest=largest)
@@ -226,10 +230,12 @@ def _find_failure(
 ) -> FailurePoint | Failure | None:
     if isinstance(lost, Failure) and lost.code == "no_break":
         loading = slice(curve.branches[0].start, None)
+        force = _sign(curve) * curve.force[loading]
+        finite = np.flatnonzero(~np.isnan(force))
+        if rule.at_end_below and force[finite[-1]] < rule.at_end_below * np.nanmax(force):
+            return FailurePoint(loading.start + int(finite[-1]))
         sense = sense_of_loading(curve.displacement[loading])
-        sample = slow_loss(
-            sense * curve.displacement[loading], _sign(curve) * curve.force[loading], rule
-        )
+        sample = slow_loss(sense * curve.displacement[loading], force, rule)
         return (
             lost
             if sample is None
@@ -262,15 +268,17 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
     for quantity, name in names.items():
         if name in signals.filters:
             cuts = cuts_of(test.clocks, ends, raw[name])
-            filtered_signal = raw[name].changed(
-                partial(in_pieces, cuts=cuts, filters=signals.filters[name])
+            filtered_signal = raw[name].map_values(
+                partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
             )
             filtered = replace(
-                signals.filtered[name], values=filtered_signal.values, moved=filtered_signal.moved
+                signals.filtered[name],
+                values=filtered_signal.values,
+                perturbed=filtered_signal.perturbed,
             )
             signals = signals.with_filtered(name, filtered)
             time = signals.filtered[signals.displacement].time
-            curve_values[quantity] = test.clocks.sampled(filtered, time)
+            curve_values[quantity] = test.clocks.interpolate(filtered, time)
     corrected = replace(
         curve, force=curve_values["force"], displacement=curve_values["displacement"]
     )
@@ -357,7 +365,9 @@ def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
         return test, [note]
     offset = slack.value
     corrected = replace(
-        _with_displacement(test, curve, test.displacement.changed(lambda values: values - offset)),
+        _with_displacement(
+            test, curve, test.displacement.map_values(lambda values: values - offset)
+        ),
         replicates=test.replicates and counted_from_taut(test.replicates, decide, slack),
         slips=tuple(_shift_slip(slip, offset) for slip in test.slips),
     )
@@ -378,11 +388,11 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     """
     # Share of the replicate curves.
     max_falling_share = 0.025
-    measured = or_failure(test.measure)(decide)
+    measured = return_failure(test.measure)(decide)
     if isinstance(measured, Failure):
         return measured
     slack, trace = measured[0], traced(test)
-    if np.isnan(slack.off).mean() > max_falling_share:
+    if np.isnan(slack.deviations).mean() > max_falling_share:
         return Failure.of("process.not_rising")
     start = loading_of(trace).start
     first, load = float(trace.displacement[start]), float(trace.force[start])
@@ -402,7 +412,7 @@ def _preload_explains(slack: Measured, decide: Decide, trace: Trace, start: int)
     if slack.interval.upper >= first:
         return True
     preloaded = replace(trace, force=trace.force - trace.force[start])
-    above = or_failure(decide)(preloaded)
+    above = return_failure(decide)(preloaded)
     if isinstance(above, Failure):
         return False
     place = float(above.numbers(preloaded)[0])

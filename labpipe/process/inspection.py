@@ -19,11 +19,11 @@ from labpipe.readers.recording_checks import (
     longest,
     unchanged,
 )
-from labpipe.records.arrays import Floats, median, stretches_of
+from labpipe.records.arrays import Floats, find_runs, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
-_SI_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
+_DISPLAYED_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
 """Units to which the unit of a channel is converted."""
 
 _ANGLE_UNITS = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
@@ -142,7 +142,7 @@ def _si(channel: Channel) -> tuple[str | None, float]:
     """Return the SI unit of a channel and the factor to it; None and 1 without a unit."""
     if channel.unit is not None or not channel.unit_in_file:
         return channel.unit, 1.0
-    for unit in ("rad",) if channel.unit_in_file in _ANGLE_UNITS else _SI_UNITS:
+    for unit in ("rad",) if channel.unit_in_file in _ANGLE_UNITS else _DISPLAYED_UNITS:
         with suppress(ValueError):
             return unit, si_factor(channel.unit_in_file, unit)
     return None, 1.0
@@ -174,7 +174,7 @@ def _markers(tracks: MarkerTracks) -> dict[str, Any]:
 def _gaps(track: Floats) -> dict[str, Any]:
     max_ranges = 100  # the count in the output is of all gaps
     missing = blank(track)
-    gaps = stretches_of(missing)
+    gaps = find_runs(missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
     return {"count": len(gaps), "longest": longest(missing), "ranges": ranges}
 

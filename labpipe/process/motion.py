@@ -13,16 +13,16 @@ from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Doubt, Finding
 from labpipe.records.signals import Clocks, Signal
-from labpipe.signal.clock_alignment import match_peaks, rough_peaks
+from labpipe.signal.clock_alignment import find_rough_peaks, match_peaks
 from labpipe.signal.corners import Corner, fit_corner, fit_stop
 from labpipe.signal.reversals import Reversal, fit_reversal
 from labpipe.signal.turning_points import (
     Stroke,
+    estimate_noise_level,
     find_strokes,
+    find_turn_near,
     goes_down,
-    noise_level,
     split_branches,
-    turn_near,
 )
 
 CORNER_WIDTHS = (0.05, 0.25)
@@ -41,7 +41,7 @@ def strokes_of(motion: Signal, block: Branches) -> tuple[tuple[Stroke, ...], lis
     """
     # Standard deviations that noise alone may reach.
     noise_factor = 5.0
-    min_stroke, noise = block.min_stroke, noise_level(motion.values)
+    min_stroke, noise = block.min_stroke, estimate_noise_level(motion.values)
     strokes = find_strokes(motion.time, motion.values, min_stroke=min_stroke)
     where = block.channel
     if noise_factor * noise > min_stroke:
@@ -195,7 +195,7 @@ def _apparent_wait(motion: Signal, turn: Turn) -> float:
     if not speed > 0.0:
         return 0.0
     step = median(np.diff(motion.time))
-    return float(np.cbrt(16.0 * noise_level(motion.values) ** 2 * step / speed**2))
+    return float(np.cbrt(16.0 * estimate_noise_level(motion.values) ** 2 * step / speed**2))
 
 
 def _waits_everywhere(motion: Signal, waits: list[Turn | None]) -> bool:
@@ -248,7 +248,7 @@ def check_turns(
 
 def _rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
     """Find turns at which the machine rounds the corner."""
-    noise, speeds = noise_level(motion.values), _speeds(motion, turn)
+    noise, speeds = estimate_noise_level(motion.values), _speeds(motion, turn)
     for width in CORNER_WIDTHS:
         deviations = _corner_deviations(motion, turn, speeds, width)
         if not len(deviations):
@@ -328,7 +328,7 @@ def match_strokes(
         for number, (before, after) in enumerate(pairwise(strokes))
         if before.sign == sign
     ]
-    peaks = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
+    peaks = find_rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
     times = np.array([top for _, top in tops])
     pairs, is_ambiguous = match_peaks(times, peaks)
     if len(pairs) and len(times) > 1 and not (_is_whole(motion) and _is_whole(force)):
@@ -370,7 +370,9 @@ def turn_event(
     search_reach = 1.0
     dwell = turn.dwell
     reach = dwell + search_reach  # the rough turn may be at either corner
-    first = turn_near(force.time, force.values, near=near, reach=reach, width=window, dwell=dwell)
+    first = find_turn_near(
+        force.time, force.values, near=near, reach=reach, width=window, dwell=dwell
+    )
     if first is None:
         return None
     if dwell <= 2.0 * window:

@@ -10,7 +10,7 @@ from labpipe.errors import UsageError
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.records.result import TestResult
-from labpipe.store.replace import STAGES, is_there
+from labpipe.store.replace import STAGES, exists_or_is_staged
 
 
 def recording_of(result: TestResult, protocol: Protocol) -> Hashable:
@@ -130,7 +130,7 @@ def files_below(folder: Path, name: str = "") -> list[Path]:
         folders[:] = [folder for folder in folders if not folder.startswith(".")]
         wanted = [name] if name else [file for file in files if not file.startswith(".")]
         here = [Path(place, file_name) for file_name in wanted]
-        paths += [path for path in here if path.name in files or is_there(path)]
+        paths += [path for path in here if path.name in files or exists_or_is_staged(path)]
     return sorted(paths)
 
 
@@ -164,7 +164,7 @@ def _find_files(targets: Sequence[Path], name: str) -> list[Path]:
     for target in targets:
         if set(target.resolve().parts) & set(STAGES):
             raise UsageError.about("process.unfinished", target)
-        below = [target] if is_there(target) else files_below(target, name)
+        below = [target] if exists_or_is_staged(target) else files_below(target, name)
         if not below:
             found = "none" if target.is_dir() else "a pipe or a device"
             found = found if target.exists() else "nothing of that name"

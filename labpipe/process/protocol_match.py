@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.errors import LabpipeError, ReadError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.reading import is_empty, join_exports, name_channels
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
@@ -110,7 +110,7 @@ def match_protocols(
         for fit in likely:
             if fit.protocol.name == name:
                 count, total = counts[name], sum(counts.values())
-                share = sentence("process.sign_siblings", count=count, total=total)
+                share = format_sentence("process.sign_siblings", count=count, total=total)
                 return [replace(fit, signs=(*fit.signs, (share, _DECISIVE_WEIGHT)))]
     return sorted(likely, key=lambda fit: fit.protocol.name)
 
@@ -168,7 +168,7 @@ def _fit_protocol(
     takes = [recording.markers for recording in recordings if recording.markers is not None]
     has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
     if clamp is not None and takes and not has_clamp:
-        faults.append(sentence("process.sign_no_clamp", clamp=clamp))
+        faults.append(format_sentence("process.sign_no_clamp", clamp=clamp))
     signs = tuple(_signs(protocol, recordings, names, length))
     uses = sum(map(len, files.values())) + has_clamp
     return Fit(protocol, files, tuple(faults), signs, uses, frozenset(unclear))
@@ -190,8 +190,8 @@ def _joined(parts: Exports) -> Recording | str:
     with suppress(ReadError):
         return join_exports([*parts.values()], names, Path())
     if len(names) > 1:
-        return sentence("process.sign_unclear_role", names=", ".join(names))
-    return sentence("process.sign_no_samples", name=names[0])
+        return format_sentence("process.sign_unclear_role", names=", ".join(names))
+    return format_sentence("process.sign_no_samples", name=names[0])
 
 
 def _signs(
@@ -203,7 +203,7 @@ def _signs(
     """
     match_deviation, mismatch_deviation = 0.05, 0.3
     for name in [name for name in names if _names_protocol(name, protocol.name)][:1]:
-        yield sentence("process.sign_namesake", name=name), _DECISIVE_WEIGHT
+        yield format_sentence("process.sign_namesake", name=name), _DECISIVE_WEIGHT
     sizes = [("length", "mm", length or np.nan, protocol.specimen.length)]
     for recording in recordings:
         sizes += _sizes(protocol, recording)
@@ -211,7 +211,7 @@ def _signs(
     for what, unit, size, stated in sizes:
         deviation = abs(size / stated - 1.0) if stated else np.nan  # NaN if nothing was measured
         if stated and deviation <= match_deviation:
-            facts = sentence(
+            facts = format_sentence(
                 "process.sign_size", what=what, unit=unit, size=1e3 * size, stated=1e3 * stated
             )
             yield facts, 1

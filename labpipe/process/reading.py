@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from labpipe.errors import ReadError, in_test_sheet
+from labpipe.errors import ReadError, format_overrides
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
@@ -27,7 +27,7 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 from labpipe.units import si_factor
 
-_NO_UNIT = frozenset({"", "-", "1", "count"})
+_UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
 """Entries of programs for an unknown unit."""
 _UNIT_SPELLINGS = MappingProxyType(
     {unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")}
@@ -42,11 +42,12 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
     No unit is stated, that of the export is unknown or of another quantity, or `unit` contradicts
     it and `wrong_unit_in_file` does not name it.
     """
-    stated, si_unit, key = channel.unit_in_file, _si_unit(source), source.key
+    stated, key = channel.unit_in_file, source.key
+    si_unit = _si_unit(source, source.unit or stated)
     place, likely = f"channel {channel.path!r}", _known_unit(stated)
-    another = in_test_sheet(f"{key}.channel", "...")
+    another = format_overrides(f"{key}.channel", "...")
     if source.unit is not None:
-        is_known = stated not in _NO_UNIT and is_unit(likely)
+        is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
         is_same = _same_unit(likely, source.unit, si_unit)
         if is_same or not is_known or stated == source.wrong_unit_in_file:
             return []
@@ -61,10 +62,10 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
                 if _same_unit(likely, likely, si_unit)
                 else f"Name another channel with {another}"
             ),
-            wrong=in_test_sheet(f"{key}.wrong_unit_in_file", stated),
+            wrong=format_overrides(f"{key}.wrong_unit_in_file", stated),
         )
     elif not stated:
-        unit = in_test_sheet(f"{key}.unit", source.target_unit)
+        unit = format_overrides(f"{key}.unit", source.target_unit)
         error = ReadError.about("process.no_unit", path, place, unit=unit)
     elif _same_unit(stated, stated, si_unit):
         return []
@@ -75,10 +76,10 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
             place,
             si_unit=si_unit,
             stated=stated,
-            unit=in_test_sheet(f"{key}.unit", stated),
+            unit=format_overrides(f"{key}.unit", stated),
             calibration=f"{key}.calibration",
         )
-    elif stated not in _NO_UNIT and is_unit(stated):
+    elif stated not in _UNKNOWN_UNITS and is_unit(stated):
         error = ReadError.about(
             "process.unit_of_another_quantity",
             path,
@@ -90,15 +91,18 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
         )
     else:
         is_spelt_otherwise = _same_unit(likely, likely, source.target_unit)
-        unit = in_test_sheet(f"{key}.unit", likely if is_spelt_otherwise else "...")
+        unit = format_overrides(f"{key}.unit", likely if is_spelt_otherwise else "...")
         error = ReadError.about(
             "process.unit_unknown", path, place, si_unit=si_unit, stated=stated, unit=unit
         )
     return [str(error)]
 
 
-def _si_unit(source: ChannelSource) -> str:
-    return source.channel_unit or source.target_unit
+def _si_unit(source: ChannelSource, stated: str) -> str:
+    """Return the SI unit of a channel; an extensometer may also give strain."""
+    unit = source.channel_unit or source.target_unit
+    is_strain = source.is_extension and _same_unit(stated, stated, "1")
+    return "1" if is_strain else unit
 
 
 def _known_unit(stated: str) -> str:
@@ -301,7 +305,7 @@ def _channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
     if error.parts:
         listed = ", ".join(map(repr, error.parts[:max_listed]))
         more = " ..." if len(error.parts) > max_listed else ""
-        part, count = in_test_sheet(f"{source.key}.part", error.parts[0]), len(error.parts)
+        part, count = format_overrides(f"{source.key}.part", error.parts[0]), len(error.parts)
         return str(
             ReadError.about(
                 "process.several_parts", path, count=count, names=listed + more, part=part
@@ -310,7 +314,7 @@ def _channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
     keys = [
         channel.key for channel in source.all_channels.values() if channel.channel == error.wanted
     ]
-    name = in_test_sheet(f"{keys[0]}.channel", "...") if keys else ""
+    name = format_overrides(f"{keys[0]}.channel", "...") if keys else ""
     return f"{error} Name the right one with {name}." if keys else str(error)
 
 
@@ -347,7 +351,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
             continue
         channels.append(_in_si(channel, name, spec))
         own, stated = spec.unit, channel.unit_in_file
-        if own and stated and own != stated and not _same_unit(own, stated, _si_unit(spec)):
+        if own and stated and own != stated and not _same_unit(own, stated, _si_unit(spec, own)):
             notes.append(QualityNote.of("process.unit_overridden", name, stated=stated, own=own))
         if not is_exact_name(spec.channel, channel):
             wanted = " or ".join(map(repr, spec.channel[:3]))
@@ -369,7 +373,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
-    unit = _si_unit(source)
+    unit = _si_unit(source, source.unit or channel.unit_in_file)
     factor = si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values

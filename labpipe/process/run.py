@@ -17,7 +17,13 @@ from typing import get_args
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import LabpipeError, ProcessingError, StoreError, code_of, refusal
+from labpipe.errors import (
+    LabpipeError,
+    ProcessingError,
+    StoreError,
+    describe_system_error,
+    find_error_code,
+)
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.reading import dialect_cards, fingerprint, named_exports, read_inputs
 from labpipe.process.sanity_checks import instruments_of
@@ -452,7 +458,7 @@ def attempt(
     except LabpipeError as error:
         return refuse(task, error.code, str(error))
     except Exception as error:
-        code = code_of(error)
+        code = find_error_code(error)
         refused = refuse(task, code, _fault_text(code, task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
@@ -518,7 +524,7 @@ def _with_inputs(failure: FailedTest, task: Task) -> FailedTest:
 def _fault_text(code: str, test: Path, error: Exception) -> str:
     """Describe an error that is no `LabpipeError`; one of labpipe with the line that raised it."""
     if code == "system_refused":
-        return f"{test}: {refusal(error)}"
+        return f"{test}: {describe_system_error(error)}"
     if code == "out_of_memory":
         return str(LabpipeError.about("process.out_of_memory", test))
     frames = traceback.extract_tb(error.__traceback__)

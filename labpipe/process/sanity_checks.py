@@ -9,13 +9,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.errors import in_test_sheet
-from labpipe.messages import sentence
+from labpipe.errors import format_overrides
+from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import Motion
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
-from labpipe.records.arrays import Flags, Floats, means_from
+from labpipe.records.arrays import Flags, Floats, average_between
 from labpipe.records.curve import Branch, Direction, Shape
 from labpipe.records.declarations import LIMITS, Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
@@ -25,7 +25,7 @@ from labpipe.records.signals import Signal, Signals
 from labpipe.results.beam import held_at_rest
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end
-from labpipe.signal.turning_points import noise_level
+from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.units import GRAVITY
 
 
@@ -122,7 +122,7 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
 def _check_negative(smooth: Floats, least: float, why: str) -> Iterator[Finding]:
     """Report a force whose means over a second fall below the minimum of its load."""
     lowest = float(np.nanmin(smooth))
-    if lowest < least - 5.0 * noise_level(smooth):
+    if lowest < least - 5.0 * estimate_noise_level(smooth):
         yield Finding.of("process.force_negative", "force", "force", lowest=lowest, why=why)
 
 
@@ -146,7 +146,7 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
     if not motion.branches:
         return
     begins, ends = motion.branches[0].start_time, motion.branches[-1].stop_time
-    for name, stretch in signals.zeroed.items():
+    for name, stretch in signals.zero_stretches.items():
         start, stop = (motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
         if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
             yield Finding.of(
@@ -215,14 +215,14 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     if curve is None or not motion.branches:
         return []
     time = displacement.time
-    force = motion.clocks.sampled(signals.raw[signals.force], time)
+    force = motion.clocks.interpolate(signals.raw[signals.force], time)
     parts = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
     sizes = [np.abs(_means(force[part])) for part in parts]
     growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
     means = _means(force)
     if len(means) < 2 or not max(growths) > 0.0:
         return []
-    noise = error_factor * noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
+    noise = error_factor * estimate_noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
     top = float(means[int(np.argmax(np.abs(means)))])
     opposite = float((-np.sign(top) * means).max())
     if np.ptp(means) <= noise or opposite > max_opposite_share * abs(top) + noise:
@@ -237,9 +237,9 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     if curve.reverse is not None:
         wrong = {name: text for name, text in wrong.items() if name in curve.reverse}
     is_reversed, names = bool(curve.reverse), ", ".join(wrong)
-    remedy = sentence(
+    remedy = format_sentence(
         "process.signs_reversed" if is_reversed else "process.signs_to_reverse",
-        names=names if is_reversed else in_test_sheet("curve.reverse", f"[{names}]"),
+        names=names if is_reversed else format_overrides("curve.reverse", f"[{names}]"),
     )
     clock = ("clock",) if motion.clocks.force is not None else ()  # joined at peaks of the force
     return [
@@ -259,7 +259,7 @@ def _means(values: Floats) -> Floats:
     """Return means of the finite values over at most 200 blocks."""
     finite = values[~np.isnan(values)]
     starts = np.linspace(0, len(finite), min(200, len(finite)), endpoint=False).astype(np.int64)
-    return means_from(finite, starts) if len(finite) else finite
+    return average_between(finite, starts) if len(finite) else finite
 
 
 def _falls(values: Floats) -> bool:
@@ -307,7 +307,7 @@ def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     if returns or not _is_loaded(force[inside], path[inside], float(np.ptp(path)), share):
         return
     # The slack correction restores the zero of displacement if the zero of the force is correct.
-    lined = [name for name in signals.quantities if name in signals.lined]
+    lined = [name for name in signals.quantities if name in signals.moving_zero_stretches]
     restored = () if signals.force in lined or not has_slack else (signals.displacement,)
     doubtful = [signals.quantities[name] for name in lined if name not in restored]
     first = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
@@ -333,7 +333,8 @@ def _first_branch(signals: Signals, motion: Motion) -> tuple[Floats, Floats, Flo
     noise_factor, min_samples = 5.0, 4
     time = signals.raw[signals.displacement].time
     force, path = (
-        motion.clocks.sampled(signals.raw[name], time) + signals.taken_off.get(name, 0.0)
+        motion.clocks.interpolate(signals.raw[name], time)
+        + signals.subtracted_levels.get(name, 0.0)
         for name in (signals.force, signals.displacement)
     )
     is_finite = np.isfinite(force) & np.isfinite(path)
@@ -345,7 +346,7 @@ def _first_branch(signals: Signals, motion: Motion) -> tuple[Floats, Floats, Flo
     force = force * np.sign(force[int(np.argmax(np.abs(force)))])
     path = path * (np.sign(path[inside][-1] - path[inside][0]) or 1.0)
     begins_at_rest = start - time[0] > 3.0 * (time[-1] - time[0]) / len(time)
-    is_zero = not force[inside][0] > noise_factor * noise_level(force)
+    is_zero = not force[inside][0] > noise_factor * estimate_noise_level(force)
     return None if begins_at_rest or is_zero else (time, force, path, inside)
 
 
@@ -483,7 +484,7 @@ def _has_arrived(motion: Signal, branches: tuple[Branch, ...], end: float, limit
     # the force is steep near the peak, and small at the end of unloading
     is_loading = last.direction is Direction.LOADING
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
-    near = max(shortfall * stroke, step, 5.0 * noise_level(motion.values))
+    near = max(shortfall * stroke, step, 5.0 * estimate_noise_level(motion.values))
     return sense * end >= turns[-1] - near
 
 

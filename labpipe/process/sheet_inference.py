@@ -14,7 +14,7 @@ from importlib.resources import files as package_files
 from pathlib import Path
 
 from labpipe.errors import Fault, LabpipeError, ReadError
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.process.checking import needs_span
 from labpipe.process.protocol_match import Fit, all_protocols, match_protocols
 from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
@@ -197,7 +197,7 @@ def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str
         statements = ", ".join(
             f"{fact.value or repr(fact.written)} in {fact.where}" for fact in clear or facts_of_key
         )
-        left_open[key] = sentence(
+        left_open[key] = format_sentence(
             "process.facts_differ" if clear else "process.facts_ambiguous",
             key=key,
             statements=statements,
@@ -418,15 +418,17 @@ def infer_test(
     remarks += ["; ".join(roles)] if roles else []
     for role in open_roles:
         possible = ", ".join(map(_printable, unclear[role]))
-        remarks.append(sentence("process.role_unclear", role=role, names=possible))
+        remarks.append(format_sentence("process.role_unclear", role=role, names=possible))
     for where in dict.fromkeys(fact.where for fact in facts.values()):
         statements = [_statement(fact) for fact in facts.values() if fact.where == where]
-        remarks.append(sentence("process.facts_from", facts=", ".join(statements), where=where))
+        remarks.append(
+            format_sentence("process.facts_from", facts=", ".join(statements), where=where)
+        )
     if "test" not in stated and name != folder.resolve().name:
-        remarks.append(sentence("process.test_renamed", name=name))
+        remarks.append(format_sentence("process.test_renamed", name=name))
     remarks += [text for key, text in contradictory.items() if key not in stated]
     if fit is not None and not fit.unclear and "protocol" not in stated:
-        remarks += [sentence("process.look", fault=fault) for fault in fit.faults[:3]]
+        remarks += [format_sentence("process.look", fault=fault) for fault in fit.faults[:3]]
     remarks += _other_names(folder.resolve().name, exports)
     used = {x for names in (*files.values(), *(unclear[r] for r in open_roles)) for x in names}
     remarks += _unused(folder, contents, used)
@@ -496,12 +498,14 @@ def _about_protocol(contents: FolderContents, fits: Sequence[Fit]) -> Iterator[s
         name = fits[0].protocol.name
         signs = "; ".join(text for text, weight in fits[0].signs if weight > 0)
         signs = signs or "no other one takes these exports as well"
-        yield sentence("process.protocol_chosen", name=name, signs=signs)
+        yield format_sentence("process.protocol_chosen", name=name, signs=signs)
     elif fits:
         listed = [f"{fit.protocol.name}: {fit.protocol.about}" for fit in fits]
-        yield sentence("process.protocols_alike", count=len(fits), names="\n    ".join(listed))
+        yield format_sentence(
+            "process.protocols_alike", count=len(fits), names="\n    ".join(listed)
+        )
     else:
-        yield sentence("process.protocol_none" if contents.exports else "process.no_exports")
+        yield format_sentence("process.protocol_none" if contents.exports else "process.no_exports")
 
 
 def _statement(fact: Fact) -> str:
@@ -516,7 +520,9 @@ def _other_names(name: str, exports: Mapping[Path, Recording]) -> Iterator[str]:
         for fact in facts_of_export(path.name, export):
             if fact.key == "take" and fact.value != name and facts_of_folder(fact.value):
                 other = fact.value
-                yield sentence("process.look_other_name", file=path.name, name=other, folder=name)
+                yield format_sentence(
+                    "process.look_other_name", file=path.name, name=other, folder=name
+                )
 
 
 def _unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[str]:
@@ -524,10 +530,12 @@ def _unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[
     kinds = {path.name: export.reader for path, export in contents.exports.items()}
     for name, kind in (kinds | contents.unread | contents.others).items():
         if name not in used:
-            yield sentence("process.not_used", name=_printable(name), kind=kind.splitlines()[0])
+            yield format_sentence(
+                "process.not_used", name=_printable(name), kind=kind.splitlines()[0]
+            )
     for name in sorted(used):
         if not (folder / name).exists():
-            yield sentence("process.not_there_yet", names=_printable(name))
+            yield format_sentence("process.not_there_yet", names=_printable(name))
 
 
 def file_names(text: str) -> tuple[str, ...]:

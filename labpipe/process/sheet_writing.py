@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import Fault, ReadError, UsageError, error_text, nearest
-from labpipe.messages import sentence
+from labpipe.errors import Fault, ReadError, UsageError, format_error, sort_by_likeness
+from labpipe.messages import format_sentence
 from labpipe.process.sheet_inference import (
     InferredTest,
     file_names,
@@ -185,7 +185,7 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
     for path, data, files in tests:
         kept = path.exists() and not overwrite
         missing = [x for names in files.values() for x in names if not (path.parent / x).exists()]
-        remark = sentence("process.not_there_yet", names=", ".join(missing))
+        remark = format_sentence("process.not_there_yet", names=", ".join(missing))
         if not kept:
             _write(path, data)
         sheets.append(WrittenSheet(path, kept, (remark,) if missing and not kept else ()))
@@ -217,7 +217,7 @@ def _heading_faults(heading: Sequence[Cell], names: Sequence[str], sheet: Path) 
 def _unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
     """Describe a column that is neither known nor a dotted key."""
     if name not in COLUMNS and "." not in name:
-        columns = nearest(written, list(COLUMNS))
+        columns = sort_by_likeness(written, list(COLUMNS))
         near = ", ".join(map(repr, columns))
         yield str(
             ReadError.about(
@@ -248,7 +248,7 @@ def _faults(
         expected, found, remedy = fault.expected, fault.found, fault.remedy
         if fault.missing:
             expected, found, remedy = f"a value for {column!r}", "none", "Fill it in."
-        yield error_text(file, place, expected=expected, found=found, remedy=remedy).rstrip()
+        yield format_error(file, place, expected=expected, found=found, remedy=remedy).rstrip()
 
 
 def _column_of(fault: Fault) -> str:

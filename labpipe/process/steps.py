@@ -7,8 +7,8 @@ from typing import TypeAlias, assert_never
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, in_test_sheet
-from labpipe.messages import sentence
+from labpipe.errors import ProcessingError, format_overrides
+from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import with_rising_force
 from labpipe.process.zeros import (
@@ -40,12 +40,12 @@ from labpipe.signal.corners import Corner
 from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
-    in_pieces,
+    compute_window,
+    filter_pieces,
     seconds_to_window,
-    window_length,
 )
 from labpipe.signal.reversals import fit_reversal
-from labpipe.signal.turning_points import sharpest_turn
+from labpipe.signal.turning_points import find_sharpest_turn
 
 
 def travel_from_speed(
@@ -75,7 +75,7 @@ def travel_from_speed(
     standard error later, or are faster by the uncertainty of the speed.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
-        raise ValueError(sentence("process.speed_needs_rig"))
+        raise ValueError(format_sentence("process.speed_needs_rig"))
     force, duration = with_rising_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
     corner = _turn(force, step)
     start, speed = corner.time - duration, rig.crosshead_speed
@@ -89,7 +89,7 @@ def travel_from_speed(
 
     values = travel(0.0)
     moved = {TURN: travel(corner.time_error), SPEED: (1.0 + step.speed_uncertainty) * values}
-    signal = Signal(time, values, "m", force.clock, moved=moved)
+    signal = Signal(time, values, "m", force.clock, perturbed=moved)
     note = Finding.of(
         "process.displacement_from_speed",
         step.channel,
@@ -101,21 +101,21 @@ def travel_from_speed(
     delay = float(force.time[0]) - start
     within = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
     late = Finding.of("process.start_missed", "force", "force", delay=delay, within=within)
-    return signals.with_new(step.channel, signal), [note, late] if delay > within else [note]
+    return signals.add_signal(step.channel, signal), [note, late] if delay > within else [note]
 
 
 def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
     max_time_error = 0.5  # s
     if not force.has_time:
-        raise ValueError(sentence("process.needs_times", channel=step.force, what="a speed"))
-    near = sharpest_turn(force.time, force.values, width=step.window)
+        raise ValueError(format_sentence("process.needs_times", channel=step.force, what="a speed"))
+    near = find_sharpest_turn(force.time, force.values, width=step.window)
     reversal = None
     if near is not None:
         part = slice(*np.searchsorted(force.time, [near - step.window, near + step.window]))
         inside = force.time[part], force.values[part]
         reversal = fit_reversal(*inside, near=near, window=step.window)
     if reversal is None or not reversal.corner.time_error < max_time_error:
-        raise ValueError(sentence("process.no_turn", channel=step.force))
+        raise ValueError(format_sentence("process.no_turn", channel=step.force))
     return reversal.corner
 
 
@@ -175,9 +175,9 @@ def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
     try:
         return take_step(prepared, step, protocol)
     except ValueError as error:
-        remedy = sentence("process.step_remedy")
+        remedy = format_sentence("process.step_remedy")
         if isinstance(error, ShortStretchError):
-            remedy = f"Write {in_test_sheet(f'{step.key}.over', f'{error.needed:.2g} s')}."
+            remedy = f"Write {format_overrides(f'{step.key}.over', f'{error.needed:.2g} s')}."
         message = f"{step.key} ({step.step}): {error}. {remedy}"
         raise ProcessingError(message) from error
 
@@ -262,7 +262,7 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
     if len(finite) < (min_samples := required_samples(other_values)):
         time_step = _step_of(signal)
-        message = sentence(
+        message = format_sentence(
             "process.short_stretch",
             channel=name,
             count=len(finite),
@@ -273,11 +273,13 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
         raise ShortStretchError(message, (min_samples + 0.5) * time_step)
     stretch = {name: (start, start + duration)}
     if step.by == "mean":
-        signals = replace(signals, zeroed={**signals.zeroed, **stretch})
+        signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
         level, error = mean_level(finite, other_values)
         method = f"the mean over {duration:.4g} s"
     else:
-        signals = replace(signals, lined={**signals.lined, **stretch})
+        signals = replace(
+            signals, moving_zero_stretches={**signals.moving_zero_stretches, **stretch}
+        )
         values = finite if step.at == "start" else finite[::-1]
         level, error, rest_samples = line_zero(values, other_values)
         rest_time = duration * rest_samples / len(values)
@@ -295,7 +297,7 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
         end=step.at,
         count=len(finite),
     )
-    return signals.without_level(name, level, error), [note]
+    return signals.subtract_level(name, level, error), [note]
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
@@ -311,7 +313,7 @@ def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
 def _need_time(signal: Signal, name: str, what: str) -> None:
     """Refuse a length in seconds if the export has no time."""
     if not signal.has_time:
-        raise ValueError(sentence("process.needs_times", channel=name, what=what))
+        raise ValueError(format_sentence("process.needs_times", channel=name, what=what))
 
 
 def _filter(
@@ -335,7 +337,7 @@ def _filter(
             filter_step, kept = (Smoothing(window), step.factor), step.factor
             findings = [Finding.of("process.decimated", name, kept=kept, method=step.method)]
     signal = replace(signal, time=signal.time[:: filter_step[1]])
-    signal = signal.changed(lambda values: in_pieces(values, (), [filter_step]))
+    signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
     return signals.with_filtered(name, signal, filter_step), findings
 
 
@@ -351,12 +353,12 @@ def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
     """Convert a span to samples; travel and branches by the speed of the rig."""
     count = len(signal.values)
     if span.kind == "samples":
-        return window_length(max(1.0, span.value), count)
+        return compute_window(max(1.0, span.value), count)
     _need_time(signal, "smooth", f"a span of {span.kind}")
     if span.kind == "time":
         return seconds_to_window(span.value, signal.time)
     speed, stroke = protocol.rig.crosshead_speed, protocol.rig.stroke
     if speed is None or (span.kind == "branch" and stroke is None):
-        raise ValueError(sentence("process.span_needs_rig", kind=span.kind))
+        raise ValueError(format_sentence("process.span_needs_rig", kind=span.kind))
     travel = span.value if span.kind == "travel" else span.value * (stroke or 0.0)
     return seconds_to_window(travel / speed, signal.time)

@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date
 
-from labpipe.errors import in_test_sheet
-from labpipe.messages import sentence
+from labpipe.errors import format_overrides
+from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.clock_joining import join_clocks
 from labpipe.process.consistency import check_break, check_consistency
@@ -225,7 +225,8 @@ def _reduced_test(
 ) -> ReducedTest:
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
-    sizes = {"length": specimen.length, "span": specimen.span, **section}
+    lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
+    sizes = {**dict(lengths), "span": specimen.span, **section}
     setup = Setup(
         sizes={name: size for name, size in sizes.items() if size is not None},
         mass_per_length=specimen.mass_per_length,
@@ -296,7 +297,7 @@ def _with_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
     names = [getattr(other, "name", other.result) for other in protocol.results]
     number = protocol.results.index(entry)
     key = names[number] if names.count(names[number]) == 1 else number
-    remedy = sentence("process.remedy", override=in_test_sheet(f"results.{key}", "null"))
+    remedy = format_sentence("process.remedy", override=format_overrides(f"results.{key}", "null"))
     reasons = [
         replace(reason, message=reason.message + remedy) if reason.code in codes else reason
         for reason in result.reasons

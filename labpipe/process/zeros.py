@@ -12,8 +12,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signals
-from labpipe.signal.rests_and_jumps import samples_at_rest
-from labpipe.uncertainty.autocorrelation import long_run_variance, smooth_stretches
+from labpipe.signal.rests_and_jumps import count_rest_samples
+from labpipe.uncertainty.autocorrelation import cut_smooth_stretches, estimate_long_run_variance
 from labpipe.uncertainty.linear_fits import fit_linear
 
 MIN_SAMPLES_NOISE_UNKNOWN = 8
@@ -56,7 +56,7 @@ def mean_level(values: Floats, other_values: Floats) -> tuple[float, float]:
         half = float(fit.half_widths[0])
         return float(fit.coefficients[0]), Interval(-half, half).standard_error
     blocks = _blocks(values)
-    error = float(np.sqrt(long_run_variance(blocks, parameters=1) / len(blocks)))
+    error = float(np.sqrt(estimate_long_run_variance(blocks, parameters=1) / len(blocks)))
     return float(values.mean()), error
 
 
@@ -90,7 +90,7 @@ def line_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
         first value of a line if the rest is too short
     rest_samples : number of samples in that rest; 0 if the level is from a line
     """
-    rest_samples = samples_at_rest(values)
+    rest_samples = count_rest_samples(values)
     if rest_samples >= required_samples(other_values):
         return *mean_level(
             values[:rest_samples], np.concatenate([values[rest_samples:], other_values])
@@ -107,7 +107,7 @@ def _stretches_beside_short_one(values: Floats, other_values: Floats) -> Sequenc
 
 def _noise_stretches(other_values: Floats) -> Sequence[Floats]:
     short_width = 25
-    return smooth_stretches(
+    return cut_smooth_stretches(
         other_values, width=SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
     )
 
@@ -138,7 +138,7 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     """
     findings: list[Finding] = []
     branches = motion.branches
-    for name, (start, stop) in signals.zeroed.items() if branches else ():
+    for name, (start, stop) in signals.zero_stretches.items() if branches else ():
         raw = signals.raw[name]
         begins, ends = (
             motion.clocks.from_curve(end, raw.clock)
@@ -154,8 +154,8 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
         rest_values = raw.values[inside & ~np.isnan(raw.values)]
         if len(rest_values) >= MIN_SAMPLES_NOISE_UNKNOWN:
             level, error = mean_level(rest_values, raw.values[~inside])
-            zeroed = {**signals.zeroed, name: rest}
-            signals = replace(signals.without_level(name, level, error), zeroed=zeroed)
+            zeroed = {**signals.zero_stretches, name: rest}
+            signals = replace(signals.subtract_level(name, level, error), zero_stretches=zeroed)
             duration, stated = rest[1] - rest[0], stop - start
             findings.append(
                 Finding.of("process.short_rest", name, duration=duration, stated=stated)

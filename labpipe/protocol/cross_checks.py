@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
-from labpipe.errors import Fault, KeyPath, in_test_sheet, nearest
+from labpipe.errors import Fault, KeyPath, format_overrides, sort_by_likeness
 from labpipe.protocol.source import (
     KEYS,
     MARKER_READERS,
@@ -22,7 +22,7 @@ from labpipe.protocol.source import (
 )
 from labpipe.protocol.values import SI_UNITS, in_si, quantity_remedy, si_unit_like, unit_remedy
 from labpipe.protocol.yaml_text import Values, block_in, list_in, not_among, one_of
-from labpipe.records.declarations import STEPS, defaults_of, existing_in
+from labpipe.records.declarations import STEPS, list_defaults, list_references
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
 
@@ -161,7 +161,7 @@ def readers_in(source: Values) -> list[str]:
 
 def _channels(role: str, source: Values) -> Iterator[Channel]:
     if _channel_keys(role, source):
-        name = role if role in ROLES else nearest(role, list(ROLES), limit=1)[0]
+        name = role if role in ROLES else sort_by_likeness(role, list(ROLES), limit=1)[0]
         yield Channel(name, role, ("sources", role), source)
     for name in block_in(source, "channels"):
         path = ("sources", role, "channels", name)
@@ -314,7 +314,7 @@ def _step_faults(outline: Outline) -> Faults:
                 yield Fault.of("protocol.step_again", here, step=tag)
             if kind.after and kind.after not in earlier:
                 yield Fault.of("protocol.step_before", here, step=tag, needed=kind.after)
-        for key in existing_in(kind, "channel") if kind is not None else ("channel",):
+        for key in list_references(kind, "channel") if kind is not None else ("channel",):
             yield from _no_channel(step.get(key), (*path, key), names, outline.made)
         if tag == "travel-from-speed":
             yield from _from_speed_faults(outline, step, here)
@@ -388,8 +388,8 @@ def _result_faults(outline: Outline) -> Faults:
         if kind is None:
             continue
         yield from _need_faults(outline, kind, (*path, "result"))
-        settings = {**defaults_of(kind), **entry}
-        for key in existing_in(kind, "stiffness"):
+        settings = {**list_defaults(kind), **entry}
+        for key in list_references(kind, "stiffness"):
             yield from _no_stiffness(settings.get(key), (*path, key), stiffnesses)
         names = result_names(tag, entry)
         yield from _duplicate_name_faults(names, tag, seen, (*path, "result"))
@@ -417,9 +417,9 @@ def _duplicate_name_faults(
     if name is None:
         return
     remedy = "Remove one of them."
-    if "name" in defaults_of(RESULTS[tag]):
+    if "name" in list_defaults(RESULTS[tag]):
         remedy = "Give it another 'name'."
-    elif "name" in defaults_of(RESULTS[seen[name]]):
+    elif "name" in list_defaults(RESULTS[seen[name]]):
         remedy = f"Give the {seen[name]} of that name another 'name'."
     yield Fault.of("protocol.result_again", path, name=name, remedy=remedy)
 
@@ -431,7 +431,7 @@ def _need_faults(outline: Outline, kind: type[Kind], path: KeyPath) -> Faults:
     yield from _missing_needs(outline, path, tag, *words)
     if needs.correction and outline.block("curve"):
         for fault in _missing_needs(outline, path, tag, f"a block 'curve.{needs.correction}'"):
-            out = in_test_sheet(f"results.{tag}", "null")
+            out = format_overrides(f"results.{tag}", "null")
             yield replace(fault, remedy=f"{fault.remedy[:-1]}, or take the result out: {out}.")
     displacement = str(outline.block("curve").get("displacement"))
     if needs.clamp and outline.clock_of(displacement) not in (None, "markers"):
@@ -552,7 +552,7 @@ def _outside(kind: str, text: str, path: KeyPath, ends: Values, *, in_file: bool
     if size is None or low is None or high is None or low <= abs(size) <= high or low >= high:
         return
     end = "from" if abs(size) < low else "to"
-    override = in_test_sheet(f"plausible.{kind}.{end}", text)
+    override = format_overrides(f"plausible.{kind}.{end}", text)
     yield Fault.of(
         "protocol.implausible",
         path,

@@ -38,7 +38,7 @@ from labpipe.records.declarations import (
 )
 from labpipe.units import GRAVITY
 
-MAX_STEPS = 2000
+MAX_EQUILIBRIA = 2000
 MAX_ELEMENTS = 2000
 MIN_ELEMENTS = 4
 START, END = 0.0, math.inf
@@ -96,7 +96,7 @@ def _written_place(place: float) -> str:
 
 
 Place: TypeAlias = Annotated[float, PlainValidator(_place), PlainSerializer(_written_place)]
-Step: TypeAlias = Annotated[int, WholeNumber(1, MAX_STEPS)]
+Step: TypeAlias = Annotated[int, WholeNumber(1, MAX_EQUILIBRIA)]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
 BendingStiffness: TypeAlias = Annotated[float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", above=0.0)]
 TorsionalStiffness: TypeAlias = Annotated[
@@ -342,7 +342,7 @@ class HarnessFile(Block):
     boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
         json_schema_extra={"minItems": 1}
     )
-    steps: Annotated[int, WholeNumber(1, MAX_STEPS)] = Field(
+    steps: Annotated[int, WholeNumber(1, MAX_EQUILIBRIA)] = Field(
         40, description="Equilibria after the start; more where a path is hard to follow"
     )
     gravity: Acceleration = Field((0.0, 0.0, -GRAVITY), description="Three zeros for none")

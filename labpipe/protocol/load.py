@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 import yaml
 
-from labpipe.errors import Fault, ProtocolError, nearest
+from labpipe.errors import Fault, ProtocolError, sort_by_likeness
 from labpipe.protocol.cross_checks import plausible_faults
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.overrides import (
@@ -351,7 +351,7 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
     others = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
     placed = []
     for role, name in missing:
-        like = ", ".join(map(repr, nearest(name, others, limit=3))) or "no files"
+        like = ", ".join(map(repr, sort_by_likeness(name, others, limit=3))) or "no files"
         fault = Fault.of("protocol.no_such_export", ("files", role), name=name, like=like)
         placed.append(document.place(fault))
     return error_of_faults(placed, code="missing_export")

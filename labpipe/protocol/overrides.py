@@ -16,7 +16,7 @@ from labpipe.protocol.yaml_text import Document, Spot, block_in, did_you_mean, l
 from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import whole_number
 
-SHEET_DIMENSIONS = ("length", "span", "mass_per_length")
+SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
 """Keys of the sheet's specimen that override those of the protocol."""
 _LISTS = (("steps",), ("results",))
 """Blocks that a protocol may leave out and that are lists."""

@@ -21,14 +21,14 @@ from typing import Any, get_args, get_type_hints
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from labpipe.messages import rooms_with_templates, templates_of
+from labpipe.messages import list_rooms, read_templates
 from labpipe.protocol.grammar import Block, block_of
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.plans import CampaignPlan
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import KEYS, PLAUSIBLE
-from labpipe.records.declarations import Limits, Needs, existing_in
+from labpipe.records.declarations import Limits, Needs, list_references
 from labpipe.records.quality import Severity
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
@@ -109,8 +109,8 @@ def kinds_of_notes() -> tuple[KindOfNote, ...]:
         for code, template in notes.items()
     ] + [
         (template.get("origin", ORIGINS.get(room, "processing")), code, template)
-        for room in rooms_with_templates()
-        for code, template in templates_of(room).items()
+        for room in list_rooms()
+        for code, template in read_templates(room).items()
         if "meaning" in template
     ]
     return tuple(
@@ -212,7 +212,7 @@ def _needs(kind: Any) -> Iterable[str]:
         "two clocks": needs.clocks,
         f"the step `{needs.shape}`": needs.shape,
         "a clamped end": needs.clamp,
-        "the stiffness `of`": existing_in(kind, "stiffness"),
+        "the stiffness `of`": list_references(kind, "stiffness"),
     }
     return [word for word, is_needed in descriptions.items() if is_needed]
 

@@ -16,12 +16,18 @@ from pydantic import (
 from labpipe.errors import Fault
 from labpipe.protocol.cross_checks import cross_faults
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.source import ChannelSource, Plausible, Role, SizeUncertainties, Source
+from labpipe.protocol.source import (
+    ChannelSource,
+    Plausible,
+    Role,
+    Section,
+    SizeUncertainties,
+    Source,
+)
 from labpipe.protocol.values import FileStem, OrShort, Remark, Text
 from labpipe.protocol.yaml_text import FaultsError, Values, refused
 from labpipe.records.declarations import (
     LIMITS,
-    Area,
     Compliance,
     Distance,
     Drift,
@@ -53,21 +59,13 @@ else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - of a list
 
 
-class Section(Block):
-    """Cross-section of the specimen; give what is known."""
-
-    outer_diameter: Length | None = None
-    inner_diameter: Length | None = None
-    wall: Length | None = None
-    width: Length | None = None
-    thickness: Length | None = None
-    area: Area | None = None
-
-
 class SpecimenBlock(Block):
     """Dimensions that all specimens of the protocol share."""
 
     length: Length | None = Field(None, description="Free length; a test sheet can give its own")
+    gauge_length: Length | None = Field(
+        None, description="Of the extensometer whose channel is the displacement of the curve"
+    )
     span: Length | None = Field(None, description="Distance of the supports")
     mass_per_length: LinearMass | None = Field(
         None, description="Bends a cantilever by its weight; left out where it is not given"
@@ -210,6 +208,10 @@ class Failure(Block):
     within: Duration = Field(
         0.05, description="In this time, or in one step between samples where that is longer"
     )
+    at_end_below: Share | None = Field(
+        None,
+        description="A record whose force ends below this share of the largest ends with the break",
+    )
 
 
 class Slips(Block):
@@ -242,6 +244,24 @@ Reverse: TypeAlias = Annotated[
 ]
 
 
+class ElasticLine(Block):
+    """The straight part of a tension test in stress and strain: the longest one, or a window."""
+
+    start: Annotated[Ratio | None, Key("from"), "Start of a window, such as 0.05 % strain"] = None
+    stop: Annotated[Ratio | None, Key("to"), "End of the window, such as 0.25 % strain"] = None
+    of: Literal["strain", "strength"] = Field(
+        "strain", description="What from and to are counted in: strain, or the largest stress"
+    )
+    straight: Share = Field(0.9998, description="Least r^2 of the line, where no window is stated")
+
+    @classmethod
+    def between(cls, data: Values) -> Iterator[Fault]:
+        """Find a window with one end."""
+        if ("from" in data) != ("to" in data):
+            given, missing = ("from", "to") if "from" in data else ("to", "from")
+            yield Fault.of("protocol.half_window", (given,), given=given, missing=missing)
+
+
 class CurveBlock(Block):
     """Which channels make the curve, and how it is corrected: in the order of the keys."""
 
@@ -256,6 +276,7 @@ class CurveBlock(Block):
     failure: Failure | None = None
     slips: Slips | None = None
     slack: Slack | None = None
+    elastic_line: ElasticLine | None = None
 
 
 class Branches(Block):

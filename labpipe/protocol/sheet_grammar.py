@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
-from labpipe.errors import Fault, UsageError, error_text
+from labpipe.errors import Fault, UsageError, format_error
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.source import Role, SizeUncertainties
+from labpipe.protocol.source import Role, Section, SizeUncertainties
 from labpipe.protocol.values import (
     Day,
     FileStem,
@@ -238,7 +238,7 @@ def bundle_in_words(text: str, *, arrangement: str = PACKED) -> Bundle:
 def _fault_text(fault: Fault, text: str) -> str:
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
     remedy = fault.remedy or 'Write it like "10 B1 + 9 B2 (1.25 mm)", or give a test.yaml.'
-    return error_text(text, place, expected=fault.expected, found=fault.found, remedy=remedy)
+    return format_error(text, place, expected=fault.expected, found=fault.found, remedy=remedy)
 
 
 SHEET_NAME = "test.yaml"
@@ -264,6 +264,7 @@ class SheetSpecimen(Block):
     mass_per_length: LinearMass | None = Field(
         None, description="Mass per length; overrides the protocol's"
     )
+    section: Section | None = Field(None, description="Sizes of the cross-section, or its area")
     uncertainty: SizeUncertainties | None = Field(
         None, description="Standard uncertainties of sizes; override the protocol's"
     )

@@ -22,7 +22,7 @@ from labpipe.errors import Fault
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, si_unit_like
 from labpipe.protocol.yaml_text import FaultsError, refused
-from labpipe.records.declarations import Distance, Quantity, Snake, Uncertainty
+from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
 
@@ -90,10 +90,22 @@ Names = Annotated[
 AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
 
 
+class Section(Block):
+    """Cross-section of the specimen; give what is known."""
+
+    outer_diameter: Length | None = None
+    inner_diameter: Length | None = None
+    wall: Length | None = None
+    width: Length | None = None
+    thickness: Length | None = None
+    area: Area | None = None
+
+
 class SizeUncertainties(Block):
     """Standard uncertainties of the specimen's sizes; what is left out is taken as exact."""
 
     length: Distance | None = None
+    gauge_length: Distance | None = None
     span: Distance | None = None
     outer_diameter: Distance | None = None
     inner_diameter: Distance | None = None
@@ -242,6 +254,11 @@ class ChannelSource(Block):
     def target_unit(self) -> str:
         """Return the SI unit of the channel once calibrated."""
         return SI_UNITS[self.quantity or self._name]
+
+    @property
+    def is_extension(self) -> bool:
+        """Check whether an extensometer gives the channel, as a length or as strain."""
+        return (self.quantity or self._name) == "extension"
 
     @property
     def channel_unit(self) -> str | None:

@@ -34,6 +34,7 @@ SI_UNITS: Final = MappingProxyType(
         "deflection": "m",
         "displacement": "m",
         "energy": "J",
+        "extension": "m",
         "force": "N",
         "frequency": "Hz",
         "length": "m",

@@ -19,7 +19,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from labpipe.errors import Fault, KeyPath, ProtocolError, error_text, nearest
+from labpipe.errors import Fault, KeyPath, ProtocolError, format_error, sort_by_likeness
 
 _LOADER = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 Mark: TypeAlias = tuple[int, int]
@@ -71,13 +71,13 @@ def shown(value: object) -> str:
 def one_of(word: str, valid: Iterable[str]) -> str:
     """List at most six valid words, nearest first."""
     valid_words = sorted(set(valid))
-    listed = nearest(word, valid_words, limit=6)
+    listed = sort_by_likeness(word, valid_words, limit=6)
     return ", ".join([*map(repr, listed), *["..."] * (len(valid_words) > len(listed))])
 
 
 def did_you_mean(word: str, valid: Iterable[str]) -> str:
     """Suggest the most similar valid word; empty if there is none."""
-    best = nearest(word, sorted(set(valid)), limit=1)
+    best = sort_by_likeness(word, sorted(set(valid)), limit=1)
     return f"Did you mean {best[0]!r}?" if best else ""
 
 
@@ -282,7 +282,7 @@ def _placed(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFaul
     key = ".".join(str(part) for part in fault.path)
     place = f"line {mark[0]}, column {mark[1]}" + (f" ({key})" if key else "")
     remedy = f"{fault.remedy} {remark}".strip()
-    text = error_text(file, place, expected=fault.expected, found=fault.found, remedy=remedy)
+    text = format_error(file, place, expected=fault.expected, found=fault.found, remedy=remedy)
     return file, mark, text.rstrip()
 
 

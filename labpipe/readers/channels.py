@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import product
 from typing import TypeAlias
 
-from labpipe.errors import ReadError, nearest
+from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Recording
@@ -132,7 +132,7 @@ def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: 
             error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=same)
             break
     else:
-        near = dict.fromkeys(path for name in names for path in nearest(name, paths))
+        near = dict.fromkeys(path for name in names for path in sort_by_likeness(name, paths))
         shown, place = (
             _quoted_list([*near][:5]) or "none",
             f"channel {' or '.join(map(repr, names[:6]))}",

@@ -36,7 +36,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.errors import ReadError, nearest
+from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.number_table import Body, read_columns, sheet_text
 from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content
 from labpipe.readers.text_cells import (
@@ -248,7 +248,7 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
     number = whole_number(wanted.column or "")
     if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
-    near = ", ".join(map(repr, nearest(names[0], [*filter(None, table.names)])))
+    near = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
     raise ReadError.about(
         "readers.several_columns" if matches else "readers.no_column",
         table.path,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, median, stretches_of
+from labpipe.records.arrays import Flags, Floats, find_runs, median
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks
 
@@ -203,7 +203,7 @@ def unchanged(positions: Floats) -> Flags:
 
 def longest(flags: Flags) -> int:
     """Return the length of the longest stretch of flagged samples, 0 if there is none."""
-    return max((stop - start for start, stop in stretches_of(flags)), default=0)
+    return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 
 def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
@@ -266,6 +266,6 @@ def _switch_notes(gone: Mapping[str, Flags]) -> Iterator[QualityNote]:
     for name, missing in gone.items():
         others = [other for other, hidden in unlabelled.items() if np.array_equal(~hidden, missing)]
         if name not in unlabelled and others and missing.any():
-            ranges = [f"{start}-{stop - 1}" for start, stop in stretches_of(missing)[:3]]
+            ranges = [f"{start}-{stop - 1}" for start, stop in find_runs(missing)[:3]]
             rows, seen = ", ".join(ranges), ", ".join(others)
             yield QualityNote.of("readers.label_switch", name, rows=rows, others=seen)

@@ -32,7 +32,8 @@ _BRACKETED = {
 }
 _UNIT_AFTER_MARK = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)([^\W\d]\S*|%|°\S*)")
 """A unit after a comma, ``Force, N``, or as in ISO 80000, ``Force / N``."""
-_SI_UNITS = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
+_READABLE_DIMENSIONS = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
+"""A unit of one of these dimensions counts as the unit of a column."""
 _NO_DIMENSION = frozenset({"-", "count", "°C"})
 _COMMON_UNITS = frozenset(
     (
@@ -142,7 +143,7 @@ def split_line(line: str, separator: str) -> list[str]:
 def is_unit(text: str) -> bool:
     """Return whether a text is a known unit."""
     is_known = text in _COMMON_UNITS or text in _NO_DIMENSION
-    return is_known or any(has_dimension_of(text, unit) for unit in _SI_UNITS)
+    return is_known or any(has_dimension_of(text, unit) for unit in _READABLE_DIMENSIONS)
 
 
 def hold_units(cells: Sequence[str]) -> bool:

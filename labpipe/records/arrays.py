@@ -83,7 +83,7 @@ class ArrayRecord:
         return len(entries) if isinstance(entries, tuple) else lengths.get(axis)
 
 
-def dtype_of(array_type: Any) -> Any:
+def find_dtype(array_type: Any) -> Any:
     """Return the number type of an array type such as `Floats`."""
     return get_args(get_args(array_type)[1])[0]
 
@@ -98,13 +98,13 @@ def _fields_with_axes(
         values, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         axes = tuple(axis for axis in marks if isinstance(axis, str | int))
         if axes and get_origin(values) is np.ndarray:
-            arrays.append((name, dtype_of(values), axes))
+            arrays.append((name, find_dtype(values), axes))
         elif axes and get_origin(values) is tuple:
             tuples.append((name, axes[0]))
     return arrays, tuples
 
 
-def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:
+def freeze(values: object, *, shape: tuple[int | None, ...]) -> Floats:
     """Return `values` as a read-only float64 array of the stated shape.
 
     Parameters
@@ -163,7 +163,7 @@ def median(values: Floats) -> float:
     return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
 
 
-def means_from(values: Floats, starts: Ints) -> Floats:
+def average_between(values: Floats, starts: Ints) -> Floats:
     """Return the mean of the samples from each start to the next one.
 
     Parameters
@@ -175,7 +175,7 @@ def means_from(values: Floats, starts: Ints) -> Floats:
     return means
 
 
-def block_means(values: Floats, points: int) -> Floats:
+def average_blocks(values: Floats, points: int) -> Floats:
     """Average blocks of consecutive samples.
 
     Parameters
@@ -189,17 +189,17 @@ def block_means(values: Floats, points: int) -> Floats:
     """
     size = max(1, len(values) // points)
     starts = np.arange(0, max(len(values) - size + 1, 1), size)
-    return means_from(values, starts) if len(values) else values
+    return average_between(values, starts) if len(values) else values
 
 
-def part_of(samples: Samples, stretch: slice) -> Samples:
+def select_part(samples: Samples, stretch: slice) -> Samples:
     """Select a stretch of the samples."""
     if isinstance(samples, slice):
         return slice(samples.start + stretch.start, samples.start + stretch.stop)
     return samples[stretch]
 
 
-def ratio(numerator: Floats, denominator: Floats) -> Floats:
+def divide(numerator: Floats, denominator: Floats) -> Floats:
     """Return the ratio; NaN where the divisor is zero.
 
     Parameters
@@ -212,7 +212,7 @@ def ratio(numerator: Floats, denominator: Floats) -> Floats:
     return quotient
 
 
-def stretches_of(flags: Flags) -> list[tuple[int, int]]:
+def find_runs(flags: Flags) -> list[tuple[int, int]]:
     """Find the runs of flagged samples.
 
     Parameters
@@ -227,7 +227,7 @@ def stretches_of(flags: Flags) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
-def samples_of(indices: Ints) -> Samples:
+def as_slice(indices: Ints) -> Samples:
     """Convert sample numbers to a slice if they are consecutive, which avoids copies.
 
     Parameters
@@ -236,7 +236,7 @@ def samples_of(indices: Ints) -> Samples:
 
     Examples
     --------
-    >>> samples_of(np.array([3, 4, 5])), samples_of(np.array([3, 5]))
+    >>> as_slice(np.array([3, 4, 5])), as_slice(np.array([3, 5]))
     (slice(3, 6, None), array([3, 5]))
     """
     if not len(indices):
@@ -245,7 +245,7 @@ def samples_of(indices: Ints) -> Samples:
     return stretch if stretch.stop - stretch.start == len(indices) else indices
 
 
-def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
+def find_run_times(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
     """Find when samples are flagged.
 
     Parameters
@@ -256,4 +256,4 @@ def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
     -------
     First and last time of each run, s.
     """
-    return tuple((float(time[start]), float(time[end - 1])) for start, end in stretches_of(flags))
+    return tuple((float(time[start]), float(time[end - 1])) for start, end in find_runs(flags))

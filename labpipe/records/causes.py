@@ -43,6 +43,8 @@ RESOLUTION: Final = "resolution of the force"
 """Half a step of a converter with a resolution coarser than the noise."""
 STEP: Final = "sampling step"
 """Where between two samples a specimen broke, or a machine turned."""
+PEAK: Final = "flat peak"
+"""Which of the samples near the largest force is the largest, in noise."""
 TANGENT: Final = "length of the tangents"
 """Effect of shorter tangents at a corner of the curve."""
 
@@ -73,12 +75,13 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     REPAIRED_SLIPS: False,
     RESOLUTION: False,
     STEP: False,
+    PEAK: False,
     TANGENT: True,  # corners of all specimens are smeared alike
 }
 """Whether all tests of a rig share a cause, for every cause of a budget."""
 
 
-def contribution(cause: str, change: float) -> Contribution:
+def make_contribution(cause: str, change: float) -> Contribution:
     """Make a row of a budget.
 
     Parameters

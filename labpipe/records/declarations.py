@@ -210,7 +210,7 @@ class Output:
         kind : the kind of result, with the defaults of its settings
         entry : the settings as written, whether or not they are valid
         """
-        stem = self.name.format_map({"of": None, **defaults_of(kind), **entry})
+        stem = self.name.format_map({"of": None, **list_defaults(kind), **entry})
         return stem if self.first is None else f"{stem}.{self.first}"
 
 
@@ -234,7 +234,7 @@ class Needs:
     clamp: bool = False
 
 
-def kinds_of(union: Any) -> dict[str, Any]:
+def list_kinds(union: Any) -> dict[str, Any]:
     """List the kinds of a union of settings by their tag.
 
     Parameters
@@ -246,7 +246,7 @@ def kinds_of(union: Any) -> dict[str, Any]:
 
 
 @cache
-def defaults_of(kind: Any) -> dict[str, Any]:
+def list_defaults(kind: Any) -> dict[str, Any]:
     """Return the settings that a block may leave out, by name.
 
     Parameters
@@ -257,7 +257,7 @@ def defaults_of(kind: Any) -> dict[str, Any]:
 
 
 @cache
-def existing_in(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
+def list_references(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
     """Return the names of the settings that must name something that exists.
 
     Parameters
@@ -417,7 +417,7 @@ Step: TypeAlias = Annotated[
     TaggedChoice("step"),
 ]
 
-STEPS: Final = kinds_of(Step)
+STEPS: Final = list_kinds(Step)
 """The kinds of steps by their word in YAML."""
 
 

@@ -65,7 +65,7 @@ def fail(code: str, message: str) -> NoReturn:
     raise UnavailableError(Failure(code, message))
 
 
-def or_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
+def return_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
     """Return a function that returns the reason instead of raising `UnavailableError`."""
 
     @wraps(function)

@@ -14,7 +14,14 @@ import numpy as np
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.result import Contribution, InputFile, Instrument, Result, Specimen, apart_from
+from labpipe.records.result import (
+    Contribution,
+    InputFile,
+    Instrument,
+    Result,
+    Specimen,
+    find_distinct_estimate,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +98,7 @@ class Sample:
     inputs : the exports, with their fingerprints
     shapes : None without cameras
     law : measured moment against curvature; None where the protocol does not ask for it
-    decided : what a person decided of the test, why, by whom and when; empty where nobody did
+    decision : what a person decided of the test, why, by whom and when; empty where nobody did
     """
 
     test: str
@@ -113,7 +120,7 @@ class Sample:
     inputs: tuple[InputFile, ...] = ()
     shapes: DrawnShapes | None = None
     law: DrawnLaw | None = None
-    decided: str = ""
+    decision: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +155,7 @@ class MeanInterval:
         return self.mean if self.estimate is None else self.estimate
 
     @property
-    def half(self) -> float:
+    def half_width(self) -> float:
         """Return the half-width of the interval, before a log scale if it has one, or NaN."""
         if self.interval is None:
             return float("nan")
@@ -157,8 +164,8 @@ class MeanInterval:
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Return the estimate where a reader must see it beside the mean, as `apart_from` says."""
-        return apart_from(self.mean, self.estimate, self.interval)
+        """Return the estimate if it must be shown beside the mean (`find_distinct_estimate`)."""
+        return find_distinct_estimate(self.mean, self.estimate, self.interval)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,15 +174,15 @@ class Decision:
 
     Parameters
     ----------
-    done : what was averaged, such as ``Over 3 spool means``
-    because : the numbers it rests on, a clause each
+    action : what was averaged, such as ``Over 3 spool means``
+    grounds : the numbers it rests on, a clause each
     """
 
-    done: str
-    because: tuple[str, ...] = ()
+    action: str
+    grounds: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return f"{': '.join(filter(None, (self.done, '; '.join(self.because))))}."
+        return f"{': '.join(filter(None, (self.action, '; '.join(self.grounds))))}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,7 +360,7 @@ class Difference:
         level that the correction leaves to it: 95 % or more. It leaves zero out exactly where the
         verdict may be different
     verdict : of the family as a whole at most 5 % are wrong
-    why : the verdict in numbers, a clause
+    verdict_reason : the verdict in numbers, a clause
     caveats : what speaks against the comparison, a clause each
     fields : what of the specimens differs between the groups: word of the first and of the second,
         by field
@@ -372,7 +379,7 @@ class Difference:
     tests: int = 0
     interval: Interval | None = None
     verdict: Verdict = Verdict.NOT_ASKED
-    why: str = ""
+    verdict_reason: str = ""
     caveats: tuple[str, ...] = ()
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
@@ -383,13 +390,15 @@ class Difference:
         return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
     @property
-    def words(self) -> str:
+    def verdict_text(self) -> str:
         """Return the verdict with its reason and caveats."""
-        verdict = f"{self.verdict}: {self.why}" if self.why else str(self.verdict)
+        verdict = (
+            f"{self.verdict}: {self.verdict_reason}" if self.verdict_reason else str(self.verdict)
+        )
         return "; ".join((verdict, *self.caveats))
 
     @property
-    def question(self) -> str:
+    def single_field(self) -> str:
         """Return the one field that the groups differ in; empty for several or none."""
         (only,) = self.fields if len(self.fields) == 1 else ("",)
         return only

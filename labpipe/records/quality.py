@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Self
 
-from labpipe.messages import code_of_template, sentence, template_of
+from labpipe.messages import find_code, find_template, format_sentence
 
 
 class Severity(StrEnum):
@@ -43,17 +43,17 @@ class Reason:
 
         Parameters
         ----------
-        name, facts : see `labpipe.messages.sentence`
+        name, facts : see `labpipe.messages.format_sentence`
         """
-        return cls(code_of_template(name), sentence(name, **facts))
+        return cls(find_code(name), format_sentence(name, **facts))
 
 
-def worded(reasons: Iterable[Reason]) -> str:
+def join_reasons(reasons: Iterable[Reason]) -> str:
     """Join reasons into one line for people: codes and sentences; empty if there are none.
 
     Examples
     --------
-    >>> worded([Reason("drift", "the zero drifts"), Reason("gap", "4 samples are missing")])
+    >>> join_reasons([Reason("drift", "the zero drifts"), Reason("gap", "4 samples are missing")])
     'drift: the zero drifts; gap: 4 samples are missing'
     """
     return "; ".join(map(str, reasons))
@@ -87,11 +87,11 @@ class QualityNote:
 
         Parameters
         ----------
-        name, facts : see `labpipe.messages.sentence`
+        name, facts : see `labpipe.messages.format_sentence`
         where, stretches : see the class
         """
-        severity = Severity(template_of(name)["severity"].partition(" or ")[0])
-        return cls(code_of_template(name), severity, where, sentence(name, **facts), stretches)
+        severity = Severity(find_template(name)["severity"].partition(" or ")[0])
+        return cls(find_code(name), severity, where, format_sentence(name, **facts), stretches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +194,7 @@ def doubtful(
     return Finding(note, tuple(Doubt(quantity, reason, during, clock) for quantity in quantities))
 
 
-def doubtful_stretches(
+def doubt_stretches(
     quantity: str, note: QualityNote, clock: str, *, max_stretches: int = 100
 ) -> Finding:
     """Doubt a quantity in the stretches that a note speaks of, or in all of the record.

@@ -12,7 +12,7 @@ from math import isfinite
 
 from labpipe.records.curve import Aligned, Bending, Curve, FittedLine, Interval, Shape, Slip
 from labpipe.records.harness_bundle import Bundle
-from labpipe.records.quality import QualityNote, Reason, worded
+from labpipe.records.quality import QualityNote, Reason, join_reasons
 from labpipe.records.recording import Recording
 
 
@@ -41,7 +41,9 @@ class Contribution:
     is_common: bool = False
 
 
-def apart_from(value: float, estimate: float | None, interval: Interval | None) -> float | None:
+def find_distinct_estimate(
+    value: float, estimate: float | None, interval: Interval | None
+) -> float | None:
     """Return whether an estimate is so far from its value that both are shown.
 
     Parameters
@@ -59,7 +61,7 @@ def apart_from(value: float, estimate: float | None, interval: Interval | None) 
     return estimate if abs(value - estimate) > 0.5 * half else None
 
 
-def seal_of(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:
+def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:
     """Return the SHA-256 over the numbers of a result, by which a changed file is found.
 
     Parameters
@@ -69,7 +71,7 @@ def seal_of(name: str, unit: str, status: str, numbers: Sequence[float | None]) 
 
     Examples
     --------
-    >>> seal_of("slack", "m", "ok", (1e-3, 9e-4, 1.1e-3, 0.95, 1e-3))[:8]
+    >>> compute_seal("slack", "m", "ok", (1e-3, 9e-4, 1.1e-3, 0.95, 1e-3))[:8]
     'a69d6053'
     """
     finite = (None if x is None or not isfinite(x) else repr(float(x)) for x in numbers)
@@ -122,7 +124,7 @@ class Result:
             raise ValueError(message)
 
     @property
-    def how(self) -> str:
+    def full_method(self) -> str:
         """Return the method with the remark of this test."""
         return "; ".join(filter(None, (self.method, self.remark)))
 
@@ -142,11 +144,15 @@ class Result:
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Return the estimate where a reader must see it beside the value, as `apart_from` says."""
-        return None if self.value is None else apart_from(self.value, self.estimate, self.interval)
+        """Return the estimate if it must be shown beside the value (`find_distinct_estimate`)."""
+        return (
+            None
+            if self.value is None
+            else find_distinct_estimate(self.value, self.estimate, self.interval)
+        )
 
     @property
-    def likely(self) -> float | None:
+    def best_estimate(self) -> float | None:
         """Return the estimate, or else the value."""
         return self.value if self.estimate is None else self.estimate
 
@@ -155,7 +161,9 @@ class Result:
         """Return the SHA-256 over its numbers, the same in every file of the test."""
         ends = self.interval
         span = (None, None, None) if ends is None else (ends.lower, ends.upper, ends.level)
-        return seal_of(self.name, self.unit, self.status, (self.value, *span, self.likely))
+        return compute_seal(
+            self.name, self.unit, self.status, (self.value, *span, self.best_estimate)
+        )
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -163,9 +171,9 @@ class Result:
         return tuple(dict.fromkeys(reason.code for reason in self.reasons))
 
     @property
-    def why(self) -> str:
+    def reason_text(self) -> str:
         """Return the reasons in words, such as ``not_reached: the branch ends at 4.2 mm``."""
-        return worded(self.reasons)
+        return join_reasons(self.reasons)
 
 
 @dataclass(frozen=True, slots=True)

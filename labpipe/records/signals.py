@@ -42,8 +42,8 @@ class Signal:
     zero_error : standard error of the zero, in `unit`
     zero_drift : standard uncertainty of how far the zero has moved by the end of the test, as a
         share of the largest value, from the protocol
-    moved : by cause (``grip offset``, ``shape of the wire``), shape (n,): the signal as it is with
-        that input one standard uncertainty higher, and all others as they are taken
+    perturbed : by cause (``grip offset``, ``shape of the wire``), shape (n,): the signal as it is
+        with that input one standard uncertainty higher, and all others as they are taken
     time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
     """
 
@@ -54,7 +54,7 @@ class Signal:
     relative_error: float = 0.0
     zero_error: float = 0.0
     zero_drift: float = 0.0
-    moved: Mapping[str, Floats] = field(default_factory=dict)
+    perturbed: Mapping[str, Floats] = field(default_factory=dict)
     time_unit: str = "s"
 
     @property
@@ -62,15 +62,15 @@ class Signal:
         """Return whether the samples have times, not just numbers."""
         return self.time_unit == "s"
 
-    def changed(self, change: Callable[[Floats], Floats]) -> Signal:
+    def map_values(self, change: Callable[[Floats], Floats]) -> Signal:
         """Do the same to the values and to all that they may have been.
 
         Parameters
         ----------
         change : gives as many samples of everything
         """
-        moved = {cause: change(values) for cause, values in self.moved.items()}
-        return replace(self, values=change(self.values), moved=moved)
+        moved = {cause: change(values) for cause, values in self.perturbed.items()}
+        return replace(self, values=change(self.values), perturbed=moved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,9 +83,11 @@ class Signals:
     raw : calibrated and zeroed but not smoothed
     filtered : the same after all steps
     filters : what the steps did to a signal; done again piece by piece where its corners are
-    zeroed : the stretch (s, on its own clock) at rest that the zero of a signal was taken from
-    lined : as `zeroed`, a stretch in which the machine may have moved already
-    taken_off : the level that the zero of a signal is at in the export, in SI
+    zero_stretches : the stretch (s, on its own clock) at rest that the zero of a signal was taken
+        from
+    moving_zero_stretches : as `zero_stretches`, a stretch in which the machine may have moved
+        already
+    subtracted_levels : the level that the zero of a signal is at in the export, in SI
     """
 
     force: str = "force"
@@ -93,16 +95,16 @@ class Signals:
     raw: Mapping[str, Signal] = field(default_factory=dict)
     filtered: Mapping[str, Signal] = field(default_factory=dict)
     filters: Mapping[str, tuple[Filter, ...]] = field(default_factory=dict)
-    zeroed: Mapping[str, Stretch] = field(default_factory=dict)
-    lined: Mapping[str, Stretch] = field(default_factory=dict)
-    taken_off: Mapping[str, float] = field(default_factory=dict)
+    zero_stretches: Mapping[str, Stretch] = field(default_factory=dict)
+    moving_zero_stretches: Mapping[str, Stretch] = field(default_factory=dict)
+    subtracted_levels: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def quantities(self) -> dict[str, str]:
         """Return what the two signals of the curve are, by name."""
         return {self.force: "force", self.displacement: "displacement"}
 
-    def with_new(self, name: str, signal: Signal) -> Signals:
+    def add_signal(self, name: str, signal: Signal) -> Signals:
         """Add a signal, or replace it, with all that was filtered of it."""
         return replace(
             self, raw={**self.raw, name: signal}, filtered={**self.filtered, name: signal}
@@ -123,7 +125,7 @@ class Signals:
             filters=filters if filter_steps else self.filters,
         )
 
-    def without_level(self, name: str, level: float, error: float) -> Signals:
+    def subtract_level(self, name: str, level: float, error: float) -> Signals:
         """Take a level off a signal, raw and filtered.
 
         Parameters
@@ -133,7 +135,7 @@ class Signals:
         """
 
         def less(signal: Signal) -> Signal:
-            return replace(signal.changed(lambda values: values - level), zero_error=error)
+            return replace(signal.map_values(lambda values: values - level), zero_error=error)
 
         raw, filtered = self.raw[name], self.filtered[name]
         zeroed = less(raw)
@@ -141,7 +143,10 @@ class Signals:
             self,
             raw={**self.raw, name: zeroed},
             filtered={**self.filtered, name: zeroed if filtered is raw else less(filtered)},
-            taken_off={**self.taken_off, name: self.taken_off.get(name, 0.0) + level},
+            subtracted_levels={
+                **self.subtracted_levels,
+                name: self.subtracted_levels.get(name, 0.0) + level,
+            },
         )
 
 
@@ -190,7 +195,7 @@ class Clocks:
         return float(np.average(fit.event_times_motion, weights=fit.event_errors**-2.0))
 
     @property
-    def moved(self) -> dict[str, Clocks]:
+    def perturbed(self) -> dict[str, Clocks]:
         """Return the clocks with one input a standard uncertainty higher, by cause.
 
         The offset moves all times of the force by `error`; the drift turns them by `drift_error`
@@ -216,7 +221,7 @@ class Clocks:
         fit = self._fit(clock)
         return time if fit is None else fit.to_force_time(time)
 
-    def sampled(self, signal: Signal, time: Floats) -> Floats:
+    def interpolate(self, signal: Signal, time: Floats) -> Floats:
         """Interpolate a signal at times of the curve's clock.
 
         Parameters
@@ -233,7 +238,7 @@ class Clocks:
             return signal.values
         return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
 
-    def sampled_at(self, time: Floats) -> Floats:
+    def to_force_times(self, time: Floats) -> Floats:
         """Return the times of the clock of the force at times of the curve, shape (n,), s."""
         return time if self.force is None else self.force.to_force_time(time)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from labpipe.records import causes as cause_names
@@ -13,26 +13,27 @@ from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     add_key,
-    empty_page,
-    new_page,
-    titled,
+    add_title,
+    make_empty_page,
+    make_page,
+    read_look,
 )
 from labpipe.report.wording import (
     Scale,
-    as_label,
-    display_of,
-    footnote,
-    group_title,
+    find_display,
+    find_display_unit,
+    find_last_place,
     is_first_cycle,
     is_main,
-    place_of,
-    rounded,
-    shown_in,
-    title,
-    unit_words,
+    round_to_place,
+    typeset_unit,
+    write_footnote,
+    write_group_title,
+    write_label,
     write_number,
+    write_title,
 )
-from labpipe.statistics.means import SCATTER, group_budget, in_order
+from labpipe.statistics.means import sort_causes, summarise_budget
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,38 +45,6 @@ _FRAME_MM = 26.0
 """Height of axis and heading."""
 MAX_BARS = 20
 SMALLER = "causes under 2 % in every bar"
-COLOURS_OF_CAUSES: Mapping[str, str] = {
-    SCATTER: "#4d4d4d",
-    cause_names.NOISE: "#8c8c8c",
-    cause_names.FIT: "#c9bfae",
-    cause_names.NOISE_OF_FORCE: "#8c8c8c",
-    cause_names.NOISE_OF_DISPLACEMENT: "#c4c4c4",
-    cause_names.SCALE_OF_FORCE: "#d55e00",
-    cause_names.ZERO_OF_FORCE: "#f4b183",
-    cause_names.DRIFT_OF_ZERO: "#ffd9c2",
-    cause_names.SCALE_OF_DISPLACEMENT: "#0072b2",
-    cause_names.ZERO_OF_DISPLACEMENT: "#8ec3e6",
-    cause_names.SHAPE: "#cc79a7",
-    cause_names.COMPLIANCE: "#009e73",
-    cause_names.TURN: "#93d5c0",
-    cause_names.SPEED: "#00674b",
-    cause_names.GRIP: "#f3d38a",
-    cause_names.PULL: "#e69f00",
-    cause_names.CENTRE: "#946700",
-    cause_names.MARKER_SIDE: "#8a4f72",
-    cause_names.CLOCK_OFFSET: "#6f4aa8",
-    cause_names.CLOCK_DRIFT: "#bba7dd",
-    cause_names.LENGTH: "#c49a6c",
-    cause_names.SPAN: "#c49a6c",
-    cause_names.SECTION: "#7a3b1d",
-    cause_names.SLACK: "#56b4e9",
-    cause_names.REPAIRED_SLIPS: "#b0124f",
-    cause_names.RESOLUTION: "#5c5c9e",
-    cause_names.STEP: "#f2a6bd",
-    cause_names.TANGENT: "#3a4a8c",
-}
-"""One family of colours for each instrument; a cause has the same colour in every figure."""
-OTHER_COLOUR = "#ededed"
 
 
 class Bar(NamedTuple):
@@ -96,12 +65,14 @@ def draw_budget(result: TestResult) -> Figure:
     numbers = numbers[:MAX_BARS]
     if not numbers:
         reason = "No number of this test has a budget of its interval."
-        return empty_page(title(result), reason, footnote(result), width_mm=DOUBLE_COLUMN)
-    page = new_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
+        return make_empty_page(
+            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
+        )
+    page = make_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
     plot_bars([_bar(number, result.display) for number in numbers], page.subplots())
     cycle = "Numbers per cycle: first cycle only." if any("." in x.name for x in numbers) else ""
-    note = " ".join(filter(None, (cycle, footnote(result))))
-    return _with_side_margins(titled(page, title(result), note))
+    note = " ".join(filter(None, (cycle, write_footnote(result))))
+    return _with_side_margins(add_title(page, write_title(result), note))
 
 
 def _with_side_margins(page: Figure) -> Figure:
@@ -118,26 +89,26 @@ def _with_side_margins(page: Figure) -> Figure:
 
 def _bar(result: Result, display: Mapping[str, str]) -> Bar:
     rows = zip(result.budget, result.shares, strict=True)
-    scale = shown_in(result.name, result.unit, display)
+    scale = find_display_unit(result.name, result.unit, display)
     shares = {row.cause: share for row, share in rows}
-    return Bar(_bar_name(result.name), shares, half_width(result.interval, scale))
+    return Bar(_bar_name(result.name), shares, write_half_width(result.interval, scale))
 
 
 def _bar_name(name: str) -> str:
     """Name a number without its cycle, which is the first in every bar."""
-    return as_label(name.partition(".")[0])
+    return write_label(name.partition(".")[0])
 
 
-def half_width(interval: Interval | None, scale: Scale) -> str:
+def write_half_width(interval: Interval | None, scale: Scale) -> str:
     """Write half the width of an interval, such as ``-+ 0.11 mm``; empty without an interval."""
     last_plain_place = -6  # smaller numbers have a power of ten
     if interval is None:
         return ""
     half = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-    place = place_of(half, None, digits=2)
+    place = find_last_place(half, None, digits=2)
     is_plain = place >= last_plain_place
-    text = rounded(half, place) if is_plain else write_number(half, None, digits=2).value
-    return f"\u00b1 {text} {unit_words(scale.unit)}".strip()
+    text = round_to_place(half, place) if is_plain else write_number(half, None, digits=2).value
+    return f"\u00b1 {text} {typeset_unit(scale.unit)}".strip()
 
 
 def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
@@ -153,10 +124,10 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
-    parts = bar_parts([bar.shares for bar in bars])
-    for cause in causes_in_key(parts):
+    parts = sort_shares([bar.shares for bar in bars])
+    for cause in list_shown_causes(parts):
         add_key(axes, cause, is_area=True, **_bar_style(cause))
-    if any(cause_names.IS_COMMON.get(cause, False) for cause in causes_in_key(parts)):
+    if any(cause_names.IS_COMMON.get(cause, False) for cause in list_shown_causes(parts)):
         add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED)
     beside = axes.get_yaxis_transform()
     for height, (bar, shares) in enumerate(zip(bars, parts, strict=True)):
@@ -183,7 +154,7 @@ def _write_share(axes: Axes, middle: float, height: float, share: float, cause: 
     dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
 
-    ground = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
+    ground = find_cause_colour(cause)
     red, green, blue = to_rgb(ground)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
     is_hatched = cause_names.IS_COMMON.get(cause, False)
@@ -195,7 +166,13 @@ def _write_share(axes: Axes, middle: float, height: float, share: float, cause: 
     label.set_in_layout(False)  # it lies on its bar
 
 
-def bar_parts(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+def find_cause_colour(cause: str) -> str:
+    """Return the colour of a cause: the same in every figure, light grey for an unknown one."""
+    colour: str = read_look("colours_of_causes").get(cause, "#ededed")
+    return colour
+
+
+def sort_shares(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     """Sort the shares of bars as in the key, with the sum of small causes at the end.
 
     Parameters
@@ -212,21 +189,15 @@ def bar_parts(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     return parts
 
 
-def causes_in_key(parts: Sequence[Mapping[str, float]]) -> list[str]:
+def list_shown_causes(parts: Sequence[Mapping[str, float]]) -> list[str]:
     """List the causes that bars show, `SMALLER` last.
 
     Parameters
     ----------
-    parts : of `bar_parts`
+    parts : of `sort_shares`
     """
     every = {cause for shares in parts for cause in shares}
     return [*sort_causes(every - {SMALLER}), *([SMALLER] if SMALLER in every else [])]
-
-
-def sort_causes(causes: Iterable[str]) -> list[str]:
-    """Sort causes as in the key: scatter first."""
-    every = set(causes)
-    return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
 
 
 _HATCHED: dict[str, Any] = {
@@ -236,10 +207,10 @@ _HATCHED: dict[str, Any] = {
 
 def _bar_style(cause: str) -> dict[str, Any]:
     hatch = _HATCHED["hatch"] if cause_names.IS_COMMON.get(cause, False) else None
-    return {**_HATCHED, "facecolor": COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR), "hatch": hatch}
+    return {**_HATCHED, "facecolor": find_cause_colour(cause), "hatch": hatch}
 
 
-def group_bars(group: Group, *, of_means: bool) -> list[Bar]:
+def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
     """Return the budgets of a group's numbers: no later cycles, no slips, no clocks.
 
     Parameters
@@ -251,13 +222,13 @@ def group_bars(group: Group, *, of_means: bool) -> list[Bar]:
     for number in group.numbers:
         if not (is_main(number.name) and is_first_cycle(number.name)):
             continue
-        budget, interval = group_budget(number), None
+        budget, interval = summarise_budget(number), None
         if of_means and number.mean is not None:
             interval = number.mean.chosen.interval
-        scale = shown_in(number.name, number.unit, display_of(group))
+        scale = find_display_unit(number.name, number.unit, find_display(group))
         if budget.of_tests:
             shares = budget.of_mean if of_means else budget.of_tests
-            bars.append(Bar(_bar_name(number.name), shares, half_width(interval, scale)))
+            bars.append(Bar(_bar_name(number.name), shares, write_half_width(interval, scale)))
     return bars[:MAX_BARS]
 
 
@@ -266,15 +237,15 @@ def draw_group_budgets(group: Group) -> Figure:
 
     Parameters
     ----------
-    group : one that has `group_bars`
+    group : one that has `make_group_bars`
     """
-    drawn = {"One test: median shares": (group_bars(group, of_means=False), "variance")}
-    means = group_bars(group, of_means=True)
+    drawn = {"One test: median shares": (make_group_bars(group, of_means=False), "variance")}
+    means = make_group_bars(group, of_means=True)
     if any(bar.shares for bar in means):
         drawn["Mean of the group"] = (means, "squared half width")
-    page = new_page(height_mm=len(drawn) * (_FRAME_MM - 4.0 + _ROW_MM * len(means)))
+    page = make_page(height_mm=len(drawn) * (_FRAME_MM - 4.0 + _ROW_MM * len(means)))
     panels = page.subplots(len(drawn), squeeze=False).ravel()
     for axes, (heading, (bars, of)) in zip(panels, drawn.items(), strict=True):
         plot_bars(bars, axes, of=of)
         axes.set_title(heading, loc="left")
-    return _with_side_margins(titled(page, group_title(group)))
+    return _with_side_margins(add_title(page, write_group_title(group)))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, frozen
+from labpipe.records.arrays import Flags, Floats, freeze
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.wire_calibration import (
@@ -24,16 +24,11 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.report.figure_page import Look, dash_of
-from labpipe.report.wording import SUPERSCRIPTS, Scale, count_of, write_number
+from labpipe.report.wording import SUPERSCRIPTS, Scale, write_count, write_number
 
 DEFLECTION = Scale(1e3, "mm")
 FORCE = Scale(1.0, "N")
 SMALL_FORCE = Scale(1e3, "mN")
-MODEL, BAND = "#0072B2", "#a6cbe3"
-"""The model and its band; measured samples are black and grey beside it."""
-
-_COLOURS = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
 _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
@@ -107,7 +102,7 @@ def _power(match: re.Match[str]) -> str:
     return f" \u00d7 10{(sign + match[2]).translate(SUPERSCRIPTS)}"
 
 
-def percent(share: float) -> str:
+def write_percent(share: float) -> str:
     """Write a share with at least two digits, such as ``1.9 %``; empty for NaN.
 
     Examples
@@ -120,22 +115,9 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.3g} %" if share >= 0.1 else f"{100.0 * share:.2g} %"
 
 
-def length_words(length: float) -> str:
+def write_length(length: float) -> str:
     """Write a length, such as ``85 mm``."""
     return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
-
-
-def length_looks(lengths: Sequence[float]) -> dict[float, Look]:
-    """Give the samples of each length a colour and a dash that also differ in grey.
-
-    Parameters
-    ----------
-    lengths : m, in any order, with repetitions
-    """
-    return {
-        length: Look(_COLOURS[number % len(_COLOURS)], dash_of(number))
-        for number, length in enumerate(sorted(set(lengths)))
-    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,7 +176,7 @@ class BentShape:
 
     def __post_init__(self) -> None:
         for name in ("markers", "fit", "model"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=(None, 2)))
+            object.__setattr__(self, name, freeze(getattr(self, name), shape=(None, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,7 +210,7 @@ _REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_da
 """Codes of notes that repeat the sentences of the parameters."""
 
 
-def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
+def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
     """Write a parameter: its name, value, 95 % interval, unit and verdict.
 
     Parameters
@@ -273,7 +255,7 @@ def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[s
         yield ends[is_open]
 
 
-def sentences(calibration: Calibration) -> list[str]:
+def describe_calibration(calibration: Calibration) -> list[str]:
     """Describe the results of a calibration in sentences.
 
     Parameters
@@ -304,23 +286,23 @@ def _parameter_sentences(calibration: Calibration) -> Iterator[str]:
 def _agreement_sentence(calibration: Calibration) -> str:
     rmse = SMALL_FORCE.factor * calibration.rmse
     counts = (
-        count_of(calibration.n_points, "point"),
-        count_of(len(calibration.curves), "curve"),
-        count_of(calibration.n_samples, "sample"),
+        write_count(calibration.n_points, "point"),
+        write_count(len(calibration.curves), "curve"),
+        write_count(calibration.n_samples, "sample"),
     )
     return (
         f"Model against all curves: RMSE {rmse:.3g} {SMALL_FORCE.unit}, "
-        f"{percent(calibration.rmse_share)} of the largest force, over {' of '.join(counts)}."
+        f"{write_percent(calibration.rmse_share)} of the largest force, over {' of '.join(counts)}."
     )
 
 
 def _noise_sentence(calibration: Calibration) -> str:
     levels = calibration.levels
-    scatter = f"The force scatters by {percent(levels.scatter)} between samples"
+    scatter = f"The force scatters by {write_percent(levels.scatter)} between samples"
     if levels.scatter_freedom == 0.0:
         scatter = "The scatter of the samples is not known"
     return (
-        f"{scatter}; the gain of the load cell is uncertain by {percent(levels.gain)}; "
+        f"{scatter}; the gain of the load cell is uncertain by {write_percent(levels.gain)}; "
         f"the noise is {levels.noise_factor:.2f} times the stated noise, and neighbouring points "
         f"have a correlation of {levels.correlation:.2f}."
     )

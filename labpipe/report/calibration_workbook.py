@@ -13,6 +13,7 @@ from labpipe.records.wire_calibration import (
     PARAMETERS,
     CalibratedParameter,
     Calibration,
+    CurveAgreement,
     CurveMatch,
     ExternalCurveComparison,
     Separability,
@@ -23,9 +24,9 @@ from labpipe.report.calibration_summary import (
     FORCE,
     CalibrationReport,
     ValidationGroup,
-    length_words,
-    parameter_row,
     typeset,
+    write_length,
+    write_parameter,
 )
 from labpipe.report.workbook_file import (
     About,
@@ -34,16 +35,20 @@ from labpipe.report.workbook_file import (
     Record,
     Sheet,
     Value,
-    array_records,
+    how_to_read,
+    make_records,
+    make_sheet,
     save_book,
-    sheet_of,
+    stack_blocks,
 )
 
+BOOK = "calibration"
+"""Name of the workbook in ``workbooks.toml``."""
 _FRICTION = ("strand_friction", "insulation_friction", "radial_force")
 _LENGTH = DEFLECTION.label("length")
 
 
-def tables_of(report: CalibrationReport) -> list[Sheet]:
+def make_sheets(report: CalibrationReport) -> list[Sheet]:
     """Return all sheets of a calibration.
 
     Parameters
@@ -57,45 +62,19 @@ def tables_of(report: CalibrationReport) -> list[Sheet]:
     """
     calibration = report.calibration
     return [
-        sheet_of(
-            "summary", map(_parameter_record, calibration.parameters), frozen=2,
-            wrapped=("in words", "prior in words"),
-            question="What are the parameters of the model, and do the tests determine them?",
-        ),
-        sheet_of(
-            "solutions", _solution_records(calibration), frozen=1,
-            question="What else fits the tests?",
-        ),
-        sheet_of(
-            "fit", _fit_records(calibration), frozen=1,
-            question="Which data and which noise is the calibration based on?",
-        ),
-        sheet_of(
-            "identified", _identified_records(calibration), frozen=2,
-            question="Which combinations of parameters are identified? With the singular value s"
-            " the standard error of the logarithm is 1 / s; below 1 the tests do not determine the"
-            " combination.",
-        ),
-        sheet_of(
-            "agreement", map(_agreement_record, report.groups), frozen=2,
-            question="How well does the model agree with samples of the calibration and with"
-            " others? The band is for one more sample; SSE grows with the number of points.",
-        ),
-        *comparison_tables(report.comparisons),
-        sheet_of(
-            "curves", _curve_records(calibration), frozen=1,
-            question="How well does each test agree with the model, without the sample's own"
-            " factor?",
-        ),
+        make_sheet(BOOK, "summary", map(_parameter_record, calibration.parameters)),
+        make_sheet(BOOK, "solutions", _solution_records(calibration)),
+        make_sheet(BOOK, "fit", _fit_records(calibration)),
+        make_sheet(BOOK, "identified", _identified_records(calibration)),
+        make_sheet(BOOK, "agreement", map(_agreement_record, report.groups)),
+        *make_external_sheets(report.comparisons),
+        make_sheet(BOOK, "curves", map(_curve_record, calibration.curves)),
         _forces_sheet(report.groups),
-        sheet_of(
-            "notes", _note_records(report), frozen=1, wrapped=("what",),
-            question="Which notes apply to the calibration?",
-        ),
-    ]  # fmt: skip
+        make_sheet(BOOK, "notes", _note_records(report)),
+    ]
 
 
-def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
+def make_external_sheets(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
     """Return the sheets of external curves.
 
     Parameters
@@ -108,17 +87,12 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
     """
     if not comparisons:
         return []
+    curves = (row for comparison in comparisons for row in _external_records(comparison))
+    points = (row for comparison in comparisons for row in _point_records(comparison))
     return [
-        sheet_of(
-            "external curves", [row for one in comparisons for row in _external_records(one)],
-            frozen=1, question="How well do external curves agree with tests and model?",
-        ),
-        sheet_of(
-            "external curves, points", [row for one in comparisons for row in _point_records(one)],
-            frozen=1,
-            question="Where do they differ? Force at the deflections of the external curves.",
-        ),
-    ]  # fmt: skip
+        make_sheet(BOOK, "external curves", curves),
+        make_sheet(BOOK, "external curves, points", points),
+    ]
 
 
 def _external_records(comparison: ExternalCurveComparison) -> Iterator[Record]:
@@ -157,7 +131,7 @@ def _point_records(comparison: ExternalCurveComparison) -> list[Record]:
         FORCE.label("mean of the tests"): FORCE.factor * (tests.reference if tests else nothing),
         FORCE.label("model"): FORCE.factor * comparison.model.reference,
     }
-    return array_records({"name": curve.name}, columns)
+    return make_records({"name": curve.name}, columns)
 
 
 def _yes(value: bool) -> str:
@@ -174,7 +148,7 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
         "value": up * parameter.value,
         "lower": None if interval is None else up * interval.lower,
         "upper": None if interval is None else up * interval.upper,
-        "parts of the interval": parameter_row(parameter)[2] if has_ends else "",
+        "parts of the interval": write_parameter(parameter)[2] if has_ends else "",
         "open below": _yes(parameter.is_open_below) if has_ends else "",
         "open above": _yes(parameter.is_open_above) if has_ends else "",
         "standard error of its logarithm": parameter.log_error if has_ends else None,
@@ -278,20 +252,19 @@ def _agreement_record(group: ValidationGroup) -> Record:
     }
 
 
-def _curve_records(calibration: Calibration) -> Iterator[Record]:
-    for curve in calibration.curves:
-        yield {
-            "test": curve.test,
-            "sample": curve.sample,
-            _LENGTH: DEFLECTION.factor * curve.length,
-            "points": len(curve.force),
-            "factor of the sample": curve.sample_factor,
-            "SSE (N²)": curve.sse,
-            FORCE.label("RMSE"): FORCE.factor * curve.rmse,
-            "RMSE over the largest force (%)": 100.0 * curve.rmse_share,
-            "correlation of neighbours": curve.lag_one_correlation,
-            "runs test, p": curve.runs_p,
-        }
+def _curve_record(curve: CurveAgreement) -> Record:
+    return {
+        "test": curve.test,
+        "sample": curve.sample,
+        _LENGTH: DEFLECTION.factor * curve.length,
+        "points": len(curve.force),
+        "factor of the sample": curve.sample_factor,
+        "SSE (N²)": curve.sse,
+        FORCE.label("RMSE"): FORCE.factor * curve.rmse,
+        "RMSE over the largest force (%)": 100.0 * curve.rmse_share,
+        "correlation of neighbours": curve.lag_one_correlation,
+        "runs test, p": curve.runs_p,
+    }
 
 
 def _note_records(report: CalibrationReport) -> list[Record]:
@@ -324,60 +297,45 @@ def _note_records(report: CalibrationReport) -> list[Record]:
 
 def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
     """Return the sheet of mean, model and samples of all groups, each at its own deflections."""
-    rows: list[Record] = []
-    charts = []
-    for group in groups:
-        lines = []
-        for block in _force_blocks(group):
-            if block:
-                last = len(rows) + len(block) - 1
-                lines.append(Line(str(block[0]["what"]), (len(rows), last), 3, 4))
-            rows += block
-        title = f"{group.wire}, {length_words(group.length)}"
-        charts.append(Chart(title, DEFLECTION.label("Deflection"), FORCE.label("Force"), lines))
-    return sheet_of(
-        "forces", rows, frozen=3, charts=[chart for chart in charts if chart.lines],
-        question="What are the forces of samples and model? 'lower' and 'upper' are 95 % bands.",
+    curves = list(map(_force_blocks, groups))
+    rows, ends = stack_blocks(
+        {f"{number} {name}": block
+         for number, blocks in enumerate(curves) for name, block in blocks.items()}
     )  # fmt: skip
+    charts = []
+    for number, (group, blocks) in enumerate(zip(groups, curves, strict=True)):
+        lines = [Line(name, ends[f"{number} {name}"], 3, 4) for name in blocks if blocks[name]]
+        title = f"{group.wire}, {write_length(group.length)}"
+        if lines:
+            across, up = DEFLECTION.label("Deflection"), FORCE.label("Force")
+            charts.append(Chart(title, across, up, lines))
+    return make_sheet(BOOK, "forces", rows, charts=charts)
 
 
-def _force_blocks(group: ValidationGroup) -> Iterator[list[Record]]:
-    """Yield the rows of the mean, of the model, if any, and of each sample."""
+def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
+    """Return the rows of the mean, of the model, if any, and of each sample, by name."""
     heads = [
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
         *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
     ]
     band, model = group.band, group.prediction
-    blocks: dict[str, tuple[Floats, ...]] = {
+    curves: dict[str, tuple[Floats, ...]] = {
         "mean of the samples": (band.displacement, band.mean, band.lower, band.upper)
     }
     if model is not None:
         edges = (model.lower, model.upper, model.lower_mean, model.upper_mean)
-        blocks["model"] = (model.deflection, model.force, *edges)
+        curves["model"] = (model.deflection, model.force, *edges)
     for test, sample in group.samples.items():
-        blocks[test] = (sample.displacement, sample.force)
-    for what, (across, *forces) in blocks.items():
+        curves[test] = (sample.displacement, sample.force)
+    blocks = {}
+    for name, (across, *forces) in curves.items():
         head: Record = {
-            "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": what
+            "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
         columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * across}
         columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
-        yield array_records(head, columns)
-
-
-_ABOUT = (
-    "Calibration of the wire model by first loadings of cantilevers. Cells hold all digits of a"
-    " number. An empty cell: not available. Every table has filters.",
-    "Sheet 'summary': lower and upper are the ends of 95 % intervals by profile likelihood; for an"
-    " open interval, the end of the search. If an interval has several parts, they are listed.",
-    "Sheet 'solutions': the values of the summary belong to the first solution, intervals and bands"
-    " to all solutions in the 95 % set.",
-    "Sheet 'forces': lower and upper of the mean are its 95 % band by Student's t with n - 1"
-    " degrees of freedom; those of the model cover one more sample, those of the mean sample the"
-    " mean.",
-    "Sheets 'external curves': the curves of the plan, compared with the mean of the tests and with"
-    " the model at their own deflections, within the range of both.",
-)
+        blocks[name] = make_records(head, columns)
+    return blocks
 
 
 def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
@@ -394,4 +352,4 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
         If the file cannot be written.
     """
     title = f"Calibration of {report.calibration.wire}"
-    save_book(About(title, _ABOUT), tables_of(report), path)
+    save_book(About(title, how_to_read(BOOK)), make_sheets(report), path)

@@ -10,10 +10,21 @@ from math import nan
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
-from labpipe.report.issues import sentences
+from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import Cell, Table
-from labpipe.report.wording import display_of, heading, shown_in, unit_words, write_number
-from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
+from labpipe.report.wording import (
+    find_display,
+    find_display_unit,
+    typeset_unit,
+    write_heading,
+    write_number,
+)
+from labpipe.statistics.group_fields import (
+    BORE,
+    OF_SECTION,
+    find_varying_fields,
+    make_field_sort_key,
+)
 
 MAX_COMPARED_GROUPS = 6
 """Groups in one figure: more curves could not be distinguished."""
@@ -42,7 +53,7 @@ class Pair:
     @property
     def field(self) -> str:
         """Return the one field in which they differ; empty for several or none."""
-        return self.differences[0].question
+        return self.differences[0].single_field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +75,7 @@ class Family:
         return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 
-def single_field_pairs(campaign: Campaign) -> list[Pair]:
+def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
     pairs = groupby(
@@ -74,12 +85,12 @@ def single_field_pairs(campaign: Campaign) -> list[Pair]:
     return [Pair(groups[one], groups[two], tuple(differences)) for (one, two), differences in pairs]
 
 
-def multi_field_differences(campaign: Campaign) -> list[Difference]:
+def list_multi_field_differences(campaign: Campaign) -> list[Difference]:
     """List the differences of groups that differ in several fields at once, or in none."""
     return [difference for difference in campaign.differences if not difference.family]
 
 
-def families(campaign: Campaign) -> list[Family]:
+def find_families(campaign: Campaign) -> list[Family]:
     """Collect groups that all differ from each other in one single field.
 
     Parameters
@@ -93,7 +104,7 @@ def families(campaign: Campaign) -> list[Family]:
     part.
     """
     families: list[Family] = []
-    for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
+    for name, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
         linked = {(pair.first.name, pair.second.name): pair for pair in pairs}
         groups = {one.name: one for pair in linked.values() for one in (pair.first, pair.second)}
         sorted_groups = [groups[key] for key in _sort_names(groups, name)]
@@ -106,7 +117,9 @@ def families(campaign: Campaign) -> list[Family]:
 
 
 def _sort_names(groups: Mapping[str, Group], field: str) -> list[str]:
-    return sorted(groups, key=lambda name: in_order(field, groups[name].fields.get(field, "")))
+    return sorted(
+        groups, key=lambda name: make_field_sort_key(field, groups[name].fields.get(field, ""))
+    )
 
 
 def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[list[Group]]:
@@ -131,12 +144,12 @@ def _parts(groups: Sequence[Group]) -> Iterator[tuple[Group, ...]]:
         yield first, *rest[start : start + MAX_COMPARED_GROUPS - 1]
 
 
-def field_words(field: str) -> str:
+def name_field(field: str) -> str:
     """Name a field in words, such as ``Taping``."""
     return field.replace("_", " ").capitalize()
 
 
-def question_words(pair: Pair) -> str:
+def describe_pair(pair: Pair) -> str:
     """Describe the comparison of a pair.
 
     Parameters
@@ -148,19 +161,19 @@ def question_words(pair: Pair) -> str:
     Such as ``Taping: half-lap against none, all else equal (19 B2, corrugated-tube)``.
     """
     before, after = pair.differences[0].fields[pair.field]
-    groups = (pair.first, pair.second)
-    return f"{field_words(pair.field)}: {after} against {before}, {equal_words(groups, pair.field)}"
+    alike = describe_equal_fields((pair.first, pair.second), pair.field)
+    return f"{name_field(pair.field)}: {after} against {before}, {alike}"
 
 
-def equal_words(groups: Sequence[Group], field: str) -> str:
+def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
     """Describe the common fields of groups and the fields that vary within them."""
     varying = dict.fromkeys(
         name
         for group in groups
-        for name in varying_fields(group)
+        for name in find_varying_fields(group)
         if name != field and not (name == "type" and "composition" in _field_names(group))
     )
-    context = context_words(groups, field)
+    context = describe_context(groups, field)
     inside = f" ({context})" if context else ""
     if not varying:
         return f"all else equal{inside}"
@@ -173,7 +186,7 @@ def _field_names(group: Group) -> set[str]:
     return {name for sample in group.samples for name in sample.specimen.fields}
 
 
-def context_words(groups: Sequence[Group], field: str) -> str:
+def describe_context(groups: Sequence[Group], field: str) -> str:
     """List the common fields of groups, such as ``19 B2, half-lap PVC, corrugated-tube``.
 
     Sizes of the section are left out: the type or the conduit implies them.
@@ -204,7 +217,7 @@ def context_words(groups: Sequence[Group], field: str) -> str:
 _HEADS = ("Number", "Difference (95 %, corrected)", "Irrelevant below", "Verdict")
 
 
-def question_table(pair: Pair) -> Table:
+def make_pair_table(pair: Pair) -> Table:
     """Return the table of a pair that differs in one field alone.
 
     Parameters
@@ -215,14 +228,14 @@ def question_table(pair: Pair) -> Table:
     -------
     A row per number; caveats against the comparison are below the table.
     """
-    rows = tuple(_row(difference, display_of(pair.first)) for difference in pair.differences)
+    rows = tuple(_row(difference, find_display(pair.first)) for difference in pair.differences)
     caveats = dict.fromkeys(
         caveat for difference in pair.differences for caveat in difference.caveats
     )
-    return Table(question_words(pair), _HEADS, rows, tuple(f"{caveat}." for caveat in caveats))
+    return Table(describe_pair(pair), _HEADS, rows, tuple(f"{caveat}." for caveat in caveats))
 
 
-def answer_cells(pair: Pair) -> tuple[Cell, ...]:
+def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
     """Return comparison, verdict, difference and counts of a pair for its first main number.
 
     Parameters
@@ -231,12 +244,12 @@ def answer_cells(pair: Pair) -> tuple[Cell, ...]:
     """
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
-    alike = context_words((pair.first, pair.second), pair.field)
-    shift = _difference_words(difference, display_of(pair.first))
+    alike = describe_context((pair.first, pair.second), pair.field)
+    shift = _difference_words(difference, find_display(pair.first))
     return (
-        Cell(f"{field_words(pair.field)}: {after} against {before}", alike),
-        Cell(str(difference.verdict).upper(), difference.why),
-        Cell(f"{heading(difference.name, '1')} {shift}"),
+        Cell(f"{name_field(pair.field)}: {after} against {before}", alike),
+        Cell(str(difference.verdict).upper(), difference.verdict_reason),
+        Cell(f"{write_heading(difference.name, '1')} {shift}"),
         Cell(" v ".join(_count(group, difference.name) for group in (pair.second, pair.first))),
     )
 
@@ -252,12 +265,12 @@ def _difference_words(difference: Difference, display: Mapping[str, str]) -> str
     max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
     is_beyond = False
     if difference.share is None:
-        display_unit = shown_in(difference.name, difference.unit, display)
+        display_unit = find_display_unit(difference.name, difference.unit, display)
         shift = difference.difference
         number = write_number(
             shift.mean, difference.interval, display_unit.factor, estimate=shift.distinct_estimate
         )
-        unit = f" {unit_words(display_unit.unit)}".rstrip()
+        unit = f" {typeset_unit(display_unit.unit)}".rstrip()
     else:
         ends = difference.interval
         if ends is not None and ends.upper > max_shown_ratio:
@@ -265,7 +278,7 @@ def _difference_words(difference: Difference, display: Mapping[str, str]) -> str
             is_beyond = True
         number, unit = write_number(difference.share, ends, 100.0), " %"
     lower, upper = (f"{_signed(end)}{unit}" if end else "" for end in (number.lower, number.upper))
-    behind = sentences([difference.difference.reason])
+    behind = join_sentences([difference.difference.reason])
     if lower:
         behind = f"({lower} to {'more than ' if is_beyond else ''}{upper})"
     return f"{_signed(number.value)}{unit} {behind}".strip()
@@ -277,17 +290,17 @@ def _signed(number: str) -> str:
 
 
 def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]:
-    display_unit = shown_in(difference.name, difference.unit, display)
+    display_unit = find_display_unit(difference.name, difference.unit, display)
     margin = nan if difference.margin is None else difference.margin
     return (
-        Cell(heading(difference.name, display_unit.unit)),
+        Cell(write_heading(difference.name, display_unit.unit)),
         Cell(_difference_words(difference, display)),
         Cell(write_number(margin, None, display_unit.factor, digits=3).value),
         Cell(str(difference.verdict)),
     )
 
 
-def fields_in_words(difference: Difference) -> str:
+def describe_fields(difference: Difference) -> str:
     """List the differing fields of two groups, such as ``taping: half-lap against none``."""
     return "; ".join(
         f"{name.replace('_', ' ')}: {after} against {before}"
@@ -295,7 +308,7 @@ def fields_in_words(difference: Difference) -> str:
     )
 
 
-def remarks_on_pairs(campaign: Campaign) -> list[str]:
+def list_pair_remarks(campaign: Campaign) -> list[str]:
     """Describe the pairs that the page does not show."""
     lines = []
     if campaign.compared:
@@ -306,7 +319,7 @@ def remarks_on_pairs(campaign: Campaign) -> list[str]:
             f"Only pairs of groups that differ in {name} alone are shown (--compare"
             f" {campaign.compared}); {_count_pairs(campaign.pairs_not_shown)} left out."
         )
-    multi_field = multi_field_differences(campaign)
+    multi_field = list_multi_field_differences(campaign)
     if multi_field:
         count = len({(difference.first, difference.second) for difference in multi_field})
         lines.append(

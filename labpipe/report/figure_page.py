@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import textwrap
+import tomllib
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from labpipe.report.wording import printable, shortened
+from labpipe.errors import StoreError
+from labpipe.report.wording import replace_unprintable, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,6 +52,32 @@ class Look(NamedTuple):
     linestyle: Any
 
 
+def read_look(name: str, **more: Any) -> dict[str, Any]:
+    """Read the look of a line, an area or a mark.
+
+    Parameters
+    ----------
+    name : in ``looks.toml``
+    more : further settings of matplotlib; they replace those of the file
+
+    Raises
+    ------
+    KeyError
+        If the file has no such look.
+    """
+    return {**_read_looks()[name], **more}
+
+
+@cache
+def _read_looks() -> dict[str, dict[str, Any]]:
+    looks = tomllib.loads((files("labpipe.report") / "looks.toml").read_text(encoding="utf-8"))
+    for look in looks.values():
+        if isinstance(look.get("linestyle"), list):  # matplotlib reads dashes from tuples alone
+            offset, lengths = look["linestyle"]
+            look["linestyle"] = (offset, tuple(lengths))
+    return looks
+
+
 @contextmanager
 def style(changes: Mapping[str, Any] | None = None, *, is_journal: bool = False) -> Iterator[None]:
     """Draw and save in labpipe's style inside this block, without global changes.
@@ -73,12 +103,12 @@ def style(changes: Mapping[str, Any] | None = None, *, is_journal: bool = False)
         yield
 
 
-def new_page(*, height_mm: float, width_mm: float = WIDTH) -> Figure:
+def make_page(*, height_mm: float, width_mm: float = WIDTH) -> Figure:
     """Make an empty figure.
 
     Parameters
     ----------
-    height_mm, width_mm : mm on paper, of its panels; `titled` adds room for texts
+    height_mm, width_mm : mm on paper, of its panels; `add_title` adds room for texts
 
     Returns
     -------
@@ -89,7 +119,7 @@ def new_page(*, height_mm: float, width_mm: float = WIDTH) -> Figure:
     return Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
 
 
-def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Figure:
+def add_title(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Figure:
     """Write title, footnote and the key of all labelled artists; the page grows by key and note.
 
     Parameters
@@ -134,11 +164,11 @@ def titled(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Fig
     return page
 
 
-def empty_page(title: str, reason: str, note: str = "", *, width_mm: float = WIDTH) -> Figure:
+def make_empty_page(title: str, reason: str, note: str = "", *, width_mm: float = WIDTH) -> Figure:
     """Make a page that says why it shows nothing."""
-    page = new_page(height_mm=40.0, width_mm=width_mm)
+    page = make_page(height_mm=40.0, width_mm=width_mm)
     write_reason(page.subplots(), reason)
-    return titled(page, title, note)
+    return add_title(page, title, note)
 
 
 def _labelled_artists(panels: Iterable[Axes]) -> dict[str, Any]:
@@ -195,7 +225,7 @@ def finish_layout(page: Figure) -> None:
     page.set_layout_engine("none")
 
 
-def with_own_fonts(page: Figure) -> Figure:
+def fix_fonts(page: Figure) -> Figure:
     """Fix the fonts of a page so that it looks the same outside the current style.
 
     Parameters
@@ -247,7 +277,7 @@ def _fit_texts(page: Figure) -> None:
 
 
 def _shorten_lines(text: str, max_length: int) -> str:
-    return "\n".join(shortened(line, max_length) for line in printable(text).split("\n"))
+    return "\n".join(shorten(line, max_length) for line in replace_unprintable(text).split("\n"))
 
 
 def _axis_objects(page: Figure) -> Iterator[Axis]:
@@ -299,7 +329,7 @@ def label_log_axis(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def style_colours() -> list[str]:
+def list_style_colours() -> list[str]:
     """Return the colours of the style."""
     import matplotlib as mpl
 
@@ -307,7 +337,7 @@ def style_colours() -> list[str]:
     return colours
 
 
-def map_colours(count: int, end: float = 0.85) -> list[str]:
+def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
     """Return colours of the style's colour map for steps in order.
 
     Parameters
@@ -322,22 +352,22 @@ def map_colours(count: int, end: float = 0.85) -> list[str]:
     return [to_hex(colour_map(end * place)) for place in np.linspace(0, 1, count)]
 
 
-def line_looks(count: int) -> list[Look]:
+def choose_line_looks(count: int) -> list[Look]:
     """Give each line a colour and a dash that also differ in grey."""
-    colours = style_colours()
+    colours = list_style_colours()
     return [
         # the dash changes where the colours repeat, so that each pair is unique
-        Look(colours[number % len(colours)], dash_of(number + number // len(colours)))
+        Look(colours[number % len(colours)], choose_dash(number + number // len(colours)))
         for number in range(count)
     ]
 
 
-def dash_of(number: int) -> Any:
+def choose_dash(number: int) -> Any:
     """Return the dash of a line by its number, from 0; the dashes repeat."""
     return _DASHES[number % len(_DASHES)]
 
 
-def panel_grid(page: Figure, count: int, *, columns: int, sharey: bool = False) -> list[Axes]:
+def make_panels(page: Figure, count: int, *, columns: int, sharey: bool = False) -> list[Axes]:
     """Make panels row by row.
 
     Parameters
@@ -371,3 +401,166 @@ def require_room(count: int, max_count: int, what: str) -> None:
     if not 1 <= count <= max_count:
         message = f"{what}: expected 1 to {max_count} on a page, found {count}"
         raise ValueError(message)
+
+
+FORMATS = ("svg", "png", "pdf")
+"""Formats of the figures of a report; SVG is always written."""
+
+
+class FigureToSave(NamedTuple):
+    """A figure before it is drawn.
+
+    Parameters
+    ----------
+    name : of its files, without the ending
+    draw : returns the figure
+    caption : how to read it; description in its files
+    alt : alternative text; title in its files
+    """
+
+    name: str
+    draw: Callable[[], Figure]
+    caption: str = ""
+    alt: str = ""
+
+
+def save_pages(
+    wanted: Iterable[FigureToSave],
+    folder: Path,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    run: str = "",
+    png: bool = False,
+    pdf: bool = False,
+    dpi: int = 300,
+    is_journal: bool = False,
+) -> list[Path]:
+    """Draw figures in labpipe's style, each as SVG, and as PNG and PDF on request.
+
+    Parameters
+    ----------
+    wanted : each is drawn and released before the next
+    folder : made if it is not there
+    say : called with the name of each figure as it is drawn
+    run : key of the run of the figures, written to SVG and PNG; may be empty
+    png, pdf : each as PNG or PDF, too; the SVG is identical
+    dpi : of the PNG, dots per inch
+    is_journal : serif letters and the colours of journals, instead of the look of the page
+
+    Returns
+    -------
+    The files, in the order of the figures: SVG, PNG, PDF of each.
+
+    Raises
+    ------
+    StoreError
+        If a file cannot be written.
+
+    Notes
+    -----
+    The same figure gives the same bytes with the same version of matplotlib.
+    """
+    with writing(folder, "figures"), style(is_journal=is_journal):
+        folder.mkdir(parents=True, exist_ok=True)
+        files = []
+        for figure in wanted:
+            say(figure.name)
+            files += save_page(figure, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
+        return files
+
+
+def list_pngs(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
+    """Return the names of the PNGs of figures, which are out of date after an earlier run.
+
+    Parameters
+    ----------
+    wanted : figures, not drawn here
+    folder : of the figures
+    """
+    return [f"{folder}/{figure.name}.png" for figure in wanted]
+
+
+@contextmanager
+def writing(path: Path, what: str) -> Iterator[None]:
+    """Report a file or folder that cannot be written, with a remedy.
+
+    Parameters
+    ----------
+    path : written inside this block
+    what : name of the files
+
+    Raises
+    ------
+    StoreError
+        Instead of errors of the operating system.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise StoreError.about("report.cannot_write", path, "", what=what, error=error) from error
+
+
+def save_page(
+    wanted: FigureToSave, folder: Path, *, run: str, dpi: int | None, is_pdf: bool
+) -> list[Path]:
+    """Draw and lay out one figure in the current style and write it in each format.
+
+    Parameters
+    ----------
+    wanted : figure, with the texts of its files
+    folder : existing
+    run : key in the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
+    dpi : of the PNG; None for no PNG
+    is_pdf : write a PDF, too
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    page = wanted.draw()
+    finish_layout(page)
+    svg, png, pdf = (folder / f"{wanted.name}.{ending}" for ending in FORMATS)
+    title, description = replace_unprintable(wanted.alt), replace_unprintable(wanted.caption)
+    stated = {"Title": title, "Description": description, "Identifier": run}
+    told = {name: text for name, text in stated.items() if text}
+    vector: Any = FigureCanvasSVG(page)
+    vector.print_svg(str(svg), metadata={"Date": None, **told})
+    files = [svg]
+    if dpi is not None:
+        page.set_dpi(dpi)
+        pixels: Any = FigureCanvasAgg(page)
+        about = {"Software": None, "run": run or None}
+        pixels.print_png(str(png), metadata=about, pil_kwargs={"compress_level": 3})
+        files.append(png)
+    if is_pdf:
+        paper: Any = FigureCanvasPdf(page)
+        paper.print_pdf(
+            str(pdf), metadata={"CreationDate": None, "Title": title, "Subject": description}
+        )
+        files.append(pdf)
+    return files
+
+
+def encode_figure(page: Figure) -> str:
+    """Lay out a figure in the current style and write it as a ``data:`` address for a page.
+
+    Parameters
+    ----------
+    page : drawn
+
+    Returns
+    -------
+    An SVG whose letters are lines: it looks the same in every browser.
+    """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    finish_layout(page)
+    file = BytesIO()
+    vector: Any = FigureCanvasSVG(page)
+    vector.print_svg(file, metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"

@@ -1,4 +1,4 @@
-"""Plots of comparisons, and figures of groups and comparisons as files, drawn by matplotlib."""
+"""Figures of groups and of their comparisons as files, and the plots of comparisons."""
 
 from __future__ import annotations
 
@@ -10,88 +10,63 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.group import Band, Campaign, Group
-from labpipe.report.budget_figures import draw_group_budgets, group_bars
-from labpipe.report.comparisons import Family, context_words, equal_words, families, field_words
+from labpipe.report.budget_figures import draw_group_budgets, make_group_bars
+from labpipe.report.comparisons import (
+    Family,
+    describe_context,
+    describe_equal_fields,
+    find_families,
+    name_field,
+)
 from labpipe.report.figure_page import (
-    DASHED,
-    DOTTED,
     DOUBLE_COLUMN,
-    GREY,
-    RED,
     WIDTH,
+    FigureToSave,
     add_key,
-    dash_of,
-    empty_page,
-    new_page,
-    panel_grid,
-    style_colours,
-    titled,
+    add_title,
+    choose_dash,
+    list_style_colours,
+    make_empty_page,
+    make_page,
+    make_panels,
+    read_look,
 )
-from labpipe.report.group_panels import (
-    COLOURS,
+from labpipe.report.group_plots import (
+    N_COLOURS,
     DotRow,
-    band_lines,
-    clipped_axis,
-    dot_with_bar,
-    file_panels,
-    mean_lines,
+    make_band_lines,
+    make_clipped_axis,
+    make_dot_lines,
+    make_file_plots,
+    make_mean_lines,
 )
-from labpipe.report.page_facts import stems
-from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, clip_range
-from labpipe.report.saving import FigureToSave
+from labpipe.report.page_facts import make_stems
+from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_axis
 from labpipe.report.wording import (
     Scale,
-    as_label,
-    count_of,
-    count_words,
-    display_of,
-    group_scale,
-    group_title,
-    shortened,
-    shown_in,
+    describe_counts,
+    find_display,
+    find_display_unit,
+    find_group_unit,
+    shorten,
+    write_count,
+    write_group_title,
+    write_label,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_DOT: dict[str, Any] = {"linestyle": "", "zorder": 5}
-_LOOKS: Mapping[str, dict[str, Any]] = {
-    "curve": {"linewidth": 0.7, "zorder": 2},
-    "unloading": {"linewidth": 0.5, "alpha": 0.3, "zorder": 1.5},
-    "shape": {"linewidth": 0.4, "marker": "o", "markersize": 2.0},
-    "mean": {"linewidth": 1.5, "zorder": 4},
-    "band": {"alpha": 0.16, "linewidth": 0, "zorder": 1},
-    "whole": {"linewidth": 0.6, "linestyle": DASHED, "zorder": 3},
-    "interval": {"linewidth": 1.2, "zorder": 4},
-    "measured": {"color": GREY, "linewidth": 0.8, "linestyle": DASHED},
-    "rejected": {"color": "#9a9a9a", "linewidth": 0.5},
-    "window": {
-        "color": "#946700",
-        "linewidth": 4.0,
-        "alpha": 0.4,
-        "solid_capstyle": "butt",
-        "zorder": 3,
-    },
-    "segment": {"linewidth": 0.8, "linestyle": DOTTED, "zorder": 4},
-    "slip": {"color": RED, "marker": "v", **_DOT},
-    "failure": {"color": RED, "marker": "x", **_DOT},
-    "sample": {"marker": "o", "markersize": 3.0, **_DOT},
-    "doubtful": {"marker": "o", "markerfacecolor": "white", **_DOT},
-    "dot": {"marker": "D", **_DOT},
-    "ring": {"color": RED, "marker": "o", "markerfacecolor": "none", "markersize": 8, **_DOT},
-}
-"""Style of each class of lines; those without a colour are black or in the colour of a spool."""
-
 
 def draw_plots(title: str, plots: Sequence[Plot], *, columns: int = 2) -> Figure:
-    """Draw plots of the page on paper.
+    """Draw plots of the page as a figure of a file.
 
     Parameters
     ----------
     title : of the figure
-    plots : a panel each; their captions are the footnote
-    columns : of panels, at most
+    plots : at least one, a panel each; their captions are the footnote
+    columns : largest number of panels side by side
     """
     frame_mm, mm_per_point, single_mm = 14.0, 0.3, 68.0
     plot = plots[0]
@@ -100,10 +75,10 @@ def draw_plots(title: str, plots: Sequence[Plot], *, columns: int = 2) -> Figure
     width = WIDTH if len(plots) <= 2 else DOUBLE_COLUMN
     if plot.kind == "shapes":
         height = (width - frame_mm) * plot.size[1] / plot.size[0]
-    page = new_page(height_mm=rows * (frame_mm + height), width_mm=width)
-    for drawn, axes in zip(plots, panel_grid(page, len(plots), columns=columns), strict=True):
+    page = make_page(height_mm=rows * (frame_mm + height), width_mm=width)
+    for drawn, axes in zip(plots, make_panels(page, len(plots), columns=columns), strict=True):
         plot_lines(drawn, axes)
-    return titled(page, title, " ".join(dict.fromkeys(drawn.caption for drawn in plots)))
+    return add_title(page, title, " ".join(dict.fromkeys(drawn.caption for drawn in plots)))
 
 
 def plot_lines(plot: Plot, axes: Axes) -> None:
@@ -119,12 +94,12 @@ def plot_lines(plot: Plot, axes: Axes) -> None:
         draw(line.x, line.y, **_look(line.look))
     for key in plot.keys:
         is_area = key.look.startswith("band")
-        add_key(axes, shortened(key.label, 100), is_area=is_area, **_look(key.look))
+        add_key(axes, shorten(key.label, 100), is_area=is_area, **_look(key.look))
     axes.set(xlim=(plot.x.low, plot.x.high), ylim=(plot.y.low, plot.y.high))
     axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
     axes.locator_params(axis="x", nbins=6)
     if plot.heading:
-        axes.set_title(shortened(plot.heading, 40), loc="left")
+        axes.set_title(shorten(plot.heading, 40), loc="left")
     if plot.kind == "shapes":
         axes.set_aspect("equal", adjustable="box", anchor="W")
     if plot.y.names:
@@ -133,19 +108,19 @@ def plot_lines(plot: Plot, axes: Axes) -> None:
 
 
 def _look(classes: str) -> dict[str, Any]:
-    """Return the style of a line by its classes on the page."""
+    """Return the look of a line by its classes on the page."""
     kind, _, colour = classes.partition(" ")
-    look = {"color": "black", **_LOOKS[kind]}
+    look = {"color": "black", **read_look(kind)}
     if colour:
-        number, colours = int(colour[1:]), style_colours()
+        number, colours = int(colour[1:]), list_style_colours()
         look["color"] = colours[number % len(colours)]
         if kind in {"curve", "mean"}:
-            look["linestyle"] = dash_of(number)
+            look["linestyle"] = choose_dash(number)
     return look
 
 
-def group_drawings(group: Group) -> Iterator[FigureToSave]:
-    """List the figures for which a group has data; curves are always included.
+def list_group_figures(group: Group) -> Iterator[FigureToSave]:
+    """List the figures for which a group has data.
 
     Parameters
     ----------
@@ -153,19 +128,20 @@ def group_drawings(group: Group) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    The figures of `file_panels`, and budgets, by names without that of the group.
+    The figures of `make_file_plots`, and ``budgets`` of the intervals, by names without the group.
+    Without curves, the figure ``curves`` says why it is empty.
     """
-    title = group_title(group)
-    figures = file_panels(group)
+    title = write_group_title(group)
+    figures = make_file_plots(group)
     if "curves" not in figures:
         what = "No sample in this group." if not group.samples else "No sample has a curve."
-        yield FigureToSave("curves", partial(empty_page, title, what), what, what)
+        yield FigureToSave("curves", partial(make_empty_page, title, what), what, what)
     for name, plots in figures.items():
         yield FigureToSave(
             name, partial(draw_plots, title, plots), plots[0].caption, plots[0].title
         )
-    if group_bars(group, of_means=False):
-        alt = f"Shares of the causes of the intervals of {group.name}, {count_words(group)}."
+    if make_group_bars(group, of_means=False):
+        alt = f"Shares of the causes of the intervals of {group.name}, {describe_counts(group)}."
         caption = (
             "Contributions to the intervals; numbers per cycle: first cycle only. More samples"
             " reduce the scatter, but not the hatched causes."
@@ -173,34 +149,34 @@ def group_drawings(group: Group) -> Iterator[FigureToSave]:
         yield FigureToSave("budgets", partial(draw_group_budgets, group), caption, alt)
 
 
-def figures_of_families(campaign: Campaign) -> Iterator[FigureToSave]:
-    """List the figures of the groups that differ in one field alone.
+def list_family_figures(campaign: Campaign) -> Iterator[FigureToSave]:
+    """List a figure for each family of groups that differ in one field alone.
 
     Parameters
     ----------
     campaign : with its differences
     """
-    drawn = families(campaign)
-    names = stems(f"difference {x.field}: {context_words(x.groups, x.field)}" for x in drawn)
+    drawn = find_families(campaign)
+    names = make_stems(
+        f"difference {x.field}: {describe_context(x.groups, x.field)}" for x in drawn
+    )
     for family, name in zip(drawn, names, strict=True):
-        plots = family_plots(family, has_scaled=True)
+        plots = make_family_plots(family, has_scaled=True)
         if not plots:
             continue
-        field = field_words(family.field)
-        title = f"{field}  \u00b7  {context_words(family.groups, family.field)}"
-        caption = (
-            f"{field}: {', '.join(family.labels)}; {equal_words(family.groups, family.field)}."
-            f" Protocol: {family.groups[0].protocol}."
-        )
+        field, alike = name_field(family.field), describe_equal_fields(family.groups, family.field)
+        title = f"{field}  \u00b7  {describe_context(family.groups, family.field)}"
+        labels, protocol = ", ".join(family.labels), family.groups[0].protocol
+        caption = f"{field}: {labels}; {alike}. Protocol: {protocol}."
         yield FigureToSave(
             name, partial(draw_plots, title, plots, columns=3), caption, plots[0].title
         )
 
 
-def family_plots(
+def make_family_plots(
     family: Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
 ) -> list[Plot]:
-    """Return the plots of a family: mean curves, and the main number of each group.
+    """Make the plots of a family: mean curves, and the main number of each group.
 
     Parameters
     ----------
@@ -222,7 +198,7 @@ def _curve_plot(
 ) -> Plot | None:
     """Return the plot of the mean first loading of each group with its band."""
     first = family.groups[0]
-    across, up = group_scale(first, "displacement"), group_scale(first, "force")
+    across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
     if is_scaled:
         up = Scale(1.0, "")
     lines, keys, bands = [], [], []
@@ -230,20 +206,20 @@ def _curve_plot(
         band = group.band_scaled if is_scaled else group.band
         if band is None:
             continue
-        look, stem = f"c{at % COLOURS}", stems[group.name]
+        look, stem = f"c{at % N_COLOURS}", stems[group.name]
         bands.append(band)
         lines += [
-            *band_lines(band, across.factor, up.factor, look, stem),
-            *mean_lines(band, across.factor, up.factor, look, stem),
+            *make_band_lines(band, across.factor, up.factor, look, stem),
+            *make_mean_lines(band, across.factor, up.factor, look, stem),
         ]
         keys.append(Key(f"mean {look}", f"{label} (n = {group.band.n})", "group", stem))
     if not lines:
         return None
     kinds = {line.look.partition(" ")[0] for line in lines}
     keys += [Key(kind, label) for kind, label in _SIGNS.items() if kind in kinds]
-    x = axis_over("Displacement", across.unit, [line.x for line in lines])
+    x = make_axis("Displacement", across.unit, [line.x for line in lines])
     y = _force_axis("Force / peak force" if is_scaled else "Force", bands, up)
-    title = f"Mean force against displacement of {count_of(len(family.groups), 'group')}."
+    title = f"Mean force against displacement of {write_count(len(family.groups), 'group')}."
     heading = "Force / peak force" if is_scaled else "First loading"
     return Plot("means", "", title, "", x, y, lines, keys, (392, 200), heading)
 
@@ -260,8 +236,8 @@ def _force_axis(name: str, bands: Sequence[Band], scale: Scale) -> Axis:
     return Axis(name, scale.unit, low - room, high + room)
 
 
-def main_number(family: Family) -> str:
-    """Return the number by which groups are compared: bending stiffness or the first common one.
+def find_main_number(family: Family) -> str:
+    """Find the number by which groups are compared: bending stiffness, or the first common one.
 
     Parameters
     ----------
@@ -269,7 +245,7 @@ def main_number(family: Family) -> str:
 
     Returns
     -------
-    Empty without a common number.
+    Name of the number; empty if the groups have none in common.
     """
     has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
     shared = [
@@ -282,27 +258,27 @@ def main_number(family: Family) -> str:
 
 def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
     """Return the plot of the main number: a row per group with mean, interval and samples."""
-    name = main_number(family)
+    name = find_main_number(family)
     if not name:
         return None
     numbers = [
         next(number for number in group.numbers if number.name == name) for group in family.groups
     ]
-    scale = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
+    scale = find_display_unit(name, numbers[0].unit, find_display(family.groups[0]))
     lines: list[Line] = []
     for row, (number, group) in enumerate(zip(numbers, family.groups, strict=True)):
         values = [value.value for value in number.values.values() if value.value is not None]
         x = np.array([part for value in values for part in (scale.factor * value, np.nan)])
-        look, stem = f"c{row % COLOURS}", stems[group.name]
+        look, stem = f"c{row % N_COLOURS}", stems[group.name]
         lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
         if number.mean is not None:
             mean = number.mean.chosen
             place = DotRow(-row, scale.factor, look, stem)
-            lines += dot_with_bar("dot", mean.mean, mean.interval, place)
+            lines += make_dot_lines("dot", mean.mean, mean.interval, place)
     shown = [line.x for line in lines if not line.look.startswith("interval")]
-    x_axis = clipped_axis(as_label(name), scale, lines, shown)
+    x_axis = make_clipped_axis(write_label(name), scale, lines, shown)
     y_axis = Axis("", "", 0.5 - len(numbers), 0.5, family.labels)
-    title = f"{as_label(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
+    title = f"{write_label(name)} of {write_count(len(numbers), 'group')}, with 95 % intervals."
     keys = [Key("sample", "sample"), Key("dot", "mean")]
-    heading = as_label(name)
+    heading = write_label(name)
     return Plot("numbers", "", title, "", x_axis, y_axis, lines, keys, (180, 200), heading)

@@ -18,16 +18,16 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import (
-    as_label,
-    count_of,
-    display_of,
+    find_display,
+    find_display_unit,
     replace_names,
-    shown_in,
-    unit_words,
+    typeset_unit,
+    write_count,
+    write_label,
     write_number,
 )
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER
-from labpipe.statistics.means import t_quantile
+from labpipe.statistics.means import compute_t_quantile
 
 _SLIP_LEDGER_CODES = frozenset(f"slip_{decision}" for decision in SlipDecision)
 """Notes that only repeat the slip ledger."""
@@ -94,7 +94,7 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     return tuple(sorted(issues, key=lambda finding: order.index(finding.kind)))
 
 
-def sentence(message: str) -> str:
+def write_sentence(message: str) -> str:
     """Turn a message into a sentence, with names of results as in the tables.
 
     Examples
@@ -107,17 +107,17 @@ def sentence(message: str) -> str:
     return text[:1].upper() + text[1:] + stop
 
 
-def sentences(reasons: Iterable[Reason | None]) -> str:
+def join_sentences(reasons: Iterable[Reason | None]) -> str:
     """Join reasons as sentences; None is skipped."""
-    return " ".join(dict.fromkeys(sentence(reason.message) for reason in reasons if reason))
+    return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 
-def codes_of(reasons: Iterable[Reason]) -> str:
+def join_codes(reasons: Iterable[Reason]) -> str:
     """List the codes of reasons, each once."""
     return ", ".join(dict.fromkeys(reason.code for reason in reasons))
 
 
-def decision_words(decision: SlipDecision) -> str:
+def describe_decision(decision: SlipDecision) -> str:
     """Describe the treatment of a slip in a sentence."""
     return {
         SlipDecision.MARKED: "Marked only: the curve is unchanged.",
@@ -126,14 +126,14 @@ def decision_words(decision: SlipDecision) -> str:
     }[decision]
 
 
-def slip_words(slip: Slip, group: Group) -> str:
+def describe_slip(slip: Slip, group: Group) -> str:
     """Describe the place and the lost force of a slip with intervals and display units."""
-    display = display_of(group)
-    across, up = shown_in("", "m", display), shown_in("", "N", display)
+    display = find_display(group)
+    across, up = find_display_unit("", "m", display), find_display_unit("", "N", display)
     position = write_number(slip.position, slip.position_interval, across.factor)
     lost = write_number(slip.drop, slip.drop_interval, up.factor)
-    where = f"{position.value} {unit_words(across.unit)}"
-    loss = f"{lost.value} {unit_words(up.unit)} ({lost.interval})"
+    where = f"{position.value} {typeset_unit(across.unit)}"
+    loss = f"{lost.value} {typeset_unit(up.unit)} ({lost.interval})"
     return f"{loss} lost at {where} ({position.interval})"
 
 
@@ -141,8 +141,8 @@ def _group_issues(group: Group) -> Iterator[Issue]:
     for sample in group.samples:
         yield from _result_issues(group.name, sample)
         for slip in sample.slips:
-            text = slip_words(slip, group)
-            yield Issue(Kind.SLIP, group.name, sample.test, text, decision_words(slip.decision))
+            text = describe_slip(slip, group)
+            yield Issue(Kind.SLIP, group.name, sample.test, text, describe_decision(slip.decision))
         codes = {reason.code for result in sample.results for reason in result.reasons}
         notes = tuple(note for note in sample.quality if note.code not in codes)
         yield from _note_issues(group.name, sample.test, notes)
@@ -150,7 +150,7 @@ def _group_issues(group: Group) -> Iterator[Issue]:
         yield from _number_issues(group, number)
     if not group.samples and not group.notes:
         reason = group.band.reason or Reason("empty_group", "no sample in this group")
-        text = sentence(reason.message)
+        text = write_sentence(reason.message)
         yield Issue(Kind.WARNING, group.name, "", "empty group", text, reason.code)
     yield from _note_issues(group.name, "", group.notes)
 
@@ -162,10 +162,16 @@ def _result_issues(group: str, sample: Sample) -> Iterator[Issue]:
         if issue_kind is not None:
             results_by_reason.setdefault((issue_kind, result.reasons), []).append(result)
     for (issue_kind, reasons), results in results_by_reason.items():
-        what = "; ".join(as_label(result.name) for result in results)
+        what = "; ".join(write_label(result.name) for result in results)
         names = tuple(result.name for result in results)
         yield Issue(
-            issue_kind, group, sample.test, what, sentences(reasons), codes_of(reasons), names
+            issue_kind,
+            group,
+            sample.test,
+            what,
+            join_sentences(reasons),
+            join_codes(reasons),
+            names,
         )
 
 
@@ -184,15 +190,15 @@ def _number_issues(group: Group, number: GroupNumber) -> Iterator[Issue]:
         for result in sample.results
         if result.name == number.name and result.status is Status.FAILED
     }
-    name = as_label(number.name)
+    name = write_label(number.name)
     for test, why in number.left_out.items():
         if test not in failed:  # failed ones have their own heading
-            reason_fields = sentences(why), codes_of(why), (number.name,)
+            reason_fields = join_sentences(why), join_codes(why), (number.name,)
             yield Issue(Kind.LEFT_OUT, group.name, test, name, *reason_fields)
-    unit = shown_in(number.name, number.unit, display_of(group))
+    unit = find_display_unit(number.name, number.unit, find_display(group))
     for outlier in number.outliers:
         value = write_number(outlier.value, None, unit.factor).value
-        reason = f"{value} {unit_words(unit.unit)}".strip() + (
+        reason = f"{value} {typeset_unit(unit.unit)}".strip() + (
             f" differs from the other samples by {outlier.method} (p = {outlier.p:.2g})."
         )
         numbers = (number.name,)
@@ -220,7 +226,7 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
             group,
             test,
             what,
-            " ".join(dict.fromkeys(sentence(note.message) for note in same_notes)),
+            " ".join(dict.fromkeys(write_sentence(note.message) for note in same_notes)),
             code,
             tests=tuple(dict.fromkeys(test for note in same_notes for test in note.tests)),
         )
@@ -279,10 +285,10 @@ class Cause:
         if len(tests) == 1:
             ((group, test),) = tests
             return f"{test} ({group})" if group else test
-        where = groups[0] if len(groups) == 1 else count_of(len(groups), "group")
+        where = groups[0] if len(groups) == 1 else write_count(len(groups), "group")
         if not tests:
             return where
-        return f"{count_of(len(tests), 'test')} {'of' if len(groups) == 1 else 'in'} {where}"
+        return f"{write_count(len(tests), 'test')} {'of' if len(groups) == 1 else 'in'} {where}"
 
     @property
     def sentence(self) -> str:
@@ -395,7 +401,7 @@ def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effe
     lost = len(tests & number.left_out.keys())
     if not lost:
         return None
-    name = f"{as_label(number.name)} of {group.name}"
+    name = f"{write_label(number.name)} of {group.name}"
     if number.mean is None:
         return Effect(inf, f"no value of {name}")
     n = number.mean.chosen.n
@@ -407,7 +413,7 @@ def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effe
 
 
 def _relative_width(n: int) -> float:
-    return t_quantile(n - 1) / sqrt(n)
+    return compute_t_quantile(n - 1) / sqrt(n)
 
 
 def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
@@ -418,7 +424,7 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
     mean = number.mean
     if not touched or mean is None:
         return None
-    name = f"{as_label(number.name)} of {group.name}"
+    name = f"{write_label(number.name)} of {group.name}"
     spools = {sample.test: sample.specimen.spool for sample in group.samples}
     remaining: dict[str, list[float]] = {}
     for test, result in number.values.items():
@@ -427,7 +433,7 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
             remaining.setdefault(spool, []).append(result.value)
     if not remaining:
         return Effect(all_values_effect, f"all values of {name}")
-    before, half = mean.chosen.mean, mean.chosen.half
+    before, half = mean.chosen.mean, mean.chosen.half_width
     moved = float(np.mean([np.mean(values) for values in remaining.values()])) - before
     without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"
     share = f"{100.0 * abs(moved / before):.2g} % " if before else ""

@@ -19,65 +19,70 @@ from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
-from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
+from labpipe.report.bundle_figures import has_bundles, list_place_figures, make_place_table
 from labpipe.report.comparisons import (
     Pair,
-    answer_cells,
-    context_words,
-    families,
-    field_words,
-    question_table,
-    remarks_on_pairs,
-    single_field_pairs,
+    describe_context,
+    find_families,
+    list_pair_remarks,
+    list_single_field_pairs,
+    make_answer_cells,
+    make_pair_table,
+    name_field,
 )
-from labpipe.report.group_figures import family_plots, figures_of_families, group_drawings
-from labpipe.report.group_panels import first_loading, group_panels
-from labpipe.report.issues import Cause, Kind, find_causes, sentences
+from labpipe.report.figure_page import save_pages, writing
+from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
+from labpipe.report.group_plots import find_first_loading, make_group_plots
+from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
 from labpipe.report.page_facts import (
     PageTest,
     PageTests,
-    days_words,
-    instrument_lines,
-    operators_words,
-    report_id,
-    roles_words,
-    samples_of,
-    stems,
+    compute_report_id,
+    describe_days,
+    describe_operators,
+    list_instruments,
+    list_samples,
+    make_stems,
+    name_roles,
 )
-from labpipe.report.page_plots import Strip, clip_range, mean_strip, sparkline
 from labpipe.report.page_tables import (
     DASH,
     Cell,
     Table,
-    about_group,
-    budget_parts,
-    cause_table,
-    export_table,
-    method_tables,
-    note_table,
-    number_table,
-    rows_of_tests,
-    samples_tables,
-    slip_table,
-    spool_mean_table,
+    describe_group,
+    make_budget_bars,
+    make_cause_table,
+    make_method_tables,
+    make_note_table,
+    make_number_table,
+    make_sample_tables,
+    make_slip_table,
+    make_source_table,
+    make_spool_table,
+    make_test_rows,
 )
-from labpipe.report.plot_thinning import simplify_line
+from labpipe.report.plot_records import (
+    Strip,
+    clip_range,
+    make_strip,
+    simplify_line,
+    write_sparkline,
+)
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.saving import save_pages, writing
 from labpipe.report.wording import (
-    as_label,
-    count_of,
-    display_of,
-    heading,
+    find_display,
+    find_display_unit,
     is_first_cycle,
-    mean_with_interval,
-    printable,
     replace_names,
-    shown_in,
-    unit_words,
-    with_interval,
+    replace_unprintable,
+    typeset_unit,
+    write_count,
+    write_heading,
+    write_label,
+    write_mean,
+    write_with_interval,
 )
-from labpipe.statistics.group_fields import in_order
+from labpipe.statistics.group_fields import make_field_sort_key
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -155,18 +160,18 @@ def render_page(
     An HTML document that needs no other file and no network, and can be read and printed without
     its script. All texts of the campaign are escaped.
     """
-    names = stems(group.name for group in campaign.groups)
-    report, script = report_id(campaign), page_script()
-    style = style_of(css_string(f"{campaign.title}  \u00b7  report {report}"), _text(STYLE))
+    names = make_stems(group.name for group in campaign.groups)
+    report, script = compute_report_id(campaign), read_page_script()
+    style = make_style(write_css_string(f"{campaign.title}  \u00b7  report {report}"), _text(STYLE))
     return fill_template(
         "lab_report.html",
         campaign=campaign,
         report=report,
         style=style,
-        style_hash=style_hash(style),
+        style_hash=compute_style_hash(style),
         script=script,
-        script_hash=style_hash(script),
-        page_data=page_data(campaign, report=report),
+        script_hash=compute_style_hash(script),
+        page_data=write_page_data(campaign, report=report),
         pages=has_test_pages,
         logo=letterhead.logo,
         **_first_screen(campaign, names, letterhead),
@@ -181,35 +186,35 @@ def _first_screen(
     max_answers, max_decisions, min_groups = 8, 4, 3
     screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     tests, causes = PageTests(campaign, names), find_causes(campaign)
-    open_ones, answer_rows = open_decisions(causes, tests), answers(campaign)
+    open_ones, answer_rows = find_open_decisions(causes, tests), make_answers(campaign)
     folds = {
         "answers": min(len(answer_rows), max_answers),
         "decisions": min(len(open_ones), max_decisions),
     }
     room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
-    samples = samples_of(campaign)
-    recorded = roles_words(samples)
+    samples = list_samples(campaign)
+    recorded = name_roles(samples)
     return {
-        "counts": count_words(campaign, open_ones),
+        "counts": describe_campaign(campaign, open_ones),
         "facts": _facts(campaign, letterhead),
-        "instruments": instrument_lines(samples),
+        "instruments": list_instruments(samples),
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
         "answers": answer_rows,
-        "blocks": _limit_rows(key_blocks(campaign, names), max(room, min_groups)),
+        "blocks": _limit_rows(make_key_blocks(campaign, names), max(room, min_groups)),
         "open_ones": open_ones,
         "folds": folds,
-        "causes": [(cause, cause_table(cause)) for cause in causes],
+        "causes": [(cause, make_cause_table(cause)) for cause in causes],
     }
 
 
 def _facts(campaign: Campaign, letterhead: Letterhead) -> list[tuple[str, str]]:
-    samples = samples_of(campaign)
+    samples = list_samples(campaign)
     made_on = str(campaign.made_on) if campaign.made_on else ""
     by = f"labpipe {campaign.labpipe_version}".strip()
     return [
         *letterhead.facts,
-        ("Tested", f"{days_words(samples)} by {operators_words(samples)}"),
-        ("Report", ", ".join(filter(None, [report_id(campaign), made_on, by]))),
+        ("Tested", f"{describe_days(samples)} by {describe_operators(samples)}"),
+        ("Report", ", ".join(filter(None, [compute_report_id(campaign), made_on, by]))),
         ("Protocols", _protocols(campaign)),
     ]
 
@@ -218,7 +223,7 @@ def _protocols(campaign: Campaign) -> str:
     return ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
 
 
-def answers(campaign: Campaign) -> list[dict[str, Any]]:
+def make_answers(campaign: Campaign) -> list[dict[str, Any]]:
     """Collect the verdicts on pairs of groups by field.
 
     Parameters
@@ -232,18 +237,18 @@ def answers(campaign: Campaign) -> list[dict[str, Any]]:
     """
     return [
         _answer(field, list(pairs))
-        for field, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field)
+        for field, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field)
     ]
 
 
 def _answer(field: str, pairs: Sequence[Pair]) -> dict[str, Any]:
-    rows = tuple(answer_cells(pair) for pair in pairs)
+    rows = tuple(make_answer_cells(pair) for pair in pairs)
     largest = max(range(len(pairs)), key=lambda at: _rank_of_pair(pairs[at]))
     question, verdict = rows[0][0].text, rows[0][1].text
     if len(pairs) > 1:
         every = {word for pair in pairs for word in pair.differences[0].fields[field]}
-        values = sorted(every, key=lambda word: in_order(field, word))
-        question = f"{field_words(field)}: {', '.join(values)}"
+        values = sorted(every, key=lambda word: make_field_sort_key(field, word))
+        question = f"{name_field(field)}: {', '.join(values)}"
         counts = Counter(pair.differences[0].verdict for pair in pairs)
         verdict = ", ".join(f"{str(kind).upper()} {counts[kind]}" for kind in Verdict
                             if counts[kind])  # fmt: skip
@@ -298,7 +303,7 @@ class KeyBlock(NamedTuple):
     rows: Sequence[KeyRow]
 
 
-def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
+def make_key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
     """Return the key numbers of each group: a block for each kind, and one of all single groups.
 
     Parameters
@@ -330,8 +335,8 @@ def _key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ..
     for group, _ in groups:
         for number in group.numbers:
             if is_first_cycle(number.name) and not number.is_set_by_rig:
-                unit = shown_in(number.name, number.unit, display_of(group)).unit
-                heads.setdefault(number.name, heading(number.name, unit))
+                unit = find_display_unit(number.name, number.unit, find_display(group)).unit
+                heads.setdefault(number.name, write_heading(number.name, unit))
     return tuple(heads.items())[:n_numbers]
 
 
@@ -366,23 +371,23 @@ def _mean_strip(group: Group, names: Sequence[str], ends: tuple[float, float]) -
     if number is None or number.mean is None:
         return None
     interval = _interval_source(number.mean.chosen, number)[0].interval
-    return mean_strip(ends, interval, number.mean.chosen.mean)
+    return make_strip(ends, interval, number.mean.chosen.mean)
 
 
 def _key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     number = _number(group, [name])
     if number is None or number.mean is None:
         return Cell(DASH, tip="no sample has this number")
-    scale = shown_in(name, number.unit, display_of(group))
+    scale = find_display_unit(name, number.unit, find_display(group))
     chosen = number.mean.chosen
     source, tip = _interval_source(chosen, number)
     if source.distinct_estimate is not None:
-        estimate = mean_with_interval(chosen, scale.factor).partition("(")[2].partition(",")[0]
+        estimate = write_mean(chosen, scale.factor).partition("(")[2].partition(",")[0]
         tip = f"interval of the {estimate}"
-    text = with_interval(chosen.mean, source.interval, scale.factor)
+    text = write_with_interval(chosen.mean, source.interval, scale.factor)
     if not has_label:
         return Cell(text, tip=tip)
-    return Cell(f"{text} {unit_words(scale.unit)}".strip(), small=as_label(name), tip=tip)
+    return Cell(f"{text} {typeset_unit(scale.unit)}".strip(), small=write_label(name), tip=tip)
 
 
 def _interval_source(mean: MeanInterval, number: GroupNumber) -> tuple[MeanInterval | Result, str]:
@@ -398,12 +403,12 @@ def _spark(group: Group) -> str:
     if len(band.displacement) and band.n > 1:
         first = band.displacement, band.mean
     else:
-        curves = map(first_loading, group.samples)
+        curves = map(find_first_loading, group.samples)
         first = next(((one.displacement, one.force) for one in curves if one is not None), None)
     if first is None:
         return ""
     rows = simplify_line(*first, points=24, tolerance=0.01)
-    return sparkline(first[0][rows], first[1][rows])
+    return write_sparkline(first[0][rows], first[1][rows])
 
 
 def _limit_rows(blocks: Iterable[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
@@ -423,7 +428,7 @@ class OpenDecision(NamedTuple):
     tests: tuple[PageTest, ...]
 
 
-def open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecision]:
+def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecision]:
     """List the causes that require a decision: doubtful, failed, marked as outliers.
 
     Parameters
@@ -434,18 +439,18 @@ def open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecisi
     decisions = []
     for cause in causes:
         named = (tests.by_name.get(concern.test) for concern in cause.issues)
-        open_ones = (test for test in named if test is not None and not test.sample.decided)
+        open_ones = (test for test in named if test is not None and not test.sample.decision)
         undecided = tuple(dict.fromkeys(open_ones))
         if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
             decisions.append(OpenDecision(cause, undecided))
     return decisions
 
 
-def count_words(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> str:
+def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> str:
     """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
     undecided = len({test.number for open_one in open_ones for test in open_one.tests})
     parts = [
-        count_of(len(samples_of(campaign)), "test"),
+        write_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
         *([f"{len(campaign.left_out)} not read"] if campaign.left_out else []),
         f"{undecided} to decide",
@@ -461,34 +466,34 @@ def _other_sections(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
     return {
         "groups": [_group(group, stem, tests) for group, stem in groups],
         "has_bundles": has_bundles(campaign),
-        "places": place_table(campaign),
+        "places": make_place_table(campaign),
         "questions": list(_questions(campaign, {group.name: stem for group, stem in groups})),
-        "remarks_on_pairs": remarks_on_pairs(campaign),
-        "notes": note_table(campaign),
-        "rows": rows_of_tests(campaign, tests, by_stem),
-        "methods": method_tables(campaign),
+        "remarks_on_pairs": list_pair_remarks(campaign),
+        "notes": make_note_table(campaign),
+        "rows": make_test_rows(campaign, tests, by_stem),
+        "methods": make_method_tables(campaign),
         "protocols": _protocols(campaign),
-        "exports": export_table(tests),
+        "exports": make_source_table(tests),
     }
 
 
 def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
     spools = {sample.specimen.spool for sample in group.samples}
-    budget, causes = budget_parts(group)
+    budget, causes = make_budget_bars(group)
     return {
         "name": group.name,
         "stem": stem,
-        "about": about_group(group) if group.samples else "",
+        "about": describe_group(group) if group.samples else "",
         "is_empty": not group.samples,
-        "why_empty": sentences([group.band.reason]) or "The group has no samples.",
+        "why_empty": join_sentences([group.band.reason]) or "The group has no samples.",
         "rejected": tests.rejected(stem),
-        "plots": group_panels(group, stem, tests),
-        "numbers": number_table(group),
+        "plots": make_group_plots(group, stem, tests),
+        "numbers": make_number_table(group),
         "budget": budget,
         "causes": causes,
-        "samples": samples_tables(group, tests),
-        "slips": slip_table(group),
-        "spools": spool_mean_table(group) if len(spools) > 1 else None,
+        "samples": make_sample_tables(group, tests),
+        "slips": make_slip_table(group),
+        "spools": make_spool_table(group) if len(spools) > 1 else None,
         "remarks": [
             replace_names(f"{note.where}: {note.message}")
             for note in group.notes
@@ -500,17 +505,17 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
 def _questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     """Yield the comparisons of groups that differ in one field, field by field."""
     drawn: dict[str, list[tuple[str, Any]]] = {}
-    for family in families(campaign):
-        heading = context_words(family.groups, family.field)
-        drawn.setdefault(family.field, []).append((heading, family_plots(family, stems)))
-    for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
+    for family in find_families(campaign):
+        heading = describe_context(family.groups, family.field)
+        drawn.setdefault(family.field, []).append((heading, make_family_plots(family, stems)))
+    for name, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
         of_field = list(pairs)
-        tables = [question_table(pair) for pair in of_field]
-        answers = tuple(map(answer_cells, of_field))
+        tables = [make_pair_table(pair) for pair in of_field]
+        answers = tuple(map(make_answer_cells, of_field))
         yield {
             "field": name,
-            "name": field_words(name),
-            "answers": Table(f"Verdicts: {field_words(name)}", _ANSWER_HEADS, answers),
+            "name": name_field(name),
+            "answers": Table(f"Verdicts: {name_field(name)}", _ANSWER_HEADS, answers),
             "comparisons": drawn.get(name, []),
             "tables": [replace(table, notes=()) for table in tables],
             "notes": list(dict.fromkeys(note for table in tables for note in table.notes)),
@@ -525,7 +530,7 @@ _NO_NETWORK: Final = "connect-src 'none'"
 _OWN_SERVER: Final = "connect-src 'self'"
 
 
-def page_script() -> Markup:
+def read_page_script() -> Markup:
     """Return the script of a page for one ``script`` element.
 
     It sorts and filters tables, zooms figures and stores decisions. It defines no global names and
@@ -537,7 +542,7 @@ def page_script() -> Markup:
     return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')
 
 
-def page_data(campaign: Campaign, *, report: str) -> Markup:
+def write_page_data(campaign: Campaign, *, report: str) -> Markup:
     """Return the data of the script for a ``script`` element of type ``application/json``.
 
     Parameters
@@ -584,12 +589,12 @@ def fill_template(template: str, **values: Any) -> str:
     return page.render(**values)
 
 
-def style_of(footer: str, more: str) -> Markup:
+def make_style(footer: str, more: str) -> Markup:
     """Return the style sheet of a page.
 
     Parameters
     ----------
-    footer : of each printed sheet, from `css_string`
+    footer : of each printed sheet, from `write_css_string`
     more : rules of that page alone
     """
     from markupsafe import Markup
@@ -597,7 +602,7 @@ def style_of(footer: str, more: str) -> Markup:
     return Markup(f"{_text(LOOKS).replace('var(--footer)', footer)}{more}")
 
 
-def style_hash(text: str) -> Markup:
+def compute_style_hash(text: str) -> Markup:
     """Return the SHA-256 of a style or a script as the page's policy writes it.
 
     Parameters
@@ -606,11 +611,11 @@ def style_hash(text: str) -> Markup:
     """
     from markupsafe import Markup
 
-    digest = hashlib.sha256(printable(text).encode()).digest()
+    digest = hashlib.sha256(replace_unprintable(text).encode()).digest()
     return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
 
 
-def css_string(text: str) -> str:
+def write_css_string(text: str) -> str:
     """Write a text as an escaped string of a style sheet.
 
     Parameters
@@ -619,7 +624,7 @@ def css_string(text: str) -> str:
     """
     plain = (
         letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
-        for letter in printable(text)
+        for letter in replace_unprintable(text)
     )
     return f'"{"".join(plain)}"'
 
@@ -696,7 +701,7 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
         for name, text in pages.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(printable(text), encoding="utf-8")
+            path.write_text(replace_unprintable(text), encoding="utf-8")
         save_workbook(campaign, tables)
         figures = _save_figures(campaign, folder / FIGURES_FOLDER, extras)
     return [folder / PAGE_FILE, tables, *(folder / name for name in extras.test_pages), *figures]
@@ -706,14 +711,14 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
     """Draw the figures of each group and those that compare groups, for papers and slides."""
     if not extras.formats:
         return []
-    names = stems(group.name for group in campaign.groups)
+    names = make_stems(group.name for group in campaign.groups)
     wanted = [
         drawing._replace(name=f"{stem}-{drawing.name}")
         for group, stem in zip(campaign.groups, names, strict=True)
-        for drawing in group_drawings(group)
+        for drawing in list_group_figures(group)
     ]
-    wanted += figures_of_families(campaign)
-    wanted += place_figures(campaign)
+    wanted += list_family_figures(campaign)
+    wanted += list_place_figures(campaign)
     return save_pages(
         wanted,
         folder,

@@ -11,8 +11,8 @@ from functools import cached_property
 
 from labpipe.records.group import Campaign, Sample
 from labpipe.records.result import Instrument, Status
-from labpipe.report.wording import count_of
-from labpipe.statistics.group_fields import SPOOL, fields_of
+from labpipe.report.wording import write_count
+from labpipe.statistics.group_fields import SPOOL, list_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +48,21 @@ class PageTests:
         groups = list(zip(campaign.groups, stems, strict=True))
         samples = [(sample, stem) for group, stem in groups for sample in group.samples]
         included = [
-            PageTest(number, sample, stem, state_of(sample))
+            PageTest(number, sample, stem, find_state(sample))
             for number, (sample, stem) in enumerate(samples)
         ]
         homes = {group.name: stem for group, stem in groups}
         rejected = []
         for number, sample in enumerate(campaign.rejected_samples, start=len(included)):
-            stem = homes.get(group_of_rejected(sample, campaign), "")
-            why = campaign.rejected.get(sample.source, sample.decided)
+            stem = homes.get(find_group_of_rejected(sample, campaign), "")
+            why = campaign.rejected.get(sample.source, sample.decision)
             rejected.append(PageTest(number, sample, stem, "rejected", why))
         self.every = (*included, *rejected)
 
     @cached_property
     def number(self) -> Mapping[str, int]:
         """Return the numbers of the tests by source file and name."""
-        return {key_of(test.sample): test.number for test in self.every}
+        return {make_key(test.sample): test.number for test in self.every}
 
     @cached_property
     def by_name(self) -> Mapping[str, PageTest]:
@@ -74,7 +74,7 @@ class PageTests:
         return [test for test in self.every if test.state == "rejected" and test.stem == stem]
 
 
-def stems(names: Iterable[str]) -> list[str]:
+def make_stems(names: Iterable[str]) -> list[str]:
     """Turn names of groups into stems of file names: ASCII, lower case, unique.
 
     Examples
@@ -93,12 +93,12 @@ def stems(names: Iterable[str]) -> list[str]:
     return stems
 
 
-def key_of(sample: Sample) -> str:
+def make_key(sample: Sample) -> str:
     """Return a unique key of a sample in a report."""
     return f"{sample.source}\n{sample.test}"
 
 
-def group_of_rejected(sample: Sample, campaign: Campaign) -> str:
+def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
     """Return the group to which a rejected test would belong.
 
     Parameters
@@ -111,7 +111,7 @@ def group_of_rejected(sample: Sample, campaign: Campaign) -> str:
     Name of the group of its protocol with the most common fields, among those with the same
     grouping fields; empty without such a group.
     """
-    fields = fields_of(sample.specimen)
+    fields = list_fields(sample.specimen)
     alike = {
         group.name: sum(fields.get(name) == word for name, word in group.fields.items())
         for group in campaign.groups
@@ -121,14 +121,14 @@ def group_of_rejected(sample: Sample, campaign: Campaign) -> str:
     return max(alike, key=lambda name: alike[name], default="")
 
 
-def state_of(sample: Sample) -> str:
+def find_state(sample: Sample) -> str:
     """Return the worst state of the numbers of a test: ``ok``, ``doubtful`` or ``failed``."""
     states = {result.status for result in sample.results}
     worst = (Status.FAILED, Status.DOUBTFUL)
     return next((str(status) for status in worst if status in states), str(Status.OK))
 
 
-def report_id(campaign: Campaign) -> str:
+def compute_report_id(campaign: Campaign) -> str:
     """Return an identifier of the contents of a report: its tests and the decisions on them.
 
     Parameters
@@ -145,12 +145,12 @@ def report_id(campaign: Campaign) -> str:
     return digest.hexdigest()[:10]
 
 
-def samples_of(campaign: Campaign) -> list[Sample]:
+def list_samples(campaign: Campaign) -> list[Sample]:
     """List the samples of all groups."""
     return [sample for group in campaign.groups for sample in group.samples]
 
 
-def days_words(samples: Iterable[Sample]) -> str:
+def describe_days(samples: Iterable[Sample]) -> str:
     """Describe the days of tests, such as ``2026-03-02 to 2026-03-06, 2 of unknown day``."""
     days = [sample.date for sample in samples]
     dates = sorted({day for day in days if day is not None})
@@ -158,17 +158,17 @@ def days_words(samples: Iterable[Sample]) -> str:
     if not dates:
         return "on an unknown day (no sheet states one)"
     period = " to ".join(dict.fromkeys(map(str, (dates[0], dates[-1]))))
-    return f"{period}, {count_of(missing, 'test')} of unknown day" if missing else period
+    return f"{period}, {write_count(missing, 'test')} of unknown day" if missing else period
 
 
-def operators_words(samples: Iterable[Sample]) -> str:
+def describe_operators(samples: Iterable[Sample]) -> str:
     """Name the operators, and count tests without operator."""
     names = Counter(sample.operator for sample in samples)
     missing = names.pop("", 0)
     stated = ", ".join(names)
     if not stated:
         return "operator not stated"
-    return f"{stated} ({count_of(missing, 'test')} without operator)" if missing else stated
+    return f"{stated} ({write_count(missing, 'test')} without operator)" if missing else stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,7 @@ class InstrumentLine:
     is_overdue: bool
 
 
-def instrument_lines(samples: Sequence[Sample]) -> list[InstrumentLine]:
+def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
     """List the instruments of tests, each calibration once.
 
     Parameters
@@ -198,18 +198,18 @@ def instrument_lines(samples: Sequence[Sample]) -> list[InstrumentLine]:
     for sample in samples:
         for instrument in sample.instruments:
             used.setdefault(instrument, []).append(sample)
-    return [_instrument_line(instrument, tests) for instrument, tests in used.items()]
+    return [_describe_instrument(instrument, tests) for instrument, tests in used.items()]
 
 
-def _instrument_line(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
+def _describe_instrument(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
     due = instrument.due
     late = [test for test in tests if due is not None and test.date is not None and test.date > due]
     text = "no due date stated" if due is None else f"calibration due {due}"
     if late:
-        text = f"calibration OVERDUE since {due} in {count_of(len(late), 'test')}"
+        text = f"calibration OVERDUE since {due} in {write_count(len(late), 'test')}"
     return InstrumentLine(f"{instrument.channel} {instrument.certificate}", text, bool(late))
 
 
-def roles_words(samples: Iterable[Sample]) -> str:
+def name_roles(samples: Iterable[Sample]) -> str:
     """Name the roles of the recorded files of the tests."""
     return ", ".join(dict.fromkeys(source.role for sample in samples for source in sample.inputs))

@@ -15,29 +15,34 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import (
-    COLOURS_OF_CAUSES,
-    OTHER_COLOUR,
-    bar_parts,
-    causes_in_key,
-    group_bars,
+    find_cause_colour,
+    list_shown_causes,
+    make_group_bars,
+    sort_shares,
 )
 from labpipe.report.figure_page import split_pages
-from labpipe.report.issues import Cause, decision_words, find_notes, sentences
-from labpipe.report.page_facts import PageTest, PageTests, days_words, key_of, operators_words
-from labpipe.report.page_plots import Strip, clip_range, mean_strip
+from labpipe.report.issues import Cause, describe_decision, find_notes, join_sentences
+from labpipe.report.page_facts import (
+    PageTest,
+    PageTests,
+    describe_days,
+    describe_operators,
+    make_key,
+)
+from labpipe.report.plot_records import Strip, clip_range, make_strip
 from labpipe.report.wording import (
-    as_label,
-    count_of,
-    count_words,
-    display_of,
-    heading,
+    describe_counts,
+    find_display,
+    find_display_unit,
     is_main,
-    mean_with_interval,
     replace_names,
-    shown_in,
-    unit_words,
-    with_interval,
+    typeset_unit,
+    write_count,
+    write_heading,
+    write_label,
+    write_mean,
     write_number,
+    write_with_interval,
 )
 
 DASH = "\u2013"
@@ -89,13 +94,13 @@ MAX_SAMPLE_COLUMNS = 4
 """Samples as columns of the table of numbers; larger groups have tables with a row per sample."""
 
 
-def about_group(group: Group) -> str:
+def describe_group(group: Group) -> str:
     """Describe a group: counts of samples and spools, protocol, days, operators."""
-    tested = f"tested {days_words(group.samples)} by {operators_words(group.samples)}"
-    return f"{count_words(group)}, protocol {group.protocol}, {tested}."
+    tested = f"tested {describe_days(group.samples)} by {describe_operators(group.samples)}"
+    return f"{describe_counts(group)}, protocol {group.protocol}, {tested}."
 
 
-def number_table(group: Group) -> Table:
+def make_number_table(group: Group) -> Table:
     """Return the table of a group: a row per number with mean, interval and few samples.
 
     Parameters
@@ -115,8 +120,8 @@ def number_table(group: Group) -> Table:
 def _number_row(
     group: Group, number: GroupNumber, columns: Sequence[Sample], *, is_drawn: bool
 ) -> tuple[Cell, ...]:
-    unit = shown_in(number.name, number.unit, display_of(group))
-    head = Cell(heading(number.name, unit.unit), tip=number.name)
+    unit = find_display_unit(number.name, number.unit, find_display(group))
+    head = Cell(write_heading(number.name, unit.unit), tip=number.name)
     samples = [_sample_cell(number, column, unit.factor) for column in columns]
     mean = number.mean
     if mean is None:
@@ -124,13 +129,13 @@ def _number_row(
         return head, Cell(""), nothing, Cell("0"), Cell(DASH), *samples
     count = f"{mean.chosen.n}"
     if not mean.is_pooled:
-        count = count_of(mean.chosen.n, "spool")
+        count = write_count(mean.chosen.n, "spool")
     elif mean.chosen.n != len(group.samples):
         count = f"{mean.chosen.n} of {len(group.samples)}"
     return (
         head,
         Cell("", drawing=_number_strip(number) if is_drawn else None),
-        Cell(mean_with_interval(mean.chosen, unit.factor)),
+        Cell(write_mean(mean.chosen, unit.factor)),
         Cell(count, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
         Cell(write_number(mean.chosen.deviation, None, unit.factor, digits=2).value),
         *samples,
@@ -146,17 +151,17 @@ def _number_strip(number: GroupNumber) -> Strip:
     mean = nan if chosen is None else chosen.mean
     ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
-    return mean_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
+    return make_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
 
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
     named = (result for result in sample.results if result.name == number.name)
     result = number.values.get(sample.test) or next(named, None)
     marked = any(outlier.sample == sample.test for outlier in number.outliers)
-    return result_cell(result, factor, is_outlier=marked)
+    return make_result_cell(result, factor, is_outlier=marked)
 
 
-def result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
+def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
     """Return the cell of a test's number: ``?`` marks a doubtful one, ``!`` an outlier.
 
     Parameters
@@ -170,7 +175,9 @@ def result_cell(result: Result | None, factor: float, *, is_outlier: bool = Fals
     if result.value is None:
         return Cell(DASH)
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
-    text = with_interval(result.value, result.interval, factor, estimate=result.distinct_estimate)
+    text = write_with_interval(
+        result.value, result.interval, factor, estimate=result.distinct_estimate
+    )
     return Cell(text, mark=mark)
 
 
@@ -178,7 +185,7 @@ def _table_notes(group: Group) -> Iterator[str]:
     """Yield the notes on signs and averages of the table."""
     if any(not number.mean.is_pooled for number in group.numbers if number.mean):
         yield "n in spools: the mean is over spool means, each counted once."
-    names = [as_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
+    names = [write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
     if names:
         yield f"Set by the rig, not tested for outliers: {'; '.join(names)}."
     spools = {sample.specimen.spool for sample in group.samples}
@@ -194,10 +201,10 @@ def _interval_notes(group: Group) -> Iterator[str]:
     reasons: dict[Reason, list[str]] = {}
     for member in group.numbers:
         if member.mean is not None and member.mean.chosen.reason:
-            reasons.setdefault(member.mean.chosen.reason, []).append(as_label(member.name))
+            reasons.setdefault(member.mean.chosen.reason, []).append(write_label(member.name))
     for why, names in reasons.items():
         of = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
-        yield f"No interval of the mean: {sentences([why])} ({of})"
+        yield f"No interval of the mean: {join_sentences([why])} ({of})"
     means = [number.mean for number in group.numbers if number.mean is not None]
     if any(not mean.is_pooled and mean.chosen.n == min_tests for mean in means):
         yield (
@@ -215,19 +222,19 @@ def _reason_notes(group: Group) -> Iterator[str]:
         for result in sample.results:
             if result.name in names and result.status is not Status.OK:
                 sign = DASH if result.status is Status.FAILED else "?"
-                reason = f"{sign} {sentences(result.reasons)}"
+                reason = f"{sign} {join_sentences(result.reasons)}"
                 named.setdefault(reason, {})[sample.test] = None
     for reason, tests in named.items():
         yield f"{reason} ({', '.join(tests)})"
     outliers: dict[str, list[str]] = {}
     for number in group.numbers:
         for outlier in number.outliers:
-            outliers.setdefault(outlier.sample, []).append(as_label(number.name).lower())
+            outliers.setdefault(outlier.sample, []).append(write_label(number.name).lower())
     for test, numbers in outliers.items():
         yield f"! {test} is an outlier in {'; '.join(numbers)}. It is included in all means."
 
 
-def samples_tables(group: Group, tests: PageTests) -> list[Table]:
+def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
     """Return tables with a row per sample for groups with many samples.
 
     Parameters
@@ -246,12 +253,14 @@ def samples_tables(group: Group, tests: PageTests) -> list[Table]:
 def _samples_table(
     group: Group, numbers: Sequence[GroupNumber], tests: PageTests, is_more: bool
 ) -> Table:
-    display = display_of(group)
-    scales = [shown_in(number.name, number.unit, display) for number in numbers]
-    heads = [heading(number.name, unit.unit) for number, unit in zip(numbers, scales, strict=True)]
+    display = find_display(group)
+    scales = [find_display_unit(number.name, number.unit, display) for number in numbers]
+    heads = [
+        write_heading(number.name, unit.unit) for number, unit in zip(numbers, scales, strict=True)
+    ]
     rows = []
     for sample in group.samples:
-        link = f"#t{tests.number[key_of(sample)]}"
+        link = f"#t{tests.number[make_key(sample)]}"
         named = [Cell(sample.test, link=link), Cell(sample.specimen.spool)]
         values = [
             _sample_cell(number, sample, unit.factor)
@@ -262,7 +271,7 @@ def _samples_table(
     return Table(caption, ("Test", *([] if is_more else ["Spool"]), *heads), tuple(rows))
 
 
-def budget_parts(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the budgets of the first means, or of a single test, for a drawing.
 
     Parameters
@@ -274,10 +283,10 @@ def budget_parts(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any
     Bars with ``name``, ``text`` and ``parts``; and the parts of the key, each cause once.
     """
     n_bars = 5
-    means = [bar for bar in group_bars(group, of_means=True) if bar.shares]
-    tests = [bar._replace(text="one test") for bar in group_bars(group, of_means=False)]
+    means = [bar for bar in make_group_bars(group, of_means=True) if bar.shares]
+    tests = [bar._replace(text="one test") for bar in make_group_bars(group, of_means=False)]
     chosen = (means or tests)[:n_bars]
-    parts = bar_parts([bar.shares for bar in chosen])
+    parts = sort_shares([bar.shares for bar in chosen])
     bars = []
     for bar, shares in zip(chosen, parts, strict=True):
         starts = np.cumsum([0.0, *shares.values()]).tolist()
@@ -286,31 +295,31 @@ def budget_parts(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any
             for (cause, share), start in zip(shares.items(), starts, strict=False)
         ]
         bars.append({"name": bar.name, "text": bar.text, "parts": drawn})
-    return bars, list(map(_cause_look, causes_in_key(parts)))
+    return bars, list(map(_cause_look, list_shown_causes(parts)))
 
 
 def _cause_look(cause: str) -> dict[str, Any]:
-    colour = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
+    colour = find_cause_colour(cause)
     return {"cause": cause, "colour": colour, "is_common": IS_COMMON.get(cause, False)}
 
 
-def spool_mean_table(group: Group) -> Table:
+def make_spool_table(group: Group) -> Table:
     """Return the table of spool means and of the decisions how to average them."""
     spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     rows, above = [], ""
     for number in group.numbers:
         if number.mean is None:
             continue
-        unit = shown_in(number.name, number.unit, display_of(group))
-        cells = [Cell(heading(number.name, unit.unit))]
+        unit = find_display_unit(number.name, number.unit, find_display(group))
+        cells = [Cell(write_heading(number.name, unit.unit))]
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
             text, small = DASH, "no number"
             if mean is not None:
-                text, small = mean_with_interval(mean, unit.factor), f"n = {mean.n}"
+                text, small = write_mean(mean, unit.factor), f"n = {mean.n}"
             cells.append(Cell(text, small))
         decision = str(number.mean.decision)
-        done, because = number.mean.decision.done, "; ".join(number.mean.decision.because)
+        done, because = number.mean.decision.action, "; ".join(number.mean.decision.grounds)
         cells.append(Cell("as above") if decision == above else Cell(done, because))
         rows.append(tuple(cells))
         above = decision
@@ -318,26 +327,26 @@ def spool_mean_table(group: Group) -> Table:
     return Table(f"{group.name}: spool means and their averaging", heads, tuple(rows))
 
 
-def slip_table(group: Group) -> Table | None:
+def make_slip_table(group: Group) -> Table | None:
     """Return the slip table of a group; None without slips."""
-    display = display_of(group)
-    across, up = shown_in("", "m", display), shown_in("", "N", display)
+    display = find_display(group)
+    across, up = find_display_unit("", "m", display), find_display_unit("", "N", display)
     rows = tuple(
         (
             Cell(sample.test),
-            Cell(with_interval(slip.position, slip.position_interval, across.factor)),
-            Cell(with_interval(slip.drop, slip.drop_interval, up.factor)),
-            Cell(decision_words(slip.decision)),
+            Cell(write_with_interval(slip.position, slip.position_interval, across.factor)),
+            Cell(write_with_interval(slip.drop, slip.drop_interval, up.factor)),
+            Cell(describe_decision(slip.decision)),
         )
         for sample in group.samples
         for slip in sample.slips
     )
-    units = unit_words(across.unit), unit_words(up.unit)
+    units = typeset_unit(across.unit), typeset_unit(up.unit)
     heads = ("Sample", f"Displacement ({units[0]})", f"Force lost ({units[1]})", "Treatment")
     return Table(f"{group.name}: slips in the grips", heads, rows) if rows else None
 
 
-def cause_table(cause: Cause) -> Table:
+def make_cause_table(cause: Cause) -> Table:
     """Return the table of a cause: a row per issue."""
     rows = tuple(
         (
@@ -350,7 +359,7 @@ def cause_table(cause: Cause) -> Table:
     return Table(f"{cause.kind} ({len(cause.issues)})", ("Test", "What", "Why"), rows)
 
 
-def note_table(campaign: Campaign) -> Table | None:
+def make_note_table(campaign: Campaign) -> Table | None:
     """Return the table of notes without consequences, a row per kind; None without notes."""
     rows = tuple(
         (
@@ -364,7 +373,7 @@ def note_table(campaign: Campaign) -> Table | None:
     return Table("Notes without consequences", heads, rows) if rows else None
 
 
-def method_tables(campaign: Campaign) -> list[Table]:
+def make_method_tables(campaign: Campaign) -> list[Table]:
     """Return a table per protocol of the methods of each number and its interval."""
     methods: dict[str, dict[str, dict[str, None]]] = {}
     for group in campaign.groups:
@@ -378,7 +387,7 @@ def method_tables(campaign: Campaign) -> list[Table]:
             ("Number", "Method"),
             tuple(
                 (
-                    Cell(as_label(name), tip=name),
+                    Cell(write_label(name), tip=name),
                     Cell(replace_names("; ".join(filter(None, method))) or _NO_METHOD),
                 )
                 for name, method in numbers.items()
@@ -391,7 +400,7 @@ def method_tables(campaign: Campaign) -> list[Table]:
 _NO_METHOD = "No sample has this number."
 
 
-def rows_of_tests(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[Any]:
+def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[Any]:
     """Return the rows of the table of tests.
 
     Parameters
@@ -415,17 +424,17 @@ def rows_of_tests(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]
             "test": test,
             "group": stems.get(test.stem, ""),
             "first": _first_number_cell(test, mains.get(test.stem, "")),
-            "decided": "reject" if test.why else "accept" if test.sample.decided else "",
-            "words": test.why or test.sample.decided,
-            "page": (page := page_file(test.sample.label or test.sample.test)),
+            "decided": "reject" if test.why else "accept" if test.sample.decision else "",
+            "words": test.why or test.sample.decision,
+            "page": (page := name_page_file(test.sample.label or test.sample.test)),
             "address": quote(page, errors="replace"),
-            "why": problems_of(test),
+            "why": describe_problems(test),
         }
         for test in tests.every
     ]
 
 
-def page_file(label: str) -> str:
+def name_page_file(label: str) -> str:
     """Name the page of a test, below the folder of the report.
 
     Parameters
@@ -445,12 +454,12 @@ def _first_number_cell(test: PageTest, main: str) -> Cell:
     result = next((result for result in test.sample.results if result.name == main), None)
     if result is None:
         return Cell(DASH)
-    unit = shown_in(main, result.unit, test.sample.display)
-    cell = result_cell(result, unit.factor)
-    return Cell(cell.text, heading(main, unit.unit), cell.mark, cell.tip, result.value)
+    unit = find_display_unit(main, result.unit, test.sample.display)
+    cell = make_result_cell(result, unit.factor)
+    return Cell(cell.text, write_heading(main, unit.unit), cell.mark, cell.tip, result.value)
 
 
-def problems_of(test: PageTest) -> str:
+def describe_problems(test: PageTest) -> str:
     """Return the reasons of doubtful and failed results of a test, or of its rejection.
 
     Parameters
@@ -460,10 +469,10 @@ def problems_of(test: PageTest) -> str:
     if test.why:
         return f"Rejected: {test.why}"
     doubtful = [result for result in test.sample.results if result.status is not Status.OK]
-    return sentences(reason for result in doubtful for reason in result.reasons)
+    return join_sentences(reason for result in doubtful for reason in result.reasons)
 
 
-def export_table(tests: PageTests) -> Table:
+def make_source_table(tests: PageTests) -> Table:
     """Return the table of recorded files of each test with their SHA-256.
 
     Parameters

@@ -1,44 +1,51 @@
-"""Workbook of a report: one sheet per question."""
+"""Workbook of a campaign's report: one sheet per question."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
-from labpipe.records.group import Campaign, Difference, Group, GroupNumber, MeanInterval, Sample
-from labpipe.records.quality import worded
+from labpipe.records.group import (
+    Band,
+    Campaign,
+    Difference,
+    Group,
+    GroupNumber,
+    MeanInterval,
+    Sample,
+)
+from labpipe.records.quality import join_reasons
 from labpipe.records.result import Result, Status
-from labpipe.report.budget_figures import sort_causes
-from labpipe.report.bundle_figures import place_scales
+from labpipe.report.bundle_figures import choose_place_units
 from labpipe.report.comparisons import (
     Pair,
-    context_words,
-    field_words,
-    fields_in_words,
-    multi_field_differences,
-    single_field_pairs,
+    describe_context,
+    describe_fields,
+    list_multi_field_differences,
+    list_single_field_pairs,
+    name_field,
 )
-from labpipe.report.issues import Cause, find_causes, find_notes
+from labpipe.report.issues import Cause, Issue, find_causes, find_notes
 from labpipe.report.page_facts import (
-    days_words,
-    instrument_lines,
-    operators_words,
-    report_id,
-    samples_of,
-    state_of,
+    compute_report_id,
+    describe_days,
+    describe_operators,
+    find_state,
+    list_instruments,
+    list_samples,
 )
 from labpipe.report.wording import (
     Scale,
-    as_label,
-    count_of,
-    display_of,
-    group_scale,
+    find_display,
+    find_display_unit,
+    find_group_unit,
     is_main,
-    key_numbers,
-    shown_in,
-    unit_words,
+    list_key_numbers,
+    typeset_unit,
+    write_count,
+    write_label,
 )
 from labpipe.report.workbook_file import (
     About,
@@ -46,34 +53,20 @@ from labpipe.report.workbook_file import (
     Line,
     Record,
     Sheet,
-    array_records,
-    ends_record,
-    number_cell,
-    percent_cell,
+    how_to_read,
+    make_interval_cells,
+    make_number_cell,
+    make_percent_cell,
+    make_records,
+    make_sheet,
     save_book,
-    sheet_of,
+    stack_blocks,
     unite_heads,
 )
-from labpipe.statistics.means import group_budget
+from labpipe.statistics.means import sort_causes, summarise_budget
 
-_ABOUT = (
-    "Cells hold all digits of a number and show two digits of its interval. Lower and upper are the"
-    " ends of 95 % intervals. An empty cell: not available. Every table has filters.",
-    "The interval of a sample is the uncertainty of its measurement. The interval of a mean is for"
-    " the mean of all such specimens, by Student's t with n - 1 degrees of freedom, including the"
-    " causes common to all tests of a rig. On the scale 'log' its ends are mean / exp(h / mean) and"
-    " mean x exp(h / mean), on 'linear' mean - h and mean + h; without common causes, h ="
-    " T.INV.2T(0.05;n-1) x standard deviation / SQRT(n).",
-    "Mean over: samples, or spool means if the samples of a spool are too similar.",
-    "Curves: lower and upper are the pointwise band of the mean, 'whole curve' the band of the"
-    " whole mean curve, at displacements at which every sample has data.",
-    "Comparisons: 'lower' and 'upper' are Welch's 95 % interval of a single difference, p-values"
-    " are for a single difference, too; 'corrected' ends are of the share (38 % for a ratio of"
-    " 1.38), or else of the difference, at the level of Holm's correction for the family. A pair"
-    " without a family differs in several fields.",
-    "Outliers are marked in 'needs a look' and included in all means. Means include numbers with"
-    " the status 'doubtful', but not 'failed'.",
-)
+BOOK = "report"
+"""Name of the workbook in ``workbooks.toml``."""
 
 
 def save_workbook(campaign: Campaign, path: Path) -> None:
@@ -93,41 +86,31 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
     -----
     At most eleven sheets after the first, for any number of groups.
     """
-    footer = f"{campaign.title}  \u00b7  report {report_id(campaign)}"
-    about = About(campaign.title, (*_facts(campaign), *_ABOUT), footer)
+    footer = f"{campaign.title}  \u00b7  report {compute_report_id(campaign)}"
+    about = About(campaign.title, (*_facts(campaign), *how_to_read(BOOK)), footer)
     save_book(about, list(_sheets(campaign)), path)
 
 
 def _facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators and instruments."""
-    samples, rejected = samples_of(campaign), len(campaign.rejected)
-    text = f"{count_of(len(samples), 'test')} in {count_of(len(campaign.groups), 'group')}"
-    yield f"{text}, {count_of(rejected, 'test')} rejected." if rejected else f"{text}."
+    samples, rejected = list_samples(campaign), len(campaign.rejected)
+    text = f"{write_count(len(samples), 'test')} in {write_count(len(campaign.groups), 'group')}"
+    yield f"{text}, {write_count(rejected, 'test')} rejected." if rejected else f"{text}."
     if samples:
-        yield f"Tested {days_words(samples)}; {operators_words(samples)}."
-    for instrument_line in instrument_lines(samples):
-        yield f"{instrument_line.name}: {instrument_line.due}."
+        yield f"Tested {describe_days(samples)}; {describe_operators(samples)}."
+    for instrument in list_instruments(samples):
+        yield f"{instrument.name}: {instrument.due}."
     date = f" on {campaign.made_on}" if campaign.made_on is not None else ""
     by = f"labpipe {campaign.labpipe_version}".strip()
-    yield f"Report {report_id(campaign)}, made{date} by {by}."
+    yield f"Report {compute_report_id(campaign)}, made{date} by {by}."
 
 
 def _sheets(campaign: Campaign) -> Iterator[Sheet]:
-    if pairs := single_field_pairs(campaign):
-        yield sheet_of(
-            "answers", map(_answer, pairs), frozen=1,
-            question="What is the verdict of each comparison: different, equivalent, or cannot"
-            " tell?",
-        )  # fmt: skip
+    if pairs := list_single_field_pairs(campaign):
+        yield make_sheet(BOOK, "answers", map(_answer, pairs))
     by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
-    yield sheet_of(
-        "key numbers", map(_key_record, by_protocol), frozen=1,
-        question="What are the key numbers of each group, with their 95 % intervals?",
-    )  # fmt: skip
-    yield sheet_of(
-        "means", _means(campaign), frozen=2,
-        question="What is the mean of each number, of all samples and of each spool?",
-    )  # fmt: skip
+    yield make_sheet(BOOK, "key numbers", map(_key_record, by_protocol))
+    yield make_sheet(BOOK, "means", _means(campaign))
     yield _tests_sheet(campaign)
     results = (
         {"group": group.name, "test": sample.test, **_result(sample, result)}
@@ -135,43 +118,25 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
         for sample in group.samples
         for result in sample.results
     )
-    yield sheet_of(
-        "results", results, frozen=2,
-        question="How uncertain is each number of each test, how was it obtained, why is it"
-        " doubtful?",
-    )  # fmt: skip
+    yield make_sheet(BOOK, "results", results)
     yield _curves_sheet(campaign, is_scaled=False)
     if any(group.band_scaled is not None for group in campaign.groups):
         yield _curves_sheet(campaign, is_scaled=True)
     single_field = [difference for difference in campaign.differences if difference.family]
-    displays = {group.name: display_of(group) for group in campaign.groups}
+    displays = {group.name: find_display(group) for group in campaign.groups}
     differences = [
         _difference(difference, displays.get(difference.first, {}))
-        for difference in (*single_field, *multi_field_differences(campaign))
+        for difference in (*single_field, *list_multi_field_differences(campaign))
     ]
-    yield sheet_of(
-        "comparisons", differences, frozen=2,
-        question="How do pairs of groups differ in each number? Pairs that differ in one field come"
-        " first.",
-    )  # fmt: skip
-    budgets = _budgets_sheet(campaign)
-    if budgets.rows:
-        yield budgets
+    yield make_sheet(BOOK, "comparisons", differences)
+    if budgets := _budgets(campaign):
+        yield make_sheet(BOOK, "budgets", budgets)
     if campaign.places:
-        yield sheet_of(
-            "slipping and sticking", _places(campaign), frozen=2,
-            question="Where does the bending stiffness of each bundle lie between slipping and"
-            " sticking?",
-        )  # fmt: skip
-    ranked = [*enumerate(find_causes(campaign), start=1)]
-    issues = [row for rank, cause in ranked for row in _issues(rank, cause)]
-    notes = [row for note in find_notes(campaign) for row in _issues(None, note)]
-    yield sheet_of(
-        "needs a look", [*issues, *notes], frozen=1,
-        wrapped=("test", "what", "reason", "largest effect of the cause"),
-        question="Which results need a check? Largest effect on a number first; notes have no"
-        " rank.",
-    )  # fmt: skip
+        yield make_sheet(BOOK, "slipping and sticking", _places(campaign))
+    ranked = [(rank, cause) for rank, cause in enumerate(find_causes(campaign), start=1)]
+    causes = [*ranked, *((None, note) for note in find_notes(campaign))]
+    issues = (_issue(rank, cause, issue) for rank, cause in causes for issue in cause.issues)
+    yield make_sheet(BOOK, "needs a look", issues)
 
 
 def _answer(pair: Pair) -> Record:
@@ -179,10 +144,10 @@ def _answer(pair: Pair) -> Record:
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
-    record = _difference(difference, display_of(pair.first))
+    record = _difference(difference, find_display(pair.first))
     return {
-        "comparison": f"{field_words(pair.field)}: {after} against {before}",
-        "of": context_words((pair.first, pair.second), pair.field),
+        "comparison": f"{name_field(pair.field)}: {after} against {before}",
+        "of": describe_context((pair.first, pair.second), pair.field),
         "number": record["number"],
         "verdict": record["verdict"],
         "difference (%)": record["share (%)"],
@@ -191,7 +156,7 @@ def _answer(pair: Pair) -> Record:
         "difference": record["second minus first"],
         "n": counts[1],
         "n against": counts[0],
-        "why": difference.why,
+        "why": difference.verdict_reason,
         **{head: record[head] for head in ("unit", "irrelevant below", "level (%)")},
         "first": difference.first,
         "second": difference.second,
@@ -204,35 +169,39 @@ def _key_record(group: Group) -> Record:
     row: Record = {
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
-    for number in key_numbers(group)[:3]:
-        scale = shown_in(number.name, number.unit, display_of(group))
-        ends = ends_record(None, None, name="mean")
-        if number.mean is not None:
-            mean = number.mean.chosen
-            ends = ends_record(mean.mean, mean.interval, scale.factor, name="mean")
-        name, unit = as_label(number.name), unit_words(scale.unit)
-        parts = (("", "mean"), (", lower", "lower"), (", upper", "upper"))
-        row |= {column_head(name, unit, part): ends[key] for part, key in parts}
+    for number in list_key_numbers(group)[:3]:
+        scale = find_display_unit(number.name, number.unit, find_display(group))
+        cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
+        name, unit = write_label(number.name), typeset_unit(scale.unit)
+        parts = zip(("", ", lower", ", upper"), cells.values(), strict=True)
+        row |= {write_column_heading(name, unit, part): cell for part, cell in parts}
     return row
 
 
-def column_head(name: str, unit: str, part: str = "") -> str:
-    """Write the head of a column: name, part and unit."""
+def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:
+    """Return a mean and the ends of its interval; empty cells without a mean."""
+    if mean is None:
+        return make_interval_cells(None, None, name="mean")
+    return make_interval_cells(mean.mean, mean.interval, scale.factor, name="mean")
+
+
+def write_column_heading(name: str, unit: str, part: str = "") -> str:
+    """Write the heading of a column: name, part and unit."""
     return f"{name}{part} ({unit})" if unit else f"{name}{part}"
 
 
 def _means(campaign: Campaign) -> Iterator[Record]:
-    """Yield the mean of each number, and those of several spools; a single one has that of all."""
+    """Yield the mean of each number over all samples, and over each spool if there are several."""
     for group in campaign.groups:
         for number in group.numbers:
             mean = number.mean
             if mean is None:
-                why = "; ".join(map(worded, number.left_out.values()))
+                why = "; ".join(map(join_reasons, number.left_out.values()))
                 yield _mean_record(group, number, None, "all") | {"reason": why}
                 continue
-            scale = shown_in(number.name, number.unit, display_of(group))
+            scale = find_display_unit(number.name, number.unit, find_display(group))
             within, between = (
-                number_cell(spread, mean.chosen.interval, scale.factor)
+                make_number_cell(spread, mean.chosen.interval, scale.factor)
                 for spread in (mean.within, mean.between_spools)
             )
             yield _mean_record(group, number, mean.chosen, "all") | {
@@ -240,7 +209,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
                 "n samples": mean.over_samples.n,
                 "within spools": within,
                 "between spools": between,
-                "spools equal, p": number_cell(mean.spool_p, None),
+                "spools equal, p": make_number_cell(mean.spool_p, None),
                 "decision": str(mean.decision),
             }
             for spool, of_spool in mean.spool_means.items() if len(mean.spool_means) > 1 else ():
@@ -248,18 +217,16 @@ def _means(campaign: Campaign) -> Iterator[Record]:
 
 
 def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, over: str) -> Record:
-    scale = shown_in(number.name, number.unit, display_of(group))
-    row: Record = {
-        "group": group.name, "number": as_label(number.name), "over": over,
-        "unit": unit_words(scale.unit),
+    scale = find_display_unit(number.name, number.unit, find_display(group))
+    head: Record = {
+        "group": group.name, "number": write_label(number.name), "over": over,
+        "unit": typeset_unit(scale.unit), **_mean_cells(mean, scale),
     }  # fmt: skip
     if mean is None:
-        last: Record = {"reason": "", "result": number.name}
-        return row | ends_record(None, None, name="mean") | last
+        return {**head, "reason": "", "result": number.name}
     return {
-        **row,
-        **ends_record(mean.mean, mean.interval, scale.factor, name="mean"),
-        "standard deviation": number_cell(mean.deviation, mean.interval, scale.factor),
+        **head,
+        "standard deviation": make_number_cell(mean.deviation, mean.interval, scale.factor),
         "n": mean.n,
         "scale": "log" if mean.is_log else "linear",
         **dict.fromkeys(_OF_ALL_SAMPLES),
@@ -281,8 +248,7 @@ def _tests_sheet(campaign: Campaign) -> Sheet:
     every += [("", sample) for sample in campaign.rejected_samples]
     records = [_test(group, sample) for group, sample in every]
     heads = [*(head for head in unite_heads(records) if head not in last), *last]
-    question = "What was measured in each test? One row per test, one column per number."
-    return sheet_of("tests", records, heads=heads, frozen=1, question=question)
+    return make_sheet(BOOK, "tests", records, heads=heads)
 
 
 def _test(group: str, sample: Sample) -> Record:
@@ -290,15 +256,15 @@ def _test(group: str, sample: Sample) -> Record:
     main = [result for result in sample.results if is_main(result.name)]
     numbers: Record = {}
     for result in main:
-        scale = shown_in(result.name, result.unit, sample.display)
-        head = column_head(as_label(result.name), unit_words(scale.unit))
-        numbers[head] = number_cell(result.value, result.interval, scale.factor)
+        scale = find_display_unit(result.name, result.unit, sample.display)
+        head = write_column_heading(write_label(result.name), typeset_unit(scale.unit))
+        numbers[head] = make_number_cell(result.value, result.interval, scale.factor)
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
     return {
         "test": sample.test,
         "group": group,
-        "state": state_of(sample) if group else "rejected",
+        "state": find_state(sample) if group else "rejected",
         "type": specimen.type,
         "spool": specimen.spool,
         "sample": specimen.sample,
@@ -309,22 +275,22 @@ def _test(group: str, sample: Sample) -> Record:
         "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
         "failed numbers": sum(result.status is Status.FAILED for result in main),
         **numbers,
-        "decision": sample.decided,
+        "decision": sample.decision,
         "key of the run": sample.run,
     }
 
 
 def _result(sample: Sample, result: Result) -> Record:
-    scale = shown_in(result.name, result.unit, sample.display)
+    scale = find_display_unit(result.name, result.unit, sample.display)
     return {
-        "number": as_label(result.name),
-        "unit": unit_words(scale.unit),
-        **ends_record(result.value, result.interval, scale.factor, name="value"),
-        "estimate": number_cell(result.estimate, result.interval, scale.factor),
+        "number": write_label(result.name),
+        "unit": typeset_unit(scale.unit),
+        **make_interval_cells(result.value, result.interval, scale.factor, name="value"),
+        "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
         "status": str(result.status),
-        "reason": result.why,
+        "reason": result.reason_text,
         "result": result.name,
-        "method": result.how,
+        "method": result.full_method,
     }
 
 
@@ -332,122 +298,118 @@ _BAND_COLUMNS = {
     "mean": "mean", "lower": "lower", "upper": "upper",
     "lower, whole curve": "lower_all", "upper, whole curve": "upper_all",
 }  # fmt: skip
+"""Field of a band by the name of its column."""
 
 
 def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
-    """Return the sheet of the mean curves of all groups, in common units, with their charts."""
+    """Return the sheet of the mean curves of all groups in common units, a chart per protocol."""
     first = next((group for group in campaign.groups if group.samples), None)
     across, up = Scale(1.0, "m"), Scale(1.0, "N")
     if first is not None:
-        across, up = group_scale(first, "displacement"), group_scale(first, "force")
+        across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
     up = Scale(1.0, "") if is_scaled else up
-    heads = [column_head(part, up.unit) for part in _BAND_COLUMNS]
-    rows: list[Record] = []
+    bands = {group: group.band_scaled if is_scaled else group.band for group in campaign.groups}
+    blocks = {
+        group.name: _band_records(group.name, band, across, up)
+        for group, band in bands.items()
+        if band is not None
+    }
+    rows, ends = stack_blocks(blocks)
     lines: dict[str, list[Line]] = {}
-    for group in campaign.groups:
-        band = group.band_scaled if is_scaled else group.band
-        if band is None:
-            continue
-        columns = {across.label("displacement"): across.factor * band.displacement}
-        forces = (up.factor * getattr(band, name) for name in _BAND_COLUMNS.values())
-        columns |= dict(zip(heads, forces, strict=True))
-        own = array_records({"group": group.name}, columns)
-        own = [row | {"n": band.n, "mean over": band.members} for row in own]
-        if own:
-            line = Line(group.name, (len(rows), len(rows) + len(own) - 1), 1, 2)
-            lines.setdefault(group.protocol, []).append(line)
-        first_row: Record = own[0] if own else {"group": group.name}
-        rows += [first_row | {"reason": str(band.reason or "")}, *own[1:]]
-    title, what = ("Mean force over peak force", "force over its peak")
-    label = "Force / peak force"
-    if not is_scaled:
-        title, what, label = "Mean force", "force", up.label("Force")
+    for group, band in bands.items():
+        if band is not None and len(band.displacement):
+            lines.setdefault(group.protocol, []).append(Line(group.name, ends[group.name], 1, 2))
+    title, label = ("Mean force", up.label("Force"))
+    if is_scaled:
+        title, label = ("Mean force over peak force", "Force / peak force")
     charts = [
         Chart(f"{title} on first loading ({protocol})", across.label("Displacement"), label, own)
         for protocol, own in lines.items()
     ]
-    every = ["group", across.label("displacement"), *heads, "n", "mean over", "reason"]
-    return sheet_of(
-        "scaled curves" if is_scaled else "curves", rows, heads=every, frozen=1, charts=charts,
-        question=f"What is the mean {what} of each group against displacement, on first loading?",
-    )  # fmt: skip
+    columns = [write_column_heading(part, up.unit) for part in _BAND_COLUMNS]
+    heads = ["group", across.label("displacement"), *columns, "n", "mean over", "reason"]
+    name = "scaled curves" if is_scaled else "curves"
+    return make_sheet(BOOK, name, rows, heads=heads, charts=charts)
+
+
+def _band_records(group: str, band: Band, across: Scale, up: Scale) -> list[Record]:
+    """Return a record per point of a mean curve; the first, or the only one, has the reason."""
+    columns = {across.label("displacement"): across.factor * band.displacement}
+    for part, field in _BAND_COLUMNS.items():
+        columns[write_column_heading(part, up.unit)] = up.factor * getattr(band, field)
+    points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
+    first, *others = points or [{"group": group}]
+    return [first | {"reason": str(band.reason or "")}, *others]
 
 
 def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
     """Return the difference of two groups in one number."""
     shift, ends = difference.difference, difference.interval
-    scale = shown_in(difference.name, difference.unit, display)
+    scale = find_display_unit(difference.name, difference.unit, display)
     in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
-    corrected = ends_record(shift.mean, in_unit, scale.factor)
+    corrected = make_interval_cells(shift.mean, in_unit, scale.factor)
     return {
         "first": difference.first,
         "second": difference.second,
-        "number": as_label(difference.name),
-        "unit": unit_words(scale.unit),
-        **ends_record(shift.mean, shift.interval, scale.factor, name="second minus first"),
-        "share (%)": percent_cell(difference.share),
-        "corrected lower (%)": percent_cell(of_share, "lower"),
-        "corrected upper (%)": percent_cell(of_share, "upper"),
+        "number": write_label(difference.name),
+        "unit": typeset_unit(scale.unit),
+        **make_interval_cells(shift.mean, shift.interval, scale.factor, name="second minus first"),
+        "share (%)": make_percent_cell(difference.share),
+        "corrected lower (%)": make_percent_cell(of_share, "lower"),
+        "corrected upper (%)": make_percent_cell(of_share, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
-        "question": difference.question,
-        "differ in": fields_in_words(difference),
-        "level (%)": percent_cell(ends, "level"),
-        "irrelevant below": number_cell(difference.margin, None, scale.factor),
-        "different, p": number_cell(difference.p, None),
-        "equivalent, p": number_cell(difference.p_equivalent, None),
+        "question": difference.single_field,
+        "differ in": describe_fields(difference),
+        "level (%)": make_percent_cell(ends, "level"),
+        "irrelevant below": make_number_cell(difference.margin, None, scale.factor),
+        "different, p": make_number_cell(difference.p, None),
+        "equivalent, p": make_number_cell(difference.p_equivalent, None),
         "family": difference.family,
         "in family": difference.tests or None,
-        "why": "; ".join(filter(None, (difference.why, *difference.caveats))),
+        "why": "; ".join(filter(None, (difference.verdict_reason, *difference.caveats))),
         "reason": str(shift.reason or ""),
         "result": difference.name,
     }
 
 
-def _budgets_sheet(campaign: Campaign) -> Sheet:
-    """Return the sheet of budgets: shares of the causes for means, and medians over tests."""
-    rows = [row for group in campaign.groups for row in _budgets(group)]
+def _budgets(campaign: Campaign) -> list[Record]:
+    """Return the shares of the causes for the mean of each number, and their medians over tests."""
+    rows: list[tuple[Record, Mapping[str, float]]] = []
+    for group in campaign.groups:
+        for number in group.numbers:
+            budget = summarise_budget(number)
+            if budget.of_tests and budget.of_mean and number.mean is not None:
+                interval = number.mean.chosen.interval
+                head = _budget_head(group, number, "mean of the group", interval)
+                rows.append((head, budget.of_mean))
+            if budget.of_tests:
+                head = _budget_head(group, number, "median of the tests", None)
+                rows.append((head, budget.of_tests))
     causes = sort_causes(cause for _, shares in rows for cause in shares)
     heads = {cause: f"{cause}{'*' * IS_COMMON.get(cause, False)} (%)" for cause in causes}
-    records = [
-        head | {heads[cause]: percent_cell(shares.get(cause)) for cause in causes}
+    return [
+        head | {heads[cause]: make_percent_cell(shares.get(cause)) for cause in causes}
         for head, shares in rows
     ]
-    question = (
-        "Which causes contribute to each 95 % interval? Shares of the variance, for means of the"
-        " squared half width; * marks causes common to all tests of a rig, which more"
-        " samples do not reduce."
-    )
-    return sheet_of("budgets", records, frozen=2, question=question)
-
-
-def _budgets(group: Group) -> Iterator[tuple[Record, Mapping[str, float]]]:
-    """Yield the shares for the mean of each number, and their medians over the tests."""
-    for number in group.numbers:
-        budget = group_budget(number)
-        if budget.of_tests and budget.of_mean and number.mean is not None:
-            interval = number.mean.chosen.interval
-            yield _budget_head(group, number, "mean of the group", interval), budget.of_mean
-        if budget.of_tests:
-            yield _budget_head(group, number, "median of the tests", None), budget.of_tests
 
 
 def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval | None) -> Record:
-    scale = shown_in(number.name, number.unit, display_of(group))
+    scale = find_display_unit(number.name, number.unit, find_display(group))
     half = None if interval is None else 0.5 * (interval.upper - interval.lower)
     return {
         "group": group.name,
-        "number": as_label(number.name),
+        "number": write_label(number.name),
         "of": of,
-        "unit": unit_words(scale.unit),
-        "half of the 95 % interval": number_cell(half, None, scale.factor),
+        "unit": typeset_unit(scale.unit),
+        "half of the 95 % interval": make_number_cell(half, None, scale.factor),
     }
 
 
 def _places(campaign: Campaign) -> Iterator[Record]:
     """Yield the bending stiffness of each bundle between the bounds of its model."""
-    scales = place_scales(campaign)
+    scales = choose_place_units(campaign)
     for place in campaign.places:
         scale, ends = scales[place.group], place.share_interval
         bounds = {
@@ -460,28 +422,26 @@ def _places(campaign: Campaign) -> Iterator[Record]:
         yield {
             "group": place.group,
             "test": place.test or "mean",
-            "unit": unit_words(scale.unit),
-            **ends_record(place.value, place.interval, scale.factor, name="bending stiffness"),
-            **{head: number_cell(value, None, scale.factor) for head, value in bounds.items()},
-            "share (%)": percent_cell(place.share),
-            "share lower (%)": percent_cell(ends, "lower"),
-            "share upper (%)": percent_cell(ends, "upper"),
-            "reason": worded(place.reasons),
+            "unit": typeset_unit(scale.unit),
+            **make_interval_cells(
+                place.value, place.interval, scale.factor, name="bending stiffness"
+            ),
+            **{head: make_number_cell(value, None, scale.factor) for head, value in bounds.items()},
+            "share (%)": make_percent_cell(place.share),
+            "share lower (%)": make_percent_cell(ends, "lower"),
+            "share upper (%)": make_percent_cell(ends, "upper"),
+            "reason": join_reasons(place.reasons),
         }
 
 
-def _issues(rank: int | None, cause: Cause) -> Sequence[Record]:
-    effect = "" if cause.effect is None else cause.effect.text
-    return [
-        {
-            "rank": rank,
-            "kind": str(issue.kind),
-            "group": issue.group,
-            "test": issue.test or ", ".join(issue.tests),
-            "what": issue.what,
-            "reason": issue.reason,
-            "largest effect of the cause": effect,
-            "code": issue.code,
-        }
-        for issue in cause.issues
-    ]
+def _issue(rank: int | None, cause: Cause, issue: Issue) -> Record:
+    return {
+        "rank": rank,
+        "kind": str(issue.kind),
+        "group": issue.group,
+        "test": issue.test or ", ".join(issue.tests),
+        "what": issue.what,
+        "reason": issue.reason,
+        "largest effect of the cause": "" if cause.effect is None else cause.effect.text,
+        "code": issue.code,
+    }

@@ -6,13 +6,23 @@ from collections.abc import Iterator
 
 from labpipe.records.quality import Severity
 from labpipe.records.result import Instrument, Result, Status, TestResult
-from labpipe.report.figure_page import style
+from labpipe.report.figure_page import encode_figure, style
 from labpipe.report.figures import FIGURES, is_for_journal
-from labpipe.report.issues import sentence, sentences
-from labpipe.report.lab_report import css_string, fill_template, style_hash, style_of
+from labpipe.report.issues import join_sentences, write_sentence
+from labpipe.report.lab_report import (
+    compute_style_hash,
+    fill_template,
+    make_style,
+    write_css_string,
+)
 from labpipe.report.page_tables import DASH, Cell, Table
-from labpipe.report.saving import as_address
-from labpipe.report.wording import heading, replace_names, shown_in, unit_words, with_interval
+from labpipe.report.wording import (
+    find_display_unit,
+    replace_names,
+    typeset_unit,
+    write_heading,
+    write_with_interval,
+)
 
 
 def render_test(result: TestResult, *, report: str = "") -> str:
@@ -31,16 +41,16 @@ def render_test(result: TestResult, *, report: str = "") -> str:
     names = [name for name in result.figures if name in FIGURES]
     with style(is_journal=is_for_journal(result)):
         figures = [
-            (as_address(FIGURES[name](result)), f"{name} of {result.test}") for name in names
+            (encode_figure(FIGURES[name](result)), f"{name} of {result.test}") for name in names
         ]
     footer = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
-    looks = style_of(css_string(footer), "")
+    looks = make_style(write_css_string(footer), "")
     return fill_template(
         "single_test.html",
         result=result,
         report=report,
         style=looks,
-        style_hash=style_hash(looks),
+        style_hash=compute_style_hash(looks),
         facts=_facts(result),
         numbers=_numbers(result),
         figures=figures,
@@ -51,9 +61,9 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
 def _facts(result: TestResult) -> list[tuple[str, str]]:
     specimen = result.specimen
-    across = shown_in("", "m", result.display)
+    across = find_display_unit("", "m", result.display)
     sizes = [
-        f"{name.replace('_', ' ')} {across.factor * size:.4g} {unit_words(across.unit)}"
+        f"{name.replace('_', ' ')} {across.factor * size:.4g} {typeset_unit(across.unit)}"
         for name, size in specimen.dimensions.items()
     ]
     fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]
@@ -80,7 +90,7 @@ def _instrument(instrument: Instrument) -> str:
 
 def _numbers(result: TestResult) -> Table:
     heads = ("Number", "Value, 95 %", "State", "Why", "Largest causes of the interval")
-    reasons = ["", *(sentences(result.reasons) for result in result.results)]
+    reasons = ["", *(join_sentences(result.reasons) for result in result.results)]
     rows = tuple(
         _number_row(result, row_result, "As above." if why and why == above else why)
         for row_result, why, above in zip(result.results, reasons[1:], reasons, strict=False)
@@ -89,14 +99,14 @@ def _numbers(result: TestResult) -> Table:
 
 
 def _number_row(result: TestResult, number: Result, why: str) -> tuple[Cell, ...]:
-    unit = shown_in(number.name, number.unit, result.display)
+    unit = find_display_unit(number.name, number.unit, result.display)
     value = DASH
     if number.value is not None:
-        value = with_interval(
+        value = write_with_interval(
             number.value, number.interval, unit.factor, estimate=number.distinct_estimate
         )
     return (
-        Cell(heading(number.name, unit.unit), tip=number.name),
+        Cell(write_heading(number.name, unit.unit), tip=number.name),
         Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
         Cell(str(number.status), tip=", ".join(number.codes)),
         Cell(why),
@@ -119,7 +129,7 @@ def _notes(result: TestResult) -> Table:
         (
             Cell(replace_names(note.where), tip=note.code),
             Cell(str(note.severity)),
-            Cell(sentence(note.message)),
+            Cell(write_sentence(note.message)),
         )
         for note in notes
     )

@@ -11,15 +11,15 @@ from labpipe.mechanics.wire.end_load_path import force_at
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.report.plot_thinning import simplify_line
+from labpipe.report.plot_records import simplify_line
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
     LENGTH,
     MOMENT,
     STIFFNESS,
-    is_bent,
-    warnings_of,
+    is_curved,
+    join_warnings,
 )
 from labpipe.report.wording import Scale
 from labpipe.report.workbook_file import (
@@ -28,13 +28,15 @@ from labpipe.report.workbook_file import (
     Line,
     Record,
     Sheet,
-    array_records,
+    how_to_read,
+    make_records,
+    make_sheet,
     save_book,
-    sheet_of,
+    stack_blocks,
     unite_heads,
 )
 
-DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
+REPORTED_DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Tip deflections at which the end load is reported, m."""
 
 
@@ -45,7 +47,7 @@ def _doubtful_deflection(table: WireTable) -> float | None:
     return LENGTH.factor * table.doubtful_deflection
 
 
-def orientation_spread(table: WireTable) -> float | None:
+def compute_orientation_spread(table: WireTable) -> float | None:
     """Return the largest difference of the moments of all orientations, per cent of the moment.
 
     Parameters
@@ -56,14 +58,14 @@ def orientation_spread(table: WireTable) -> float | None:
     -------
     None if the table has only zero curvature.
     """
-    use = is_bent(table)
+    use = is_curved(table)
     if not use.any():
         return None
     spread = (table.highest_moment - table.lowest_moment)[use] / table.moment[use]
     return 100.0 * float(np.max(spread))
 
 
-def shown_rows(table: WireTable, max_rows: int) -> Ints:
+def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
     """Return the rows of the law that a sheet of limited length shows.
 
     Parameters
@@ -77,7 +79,7 @@ def shown_rows(table: WireTable, max_rows: int) -> Ints:
     (`simplify_line`), so that its first slips count as much as its end; all if they are few.
     """
     count = len(table.curvature)
-    use = np.flatnonzero(is_bent(table) & (table.moment > 0.0))
+    use = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
     if count <= max_rows or not len(use):
         return np.arange(count, dtype=np.int64)
     across, up = np.log(table.curvature[use]), np.log(table.moment[use])
@@ -85,7 +87,7 @@ def shown_rows(table: WireTable, max_rows: int) -> Ints:
     return np.union1d([0], rows).astype(np.int64)
 
 
-def row_error(table: WireTable, rows: Ints) -> float:
+def compute_row_error(table: WireTable, rows: Ints) -> float:
     """Return the largest error of straight lines between rows of the law, per cent of the moment.
 
     Parameters
@@ -93,17 +95,17 @@ def row_error(table: WireTable, rows: Ints) -> float:
     table : of the wire
     rows : numbers of the rows
     """
-    use = is_bent(table)
+    use = is_curved(table)
     lines = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
     error = np.abs(lines - table.moment)[use] / np.abs(table.moment[use])
     return 100.0 * float(np.max(error, initial=0.0))
 
 
-def summary_record(table: WireTable) -> Record:
+def make_summary_record(table: WireTable) -> Record:
     """Return the cells of a wire in the summary, after its name; None if not available."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
     area, up = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2)), STIFFNESS.factor
-    spread = orientation_spread(table)
+    spread = compute_orientation_spread(table)
     limit = table.doubtful_curvature if table.is_doubtful.any() else None
     share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
     rest = table.rest
@@ -143,9 +145,9 @@ def summary_record(table: WireTable) -> Record:
             f"end load at {LENGTH.factor * at:g} {LENGTH.unit} ({FORCE.unit})": (
                 FORCE.factor * force_at(table, at)
             )
-            for at in DEFLECTIONS
+            for at in REPORTED_DEFLECTIONS
         },
-        "warnings": warnings_of(table),
+        "warnings": join_warnings(table),
         "defaults used": "; ".join(spec.defaults.values()),
     }
 
@@ -164,24 +166,8 @@ _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
     ("highest moment of all orientations", "highest_moment", MOMENT),
     ("share of the insulation", "insulation_share", Scale(100.0, "%")),
 )
-_ABOUT = (
-    "Laws of wires on first loading, from the wire model of labpipe. Cells hold all digits of a"
-    " number and show five. 1 N·mm² is 1e-6 N·m². An empty cell: not available. Every table has"
-    " filters: choose a wire in the heading 'wire'.",
-    "Moment = sticking strands + slipping strands + strands' own bending + lost to yielding +"
-    " insulation; the loss to yielding is negative.",
-    "Secant stiffness: moment / curvature. Tangent stiffness: slope of the moment. Stick stiffness:"
-    " no slip, no yielding. Slip stiffness: no friction, no yielding.",
-    "A law is valid up to its last row. With very many wires, the sheet 'laws' shows only some rows"
-    " of each law: see the last columns of 'wires'.",
-    "End load: normal to the clamped axis, at the tip of a cantilever of the wire's length,"
-    " interpolated linearly; empty beyond the end of its curve.",
-    "Tension and torque = [EA, C; C, GJ] times strain and twist. Axial stiffness EA: without"
-    " rotation; torsional stiffness GJ at fixed length: without elongation.",
-    "Doubtful: the strain at the rim of the insulation exceeds its assumed linear range. End loads"
-    " and deflections are relative to rest, with the wire level and its tip held.",
-    "Strands: centres in the unrotated section; layer 0 is the innermost.",
-)
+BOOK = "wires"
+"""Name of the workbook in ``workbooks.toml``."""
 
 
 def save_wire_workbook(
@@ -211,7 +197,7 @@ def save_wire_workbook(
     40 of each; the summary gives their number and the error of straight lines between them.
     """
     sheets = list(_sheets(tables, refused or {}, stated or {}))
-    save_book(About("Laws of wires", _ABOUT), sheets, path)
+    save_book(About("Laws of wires", how_to_read(BOOK)), sheets, path)
 
 
 def _sheets(
@@ -221,14 +207,14 @@ def _sheets(
     max_law_rows = 12_000
     min_law_rows = 40  # straight lines between them are within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
-    law_rows = [shown_rows(table, max_rows) for table in tables]
+    law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws, places = _laws_sheet(tables, law_rows)
     summary = [
-        {"wire": table.name, **summary_record(table)}
+        {"wire": table.name, **make_summary_record(table)}
         | {
             "rows of the law": len(table.curvature),
             "rows shown": len(rows),
-            "error between the rows shown, largest (% of moment)": row_error(table, rows),
+            "error between the rows shown, largest (% of moment)": compute_row_error(table, rows),
             "stress tables": stated.get(table.name),
         }
         for table, rows in zip(tables, law_rows, strict=True)
@@ -236,11 +222,9 @@ def _sheets(
     lost: list[Record] = [
         {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
     ]
-    yield sheet_of(
-        "wires", [*lost, *summary], heads=unite_heads([*summary, *lost]), frozen=1,
-        links={name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()},
-        question="What are stiffness, onset of slip and range of each wire?",
-    )  # fmt: skip
+    links = {name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()}
+    heads = unite_heads([*summary, *lost])
+    yield make_sheet(BOOK, "wires", [*lost, *summary], heads=heads, links=links)
     yield laws
     yield _cantilevers_sheet(tables)
     onsets = [
@@ -252,20 +236,15 @@ def _sheets(
             table.slip_onsets > table.doubtful_curvature,
         )
     ]
-    question = "At which curvatures do strands begin to slip?"
-    yield sheet_of("onsets of slip", onsets, frozen=1, question=question)
-    strands = [row for table in tables for row in _strand_records(table)]
-    question = "Where are the strands in the section?"
-    yield sheet_of("strands", strands, frozen=1, question=question)
-    yield sheet_of(
-        "notes", _note_records(tables, refused), frozen=1, wrapped=("what",),
-        question="What was refused or limited, and which defaults were used?",
-    )  # fmt: skip
+    yield make_sheet(BOOK, "onsets of slip", onsets)
+    strands = (row for table in tables for row in _strand_records(table))
+    yield make_sheet(BOOK, "strands", strands)
+    yield make_sheet(BOOK, "notes", _note_records(tables, refused))
 
 
 def _doubted(table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags) -> list[Record]:
     """Return the rows of a wire with a mark at doubtful ones."""
-    rows = array_records({"wire": table.name}, columns)
+    rows = make_records({"wire": table.name}, columns)
     return [
         row | {"doubtful": "yes" if doubt else None}
         for row, doubt in zip(rows, is_doubtful.tolist(), strict=True)
@@ -277,46 +256,41 @@ def _laws_sheet(
 ) -> tuple[Sheet, dict[str, tuple[int, int]]]:
     """Return the sheet of the laws of all wires; first and last row of each by its name."""
     moment_column, secant_column = 2, 8  # drawn
-    rows: list[Record] = []
-    places: dict[str, tuple[int, int]] = {}
+    blocks = {}
     for table, rows_of_law in zip(tables, law_rows, strict=True):
         columns = {
             scale.label(label): scale.factor * getattr(table, field)[rows_of_law]
             for label, field, scale in _LAW_COLUMNS
         }
-        own = _doubted(table, columns, table.is_doubtful[rows_of_law])
-        places[table.name] = len(rows), len(rows) + len(own) - 1
-        rows += own
+        blocks[table.name] = _doubted(table, columns, table.is_doubtful[rows_of_law])
+    rows, ends = stack_blocks(blocks)
     heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
     charts = []
-    for up in (secant_column, moment_column):
+    for column in (secant_column, moment_column):
         # without the point at zero curvature
-        lines = [Line(name, (first + 1, last), 1, up) for name, (first, last) in places.items()
+        lines = [Line(name, (first + 1, last), 1, column) for name, (first, last) in ends.items()
                  if last > first]  # fmt: skip
-        title = heads[up].partition(" (")[0].capitalize()
+        title, across = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
         if lines:
-            charts.append(Chart(title, CURVATURE.label("Curvature"), heads[up], lines, is_log=True))
-    question = "What are moment and stiffness of each wire against curvature, on first loading?"
-    return sheet_of("laws", rows, heads=heads, frozen=2, question=question, charts=charts), places
+            charts.append(Chart(title.capitalize(), across, heads[column], lines, is_log=True))
+    return make_sheet(BOOK, "laws", rows, heads=heads, charts=charts), ends
 
 
 def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
     """Return the sheet of end loads against deflection, with a chart."""
-    rows: list[Record] = []
-    lines = []
+    blocks = {}
     for table in tables:
         columns = {
             LENGTH.label("tip deflection"): LENGTH.factor * table.tip_deflection,
             FORCE.label("end load"): FORCE.factor * table.tip_force,
         }
-        own = _doubted(table, columns, table.tip_deflection > table.doubtful_deflection)
-        if len(own) > 1:
-            lines.append(Line(table.name, (len(rows), len(rows) + len(own) - 1), 1, 2))
-        rows += own
+        is_doubtful = table.tip_deflection > table.doubtful_deflection
+        blocks[table.name] = _doubted(table, columns, is_doubtful)
+    rows, ends = stack_blocks(blocks)
+    lines = [Line(name, (first, last), 1, 2) for name, (first, last) in ends.items()
+             if last > first]  # fmt: skip
     chart = Chart("", LENGTH.label("Tip deflection"), FORCE.label("End load"), lines)
-    question = "Which end load deflects each cantilever?"
-    charts = [chart] if lines else []
-    return sheet_of("cantilevers", rows, frozen=1, question=question, charts=charts)
+    return make_sheet(BOOK, "cantilevers", rows, charts=[chart] if lines else [])
 
 
 def _strand_records(table: WireTable) -> list[Record]:
@@ -327,7 +301,7 @@ def _strand_records(table: WireTable) -> list[Record]:
         LENGTH.label("y"): LENGTH.factor * layout.y,
         LENGTH.label("diameter"): LENGTH.factor * layout.diameter,
     }
-    return array_records({"wire": table.name}, columns)
+    return make_records({"wire": table.name}, columns)
 
 
 def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:

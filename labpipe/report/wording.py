@@ -31,7 +31,7 @@ class Scale(NamedTuple):
         return f"{quantity} ({self.unit})"
 
 
-def scale(result: TestResult, quantity: str, si_unit: str) -> Scale:
+def choose_unit(result: TestResult, quantity: str, si_unit: str) -> Scale:
     """Return the display unit of a quantity; SI if the protocol gives none.
 
     Parameters
@@ -48,14 +48,14 @@ def scale(result: TestResult, quantity: str, si_unit: str) -> Scale:
     return Scale(1.0 / si_factor(unit, si_unit), unit)
 
 
-def title(result: TestResult) -> str:
+def write_title(result: TestResult) -> str:
     """Write test, specimen and protocol in one line."""
     specimen = result.specimen
     what = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
     return f"{result.test}  ·  {what}  ·  {result.protocol}"
 
 
-def footnote(result: TestResult) -> str:
+def write_footnote(result: TestResult) -> str:
     """Count doubtful and failed results; empty if there are none."""
     counts = {
         status: sum(entry.status is status for entry in result.results)
@@ -70,7 +70,7 @@ _UNPRINTABLE = re.compile(
 )
 
 
-def printable(text: str) -> str:
+def replace_unprintable(text: str) -> str:
     """Replace control characters, surrogates and marks of text direction by U+FFFD.
 
     Parameters
@@ -80,7 +80,7 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub("\ufffd", text)
 
 
-def shortened(word: str, max_length: int) -> str:
+def shorten(word: str, max_length: int) -> str:
     """Shorten a long name in its middle.
 
     Parameters
@@ -99,23 +99,23 @@ def shortened(word: str, max_length: int) -> str:
     return f"{word[: max_length - 1 - end]}…{word[len(word) - end :]}"
 
 
-def count_of(number: int, noun: str) -> str:
+def write_count(number: int, noun: str) -> str:
     """Write a count, such as ``1 sample`` or ``3 samples``."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def count_words(group: Group) -> str:
+def describe_counts(group: Group) -> str:
     """Count samples and spools of a group, such as ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
-    return f"{count_of(len(group.samples), 'sample')} from {count_of(len(spools), 'spool')}"
+    return f"{write_count(len(group.samples), 'sample')} from {write_count(len(spools), 'spool')}"
 
 
-def group_title(group: Group) -> str:
+def write_group_title(group: Group) -> str:
     """Write name, protocol and counts of a group in one line."""
-    return f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
+    return f"{group.name}  \u00b7  {group.protocol}  \u00b7  {describe_counts(group)}"
 
 
-def why_missing(result: TestResult, what: str) -> str:
+def explain_missing(result: TestResult, what: str) -> str:
     """Explain a missing stage of a test with its first error."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
     return " ".join([f"There is no {what} to draw.", *list(errors)[:1]])
@@ -142,6 +142,7 @@ _QUANTITIES = {
     "1/m": "curvature",
     "N*m^2": "bending_stiffness",
     "rad": "angle",
+    "1": "strain",
 }
 """Quantity of the display unit by SI unit."""
 _PER_PEAK = "_per_peak_force"
@@ -154,7 +155,7 @@ SUPERSCRIPTS = str.maketrans(
 )
 
 
-def as_label(name: str) -> str:
+def write_label(name: str) -> str:
     """Return the label of a result.
 
     Parameters
@@ -178,9 +179,9 @@ def as_label(name: str) -> str:
     """
     stem, _, part = name.partition(".")
     if stem.endswith(_PER_PEAK):
-        name_text = f"{as_label(stem.removesuffix(_PER_PEAK))}, per peak force"
+        name_text = f"{write_label(stem.removesuffix(_PER_PEAK))}, per peak force"
     elif match := _AT_CURVATURE.fullmatch(stem):
-        name_text = f"{as_label(match[1])} at {match[2]} 1/m"
+        name_text = f"{write_label(match[1])} at {match[2]} 1/m"
     else:
         name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
     if not part:
@@ -210,7 +211,7 @@ def replace_names(sentence: str) -> str:
         stem = match[0].partition(".")[0].removesuffix(_PER_PEAK)
         if stem not in _RESULT_LABELS and not stem.startswith(_FREE_PREFIXES):
             return match[0]
-        text = as_label(match[0])
+        text = write_label(match[0])
         return text if match.start() == 0 else text[0].lower() + text[1:]
 
     return _NAME.sub(word, sentence)
@@ -226,13 +227,13 @@ def is_first_cycle(name: str) -> bool:
     return name.partition(".")[2] in {"", "1"}
 
 
-def key_numbers(group: Group) -> list[GroupNumber]:
+def list_key_numbers(group: Group) -> list[GroupNumber]:
     """List the numbers of the specimen and of its first cycle that the rig does not set."""
     numbers = group.numbers
     return [one for one in numbers if is_first_cycle(one.name) and not one.is_set_by_rig]
 
 
-def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
+def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
     """Return the display unit of a result.
 
     Parameters
@@ -250,19 +251,19 @@ def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
     return Scale(1.0, unit) if wanted is None else Scale(1.0 / si_factor(wanted, unit), wanted)
 
 
-def display_of(group: Group) -> Mapping[str, str]:
+def find_display(group: Group) -> Mapping[str, str]:
     """Return the display units of a group: those of its first sample, as all share a protocol."""
     return group.samples[0].display if group.samples else {}
 
 
-def group_scale(group: Group, quantity: str) -> Scale:
+def find_group_unit(group: Group, quantity: str) -> Scale:
     """Return the display unit of displacement, force, curvature or moment in a group."""
     si_unit = {"displacement": "m", "force": "N", "curvature": "1/m", "moment": "N*m"}[quantity]
-    unit = display_of(group).get(quantity, si_unit)
-    return Scale(1.0 / si_factor(unit, si_unit), unit_words(unit))
+    unit = find_display(group).get(quantity, si_unit)
+    return Scale(1.0 / si_factor(unit, si_unit), typeset_unit(unit))
 
 
-def unit_words(unit: str) -> str:
+def typeset_unit(unit: str) -> str:
     """Typeset a unit: ``N*mm^2`` as N·mm², empty for a pure number.
 
     Examples
@@ -279,10 +280,10 @@ def unit_words(unit: str) -> str:
     return "" if unit == "1" else raised.replace("*", "·")
 
 
-def heading(name: str, unit: str) -> str:
+def write_heading(name: str, unit: str) -> str:
     """Write the label of a result with its unit in brackets, for a column or an axis."""
-    unit_text = unit_words(unit)
-    return f"{as_label(name)} ({unit_text})" if unit_text else as_label(name)
+    unit_text = typeset_unit(unit)
+    return f"{write_label(name)} ({unit_text})" if unit_text else write_label(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,14 +336,14 @@ def write_number(
     >>> write_number(1234.567, None).value
     '1235'
     """
-    place = place_of(value, interval, factor, digits)
+    place = find_last_place(value, interval, factor, digits)
     if not math.isfinite(value):
         return Written("\u2013")
     numbers = [value, *_ends(interval), *([] if estimate is None else [estimate])]
     return Written(*_round_together([factor * number for number in numbers], place))
 
 
-def place_of(
+def find_last_place(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> int:
     """Return the power of ten of the last digit of a number with an interval, or of `digits`.
@@ -365,14 +366,14 @@ def place_of(
     return _last_place(half, 2)
 
 
-def plain_numbers(
+def make_number_writer(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> Callable[[float], str]:
     """Return a function that writes a number and its interval to the same digit.
 
     Parameters
     ----------
-    value, interval, factor, digits : as of `place_of`
+    value, interval, factor, digits : as of `find_last_place`
 
     Examples
     --------
@@ -380,8 +381,8 @@ def plain_numbers(
     >>> shown(0.052284), shown(0.046271)
     ('52.3', '46.3')
     """
-    place = place_of(value, interval, factor, digits)
-    return lambda number: rounded(factor * number, place)
+    place = find_last_place(value, interval, factor, digits)
+    return lambda number: round_to_place(factor * number, place)
 
 
 def _ends(interval: Interval | None) -> tuple[float, ...]:
@@ -403,19 +404,19 @@ def _round_together(numbers: Iterable[float], place: int) -> list[str]:
     several = list(numbers)
     largest = max(map(abs, several))
     if plain_range[0] <= largest < plain_range[1] or largest == 0.0 or not math.isfinite(largest):
-        return [rounded(number, place) for number in several]
+        return [round_to_place(number, place) for number in several]
     power = math.floor(math.log10(largest))
     tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
-    return [rounded(number / 10.0**power, place - power) + tail for number in several]
+    return [round_to_place(number / 10.0**power, place - power) + tail for number in several]
 
 
-def rounded(number: float, place: int) -> str:
+def round_to_place(number: float, place: int) -> str:
     """Write a number down to a power of ten, such as ``52.3`` for the place -1."""
     near = round(number, -place)
     return f"{near + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
 
 
-def with_interval(
+def write_with_interval(
     value: float, interval: Interval | None, factor: float = 1.0, *, estimate: float | None = None
 ) -> str:
     """Write a number with its interval in one line.
@@ -458,12 +459,12 @@ _PLAIN_DIGITS = str.maketrans("\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\
                        "-0123456789")  # fmt: skip
 
 
-def mean_with_interval(mean: MeanInterval, factor: float = 1.0) -> str:
-    """Write a mean with its interval, as `with_interval`.
+def write_mean(mean: MeanInterval, factor: float = 1.0) -> str:
+    """Write a mean with its interval, as `write_with_interval`.
 
     Parameters
     ----------
     mean : in SI
     factor : from SI to the unit that is shown
     """
-    return with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)
+    return write_with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)

@@ -1,20 +1,25 @@
-"""Sheets of a workbook: tables with filters, frozen heads, digits, charts, print layout."""
+"""Write workbooks: sheets with a table, filters, fixed headings, charts and a print layout.
+
+The file ``workbooks.toml`` describes each workbook and its sheets.
+"""
 
 from __future__ import annotations
 
 import io
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from functools import cache, lru_cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
-from labpipe.report.saving import writing
-from labpipe.report.wording import place_of, printable, shortened
+from labpipe.report.figure_page import writing
+from labpipe.report.wording import find_last_place, replace_unprintable, shorten
 
 _WRAPPED_WIDTH = 46
 """Characters of a column with wrapped text."""
@@ -25,7 +30,7 @@ _FILTER_WIDTH = 3
 _RISKY = frozenset("=+-@#")
 """First letters of a text that would become a formula or an error when it is edited."""
 _MADE = datetime(2000, 1, 1)
-"""A fixed time: the same content gives the same bytes."""
+"""Date of creation in each file: the same sheets give the same bytes."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's, as in the figures."""
 _DASHES = ("solid", "dash", "square_dot", "dash_dot")
@@ -95,24 +100,60 @@ def unite_heads(records: Iterable[Record]) -> list[str]:
     return list(dict.fromkeys(head for record in records for head in record))
 
 
-def sheet_of(
-    name: str, records: Iterable[Record], *, heads: Sequence[str] = (), **layout: Any
+def make_sheet(
+    book: str, name: str, records: Iterable[Record], *, heads: Sequence[str] = (), **cells: Any
 ) -> Sheet:
-    """Make a sheet of records, a column per heading.
+    """Make a sheet of records, a column per heading, with the layout of ``workbooks.toml``.
 
     Parameters
     ----------
-    name : of the sheet
+    book, name : of the workbook and the sheet in ``workbooks.toml``
     records : cells by heading; a missing one is empty
     heads : headings in order; those of the records if empty
-    layout : other fields of the sheet
+    cells : links and charts of the sheet
     """
     rows = list(records)
     heads = heads or unite_heads(rows) or ["no rows"]
-    return Sheet(name, heads, [[row.get(head) for head in heads] for row in rows], **layout)
+    layout = _descriptions()[book]["sheets"][name]
+    values = [[row.get(head) for head in heads] for row in rows]
+    return Sheet(name, heads, values, **layout, **cells)
 
 
-def array_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
+def how_to_read(book: str) -> list[str]:
+    """Return the paragraphs of ``workbooks.toml`` on how to read a workbook."""
+    return list(_descriptions()[book]["about"])
+
+
+@cache
+def _descriptions() -> dict[str, Any]:
+    text = (files("labpipe.report") / "workbooks.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def stack_blocks(
+    blocks: Mapping[str, list[Record]],
+) -> tuple[list[Record], dict[str, tuple[int, int]]]:
+    """Join blocks of records to the rows of one sheet.
+
+    Parameters
+    ----------
+    blocks : records by the name of their block
+
+    Returns
+    -------
+    All records, and the first and the last row of each block by its name, from 0; an empty block
+    has no rows.
+    """
+    rows: list[Record] = []
+    ends = {}
+    for name, block in blocks.items():
+        if block:
+            ends[name] = len(rows), len(rows) + len(block) - 1
+        rows += block
+    return rows, ends
+
+
+def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
     """Return a record per element of arrays, each with the same first cells.
 
     Parameters
@@ -178,9 +219,9 @@ class _WorkbookWriter:
         from xlsxwriter import Workbook
 
         self.book = Workbook(file, {"in_memory": True})
-        self.book.set_properties({"title": printable(about.title), "created": _MADE})
+        self.book.set_properties({"title": replace_unprintable(about.title), "created": _MADE})
         self.forms: dict[str, Any] = {}
-        footer = shortened(printable(about.footer or about.title), 90)
+        footer = shorten(replace_unprintable(about.footer or about.title), 90)
         self.footer = f"&L&8{footer.replace('&', '&&')}&C&8&A&R&8page &P of &N"
         self.head = self.form(bold=True, text_wrap=True, bottom=1, align="left")
 
@@ -227,7 +268,7 @@ class _WorkbookWriter:
             self._draw(page, sheet)
 
     def _write_table(self, page: Any, sheet: Sheet) -> None:
-        heads = unique_heads(sheet.heads)
+        heads = make_unique_heads(sheet.heads)
         if not sheet.rows:
             for i, head in enumerate(heads):
                 _write_text(page, 0, i, head, self.head)
@@ -235,7 +276,7 @@ class _WorkbookWriter:
         columns = [{"header": head, "header_format": self.head} for head in heads]
         look = {"columns": columns, "style": "Table Style Light 1"}
         page.add_table(0, 0, len(sheet.rows), len(heads) - 1, look)
-        places = [column_place(column) for column in zip(*sheet.rows, strict=True)]
+        places = [find_column_place(column) for column in zip(*sheet.rows, strict=True)]
         wrapped = [head in sheet.wrapped for head in sheet.heads]
         for number, row in enumerate(sheet.rows, start=1):
             for i, value in enumerate(row):
@@ -244,14 +285,16 @@ class _WorkbookWriter:
                 elif value is not None:
                     self._write_number(page, (number, i), value, places[i])
             if (place := sheet.links.get(str(row[0]))) is not None:
-                page.write_url(number, 0, f"internal:{place}", string=printable(str(row[0])))
+                page.write_url(
+                    number, 0, f"internal:{place}", string=replace_unprintable(str(row[0]))
+                )
 
     def _write_number(
         self, page: Any, at: tuple[int, int], value: float | NumberCell, place: int | None
     ) -> None:
         number = value.value if isinstance(value, NumberCell) else value
         if math.isfinite(number):
-            page.write_number(*at, number, self.form(in_column(value, place).form))
+            page.write_number(*at, number, self.form(format_in_column(value, place).form))
 
     def _write_word(
         self, page: Any, place: tuple[int, int], word: str, *, is_wrapped: bool
@@ -284,19 +327,19 @@ class _WorkbookWriter:
         page.fit_to_pages(1, 0)
 
 
-def unique_heads(heads: Sequence[str]) -> list[str]:
+def make_unique_heads(heads: Sequence[str]) -> list[str]:
     """Make headings of a table unique, ignoring case, and not empty."""
-    unique_heads: list[str] = []
+    make_unique_heads: list[str] = []
     taken: set[str] = set()
     for head in heads:
-        plain = printable(head)[:250] or "column"
+        plain = replace_unprintable(head)[:250] or "column"
         name, number = plain, 1
         while name.casefold() in taken:
             number += 1
             name = f"{plain} {number}"
         taken.add(name.casefold())
-        unique_heads.append(name)
-    return unique_heads
+        make_unique_heads.append(name)
+    return make_unique_heads
 
 
 def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
@@ -306,7 +349,9 @@ def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
 @lru_cache(maxsize=256)  # names repeat in many rows
 def _cell_text(text: str) -> str:
     max_units = 32_767  # of UTF-16, as Excel counts
-    return printable(text).encode("utf-16-le")[: 2 * max_units].decode("utf-16-le", "ignore")
+    return (
+        replace_unprintable(text).encode("utf-16-le")[: 2 * max_units].decode("utf-16-le", "ignore")
+    )
 
 
 def _column_widths(sheet: Sheet) -> list[int]:
@@ -347,7 +392,7 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
 
 def _escape_formula(text: str) -> str:
     """Escape a text of a chart that would begin like a formula."""
-    return re.sub("^=", "\u200a=", printable(text))
+    return re.sub("^=", "\u200a=", replace_unprintable(text))
 
 
 class NumberCell(NamedTuple):
@@ -368,7 +413,7 @@ Record: TypeAlias = dict[str, Value]
 """Cells of a row by their headings."""
 
 
-def number_cell(
+def make_number_cell(
     value: float | None, interval: Interval | None, factor: float = 1.0
 ) -> NumberCell | None:
     """Return a cell that displays a number to the second digit of half its interval.
@@ -384,11 +429,11 @@ def number_cell(
     """
     if value is None or not math.isfinite(value):
         return None
-    place = place_of(value, interval, factor)
-    return NumberCell(factor * value, number_format(factor * value, place))
+    place = find_last_place(value, interval, factor)
+    return NumberCell(factor * value, choose_number_format(factor * value, place))
 
 
-def ends_record(
+def make_interval_cells(
     value: float | None, interval: Interval | None, factor: float = 1.0, *, name: str = "value"
 ) -> Record:
     """Return cells that display a number and the ends of its interval to the same digit.
@@ -403,16 +448,16 @@ def ends_record(
     -------
     Three cells by heading; None for missing ones.
     """
-    cells: Record = {name: number_cell(value, interval, factor), "lower": None, "upper": None}
+    cells: Record = {name: make_number_cell(value, interval, factor), "lower": None, "upper": None}
     if interval is not None:
         lower, upper = sorted((factor * interval.lower, factor * interval.upper))
-        place = place_of(interval.lower if value is None else value, interval, factor)
-        cells["lower"] = NumberCell(lower, number_format(lower, place))
-        cells["upper"] = NumberCell(upper, number_format(upper, place))
+        place = find_last_place(interval.lower if value is None else value, interval, factor)
+        cells["lower"] = NumberCell(lower, choose_number_format(lower, place))
+        cells["upper"] = NumberCell(upper, choose_number_format(upper, place))
     return cells
 
 
-def percent_cell(share: float | Interval | None, part: str = "") -> NumberCell | None:
+def make_percent_cell(share: float | Interval | None, part: str = "") -> NumberCell | None:
     """Return the cell of a share in per cent, such as 38.2% for 0.382.
 
     Parameters
@@ -424,7 +469,7 @@ def percent_cell(share: float | Interval | None, part: str = "") -> NumberCell |
     return None if value is None or not math.isfinite(value) else NumberCell(value, "0.0%")
 
 
-def number_format(value: float, place: int) -> str:
+def choose_number_format(value: float, place: int) -> str:
     """Return the number format that displays a number down to a power of ten.
 
     Parameters
@@ -453,22 +498,22 @@ def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
-def column_place(column: Sequence[Value]) -> int | None:
+def find_column_place(column: Sequence[Value]) -> int | None:
     """Return the place of the last digit of the plain numbers of a column; None for integers."""
     column_digits = 5  # digits of the largest number of a column
     plain = [abs(v) for v in column if isinstance(v, float) and math.isfinite(v)]
     if not any(plain):
         return None
-    return place_of(max(plain), None, digits=column_digits)
+    return find_last_place(max(plain), None, digits=column_digits)
 
 
-def in_column(value: float | NumberCell, place: int | None) -> NumberCell:
+def format_in_column(value: float | NumberCell, place: int | None) -> NumberCell:
     """Give a plain number the format of its column, or its own if it is too small for it.
 
     Parameters
     ----------
     value : a cell with a format keeps it
-    place : of the last digit of the column (`column_place`)
+    place : of the last digit of the column (`find_column_place`)
     """
     min_digits = 3  # of a small number that would have fewer in its column
     if isinstance(value, NumberCell):
@@ -476,5 +521,5 @@ def in_column(value: float | NumberCell, place: int | None) -> NumberCell:
     if isinstance(value, int) or place is None:
         return NumberCell(value, "0")
     is_small = 0.0 < abs(value) < 10.0 ** (place + min_digits - 1)
-    last_place = place_of(value, None, digits=min_digits) if is_small else place
-    return NumberCell(value, number_format(value, last_place))
+    last_place = find_last_place(value, None, digits=min_digits) if is_small else place
+    return NumberCell(value, choose_number_format(value, last_place))

@@ -11,14 +11,14 @@ from typing import Annotated, ClassVar, Final, Literal
 import numpy as np
 
 from labpipe.errors import Fault
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import Distance, Length, Output, Ratio, Snake, StiffnessName
-from labpipe.records.estimates import Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import Context, OfStiffness
-from labpipe.uncertainty.extractors import Trace, combine
+from labpipe.uncertainty.extractors import Trace, combine_numbers
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
 """Divisors of L^3: end load on a cantilever, central load on a span."""
@@ -53,9 +53,11 @@ def beam_factor(length: float, support: str) -> float:
     0.01
     """
     if support not in DIVISORS:
-        raise ValueError(sentence("results.bad_support", known=", ".join(DIVISORS), found=support))
+        raise ValueError(
+            format_sentence("results.bad_support", known=", ".join(DIVISORS), found=support)
+        )
     if not length > 0.0:
-        raise ValueError(sentence("results.bad_length", length=length))
+        raise ValueError(format_sentence("results.bad_length", length=length))
     return length**3 / DIVISORS[support]
 
 
@@ -262,17 +264,17 @@ class BendingStiffness(OfStiffness):
             raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
         self._ratio(sizes, stiffness.window)
         return test.measure_one(
-            combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
+            combine_numbers(partial(self._of_trace, window=stiffness.window), stiffness.decide)
         )
 
     def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Name the corrections with their sizes."""
-        ratio = or_failure(self._ratio)(test.setup.sizes, stiffness.window)
+        ratio = return_failure(self._ratio)(test.setup.sizes, stiffness.window)
         return Context(remark="" if isinstance(ratio, Failure) else ratio[1])
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
-        ratio = or_failure(self._ratio)(trace.sizes, window)
+        ratio = return_failure(self._ratio)(trace.sizes, window)
         length = trace.sizes[_FORMULAS[self.support][0]]
         beam_stiffness = stiffness * beam_factor(length, self.support)
         return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))

@@ -16,13 +16,13 @@ import numpy as np
 from labpipe.markers.curve_fits import (
     EndConditions,
     FrameFits,
-    coupled_design,
-    curve_basis,
+    build_curve_basis,
+    build_marker_design,
+    compute_power_slopes,
+    compute_powers,
     fit_frames,
-    power_slopes,
-    powers,
 )
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import PointFlag, Shape
 
@@ -150,7 +150,7 @@ def marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) -> Mark
     """
     seen = np.flatnonzero(np.isfinite(shape.coefficients).all(axis=(1, 2)))
     if not len(seen):
-        raise ValueError(sentence("results.no_fitted_frame"))
+        raise ValueError(format_sentence("results.no_fitted_frame"))
     direction = shape.coefficients[seen[0], :, 1] / shape.length
     ends = EndConditions(length=shape.length, direction=direction, free_tip=free_tip)
     places = shape.arc_length[_markers_of(shape)]
@@ -238,8 +238,8 @@ def curves_at(coefficients: Floats, length: float, arc_length: Floats) -> Statio
     """
     terms, u = coefficients.shape[2], arc_length / length
     plane = coefficients[:, :2]
-    place = plane @ powers(u, terms).T
-    rate = plane @ power_slopes(u, terms).T / length
+    place = plane @ compute_powers(u, terms).T
+    rate = plane @ compute_power_slopes(u, terms).T / length
     bend = plane @ _second(u, terms).T / length**2
     speed = np.hypot(rate[:, 0], rate[:, 1])
     turned = rate[:, 0] * bend[:, 1] - rate[:, 1] * bend[:, 0]
@@ -250,7 +250,7 @@ def curves_at(coefficients: Floats, length: float, arc_length: Floats) -> Statio
 def _second(u: Floats, terms: int) -> Floats:
     """Return the second derivatives of the powers of u; shape (n, terms)."""
     rates = np.zeros((len(u), terms))
-    rates[:, 2:] = np.arange(2, terms) * np.arange(1, terms - 1) * powers(u, terms)[:, :-2]
+    rates[:, 2:] = np.arange(2, terms) * np.arange(1, terms - 1) * compute_powers(u, terms)[:, :-2]
     return rates
 
 
@@ -293,12 +293,12 @@ def curvature_gain(
 def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floats | None:
     """Return x'', y'', x', y' at the stations per marker coordinate: (4, stations, 2 markers)."""
     ends, terms = layout.ends, layout.terms
-    basis = curve_basis(
+    basis = build_curve_basis(
         terms=terms, length=ends.length, clamped=ends.direction is not None, free_tip=ends.free_tip
     )
     if len(places) < basis.unknowns:
         return None
-    solve = np.linalg.pinv(coupled_design(basis, places, layout.centre_offset))
+    solve = np.linalg.pinv(build_marker_design(basis, places, layout.centre_offset))
     u, unknowns = arc_length / ends.length, basis.unknowns
     bend = _second(u, terms) @ basis.matrix / ends.length**2
     slope = basis.slope(arc_length)
@@ -320,9 +320,9 @@ def weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Fl
     shape (n, stations): integral of x(s') - x(s) from s to the tip.
     """
     u, terms = arc_length / length, coefficients.shape[2]
-    rise = length * (1.0 - u[:, None] * powers(u, terms)) / np.arange(1, terms + 1)
+    rise = length * (1.0 - u[:, None] * compute_powers(u, terms)) / np.arange(1, terms + 1)
     along = coefficients[:, 0]
-    return np.asarray(along @ rise.T - (length - arc_length) * (along @ powers(u, terms).T))
+    return np.asarray(along @ rise.T - (length - arc_length) * (along @ compute_powers(u, terms).T))
 
 
 def moments(curves: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
@@ -413,13 +413,13 @@ class BendingTest:
         is_complete = np.isfinite(frames.markers).all(axis=(1, 2))
         n_frames = int(is_complete.sum())
         if n_frames < 2:
-            raise ValueError(sentence("results.few_frames_at_rest", count=n_frames))
+            raise ValueError(format_sentence("results.few_frames_at_rest", count=n_frames))
         fit = self.layout.fit(frames.markers[is_complete])
         markers = frames.markers[is_complete].mean(axis=0)
         return SpecimenAtRest(
             markers=markers,
             coefficients=fit.coefficients.mean(axis=0)[None],
-            finer=self.layout.fit(markers[None], more=min(fit.spare, 1)).coefficients,
+            finer=self.layout.fit(markers[None], more=min(fit.n_spare, 1)).coefficients,
             frames=n_frames,
             noise=fit.noise(slice(None)),
         )
@@ -441,8 +441,8 @@ class BendingTest:
         fit = self.layout.fit(means.markers)
         usable = np.isfinite(fit.coefficients).all(axis=(1, 2)) & np.isfinite(means.force)
         if not usable.any():
-            raise ValueError(sentence("results.no_means"))
-        finer = self.layout.fit(means.markers, more=1) if fit.spare > 0 else None
+            raise ValueError(format_sentence("results.no_means"))
+        finer = self.layout.fit(means.markers, more=1) if fit.n_spare > 0 else None
         return FittedFrames(
             means=means.part(usable),
             coefficients=fit.coefficients[usable],

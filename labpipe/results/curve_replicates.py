@@ -10,20 +10,20 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.records import causes
-from labpipe.records.arrays import Floats, Ints, means_from
+from labpipe.records.arrays import Floats, Ints, average_between
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
 from labpipe.results.sample_noise import have_no_effect
 from labpipe.uncertainty.extractors import Trace
-from labpipe.uncertainty.noise_model import drift_modes
+from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
     Input,
     Law,
     Replicates,
+    count_spline_intervals,
     draw_replicates,
-    smooth_curve,
-    spline_intervals_of,
+    fit_smooth_curve,
 )
 
 _BY_FRAMES = (causes.SHAPE, causes.GRIP, causes.PULL, causes.CENTRE)
@@ -66,8 +66,8 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
 
     def smooth(change: Floats) -> Floats:
         """Smooth the effect of an input: its noise would raise the largest of many samples."""
-        parts = spline_intervals_of(grid)
-        return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
+        parts = count_spline_intervals(grid)
+        return fit_smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
     inputs = tuple(_inputs(test, starts, smooth))
     return draw_replicates(
@@ -145,7 +145,7 @@ def _starts(corners: Sequence[int], curve: Curve) -> Ints:
 
 def _means(values: Floats, starts: Ints) -> Floats:
     """Return the means of the blocks of a grid."""
-    return values if len(starts) == len(values) else means_from(values, starts)
+    return values if len(starts) == len(values) else average_between(values, starts)
 
 
 def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
@@ -201,7 +201,7 @@ def _forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats
 def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """Sample a signal at the times of the curve, a faster one by means around them."""
     if len(signal.time) < 2 * len(time):
-        return test.clocks.sampled(signal, time)
+        return test.clocks.interpolate(signal, time)
     step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
     # Ends of the means less half a step: each sample is the mean of a step around it.
     ends = np.array([time - half, time + half])
@@ -223,7 +223,7 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
         counts = around((~is_blank).astype(np.float64))
     sums, mean = around(np.where(is_blank, 0.0, signal.values)), np.full(len(time), np.nan)
     mean[is_inside] = np.where(counts > 0.5, sums / np.where(counts > 0.5, counts, 1.0), np.nan)
-    return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
+    return np.where(np.isnan(mean), test.clocks.interpolate(signal, time), mean)
 
 
 def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
@@ -257,13 +257,13 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats])
     yield from _scales_and_zeros(test)
     yield from _levels_of_force(test, starts)
     displacement, time = test.displacement, test.known_curve.time
-    for cause, signal in displacement.moved.items():
+    for cause, signal in displacement.perturbed.items():
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(displaced, by=change), law=law)
-    for cause, clocks in test.clocks.moved.items():
-        later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
+    for cause, clocks in test.clocks.perturbed.items():
+        later = clocks.to_force_times(time) - test.clocks.to_force_times(time)
         yield Input(cause, partial(_later, by=_means(later, starts)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
@@ -303,7 +303,7 @@ def _levels_of_force(test: ReducedTest, starts: Ints) -> Iterator[Input]:
         yield Input(causes.RESOLUTION, _raised(test, coarse / np.sqrt(12.0)), law="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
     since = np.abs(_means(test.known_curve.time, starts) - _zeroed_at(test))
-    for number, wave in enumerate(drift_modes(since, drift), start=1):
+    for number, wave in enumerate(compute_drift_modes(since, drift), start=1):
         yield Input(
             causes.DRIFT_OF_ZERO, _raised(test, wave), stream=f"{causes.DRIFT_OF_ZERO} {number}"
         )
@@ -360,11 +360,11 @@ def _zeroed_at(test: ReducedTest) -> float:
     """
     signals, time = test.signals, test.known_curve.time
     name, clock = signals.force, signals.raw[signals.force].clock
-    if name in signals.zeroed:
-        return test.clocks.to_curve(0.5 * sum(signals.zeroed[name]), clock)
-    if name not in signals.lined:
+    if name in signals.zero_stretches:
+        return test.clocks.to_curve(0.5 * sum(signals.zero_stretches[name]), clock)
+    if name not in signals.moving_zero_stretches:
         return float(time[0])
-    first, last = (test.clocks.to_curve(end, clock) for end in signals.lined[name])
+    first, last = (test.clocks.to_curve(end, clock) for end in signals.moving_zero_stretches[name])
     return first if first - time[0] < time[-1] - last else last
 
 
@@ -398,7 +398,7 @@ def _later(trace: Trace, x: float, *, by: Floats) -> Trace:
 
 def _beyond(trace: Trace, x: float, *, step: float) -> Trace:
     """End a trace a step of the curve later, a share of a step of the grid."""
-    return replace(trace, beyond=x * step)
+    return replace(trace, steps_beyond=x * step)
 
 
 def _added_back(trace: Trace, x: float, *, by: float, sample: int) -> Trace:

@@ -11,11 +11,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_of
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
@@ -31,8 +31,8 @@ from labpipe.results.least_squares import (
 )
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
 from labpipe.results.sample_noise import Quantity, SampleNoise
-from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
+from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 
 
 def energy_of(displacement: Floats, force: Floats) -> Floats:
@@ -55,7 +55,7 @@ def energy_of(displacement: Floats, force: Floats) -> Floats:
     return work
 
 
-_FOOT_LIMITS = 5.0
+FOOT_LIMIT_FACTOR = 5.0
 """The foot of the force, below this multiple of the limit, is taken as straight."""
 
 
@@ -63,7 +63,8 @@ _TIME_BEFORE_ZERO = 1.0
 """s before zero force, for the line through the displacement."""
 
 
-_MIN_SAMPLES = 8
+_MIN_CROSSING_SAMPLES = 8
+"""For a line through the force or the displacement at zero force."""
 
 
 _MIN_ZERO_FOOT_SAMPLES = 4
@@ -132,18 +133,20 @@ def unloaded(
     noise_deviations = 4.0
     finite = finite_samples(displacement, force)
     t, d, f = (values[finite] for values in (time, displacement, force))
-    require_samples(len(f), 2 * _MIN_SAMPLES, "")
+    require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     least = min(force_below, max_zero_share * float(f.max()))
-    limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
+    limit = (
+        max(noise_deviations * float(estimate_fast_noise(f)), least) if like is None else like.limit
+    )
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
         raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
     if above[-1] >= len(f) - 3:
         raise UnavailableError.of("results.force_not_zero", end=f[-3:].mean(), limit=limit)
-    goes_on = bool(np.median(f[-_MIN_SAMPLES:]) < -limit)
+    goes_on = bool(np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit)
     if goes_on if like is None else like.how == "through zero":
         return _through_zero(finite, t, f, limit)
-    last, far = int(above[-1]), np.flatnonzero(f > _FOOT_LIMITS * limit)
+    last, far = int(above[-1]), np.flatnonzero(f > FOOT_LIMIT_FACTOR * limit)
     foot = slice(int(far[-1]) if len(far) else 0, last + 1)
     from_end, zero_time, slope = t - t[last], np.nan, 0.0
     if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
@@ -155,7 +158,7 @@ def unloaded(
     has_stopped = falls and slope * (t[-1] - zero) < -3.0 * limit
     rests = has_stopped and _is_slack(t[rest], d, f[rest], rest, limit)
     if rests if like is None else like.how == "at rest" and rest.any():
-        at_rest = samples_of(finite[rest])
+        at_rest = as_slice(finite[rest])
 
         def mean(displacement: Floats, force: Floats) -> Floats:
             del force
@@ -163,13 +166,11 @@ def unloaded(
 
         return Unloaded("at rest", limit, int(rest.sum()), mean)
     near = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
-    if near.sum() < _MIN_SAMPLES:
+    if near.sum() < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=int(near.sum()), zero=zero)
-    of_foot, of_near = ((samples_of(finite[part]), from_end[part]) for part in (foot, near))
+    of_foot, of_near = ((as_slice(finite[part]), from_end[part]) for part in (foot, near))
     of = partial(_follow, foot=of_foot if falls else None, near=of_near)
-    each = partial(
-        _follow_each, samples=samples_of(finite), time=from_end, limit=limit, least=least
-    )
+    each = partial(_follow_each, samples=as_slice(finite), time=from_end, limit=limit, least=least)
     return Unloaded("followed", limit, int(near.sum()), of, each)
 
 
@@ -177,15 +178,15 @@ def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Un
     """Choose the samples around the zero of a force that continues below it."""
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
-    require_samples(int(near.sum()), _MIN_SAMPLES, " near zero force")
-    samples, after = samples_of(finite[near]), time[near] - middle
+    require_samples(int(near.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
+    samples, after = as_slice(finite[near]), time[near] - middle
     weights = polynomial_weights(after, degree=2).T
 
     def of(displacement: Floats, force: Floats) -> Floats:
         level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
         zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
-            step = ratio(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
+            step = divide(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
             zero = np.clip(zero - step, after[0], after[-1])
         place, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
         value: Floats = place + zero * (speed + zero * curve)
@@ -196,7 +197,7 @@ def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Un
 
 def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
     """Return whether force and displacement rest within their noise."""
-    if rest.sum() < _MIN_SAMPLES or np.abs(force).max() > 2.0 * limit:
+    if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(force).max() > 2.0 * limit:
         return False
     centred_time, values = time - time.mean(), path[rest]
     slope = float(slope_of_line(centred_time, values))
@@ -239,21 +240,21 @@ def _follow_each(
     d, f = displacement[:, samples], force[:, samples]
     limits = np.full((len(f), 1), limit)
     if limit > least:
-        limits = np.maximum(limits_by_noise(limit, f), least)[:, np.newaxis]
-    begin, end = _last_flagged(f > _FOOT_LIMITS * limits), _last_flagged(f > limits)
+        limits = np.maximum(scale_limit_by_noise(limit, f), least)[:, np.newaxis]
+    begin, end = _last_flagged(f > FOOT_LIMIT_FACTOR * limits), _last_flagged(f > limits)
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
     middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
     falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
-    zeros = np.where(falls, middle - ratio(level, slope), time[end])
+    zeros = np.where(falls, middle - divide(level, slope), time[end])
     part = slice(
         *np.searchsorted(time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO])
     )
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
     near = (t >= start) & (t <= zeros[:, np.newaxis])
     middle, level, slope = line_in(near, t, d[:, part])
-    ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
+    ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_CROSSING_SAMPLES)
     return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
@@ -304,7 +305,9 @@ class OfCycle(Kind):
         number = branches[0].cycle
         return self.number(
             test,
-            or_failure(test.measure_one)(self.decider(test, number), self.plain(test, branches)),
+            return_failure(test.measure_one)(
+                self.decider(test, number), self.plain(test, branches)
+            ),
             during=_time_of_part(branches, self.reads),
             doubts=cut_short(test, branches[: self.complete_branches], self.outputs[0].rests_on)
             + self.doubts(test, branches),
@@ -491,7 +494,9 @@ def work_over(trace: Trace, stretch: slice) -> Reading:
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = energy_of(displacement[halves], force[halves])
     correction = (energy_of(displacement, force) - coarse) / 3.0
-    return Reading(on_part(energy_of, stretch), len(force), between=(float(correction),))
+    return Reading(
+        read_part(energy_of, stretch), len(force), sampling_correction=(float(correction),)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -518,14 +523,14 @@ class ResidualDisplacement(OfCycle):
 
     def decider(self, test: ReducedTest, number: int) -> Decide:
         """Use the limit of zero force, and the kind of end, of the measured curve."""
-        measured = or_failure(self._ends)(traced(test), number)
+        measured = return_failure(self._ends)(traced(test), number)
         like = None if isinstance(measured, Failure) else measured
 
         def decide(trace: Trace) -> Reading:
             ending, part = self._ends(trace, number, like), cycle_of(trace, number)[1]
             branch = slice(part.start, part.stop)
-            in_noise = on_part(ending.of_each, branch) if ending.of_each else None
-            return Reading(on_part(ending.of, branch), ending.n, in_noise)
+            in_noise = read_part(ending.of_each, branch) if ending.of_each else None
+            return Reading(read_part(ending.of, branch), ending.n, in_noise)
 
         return decide
 
@@ -589,7 +594,7 @@ def _largest(
 
     def numbers(trace: Trace) -> tuple[Floats]:
         signed = sense * getattr(trace, quantity)[..., stretch]
-        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.beyond * reach),)
+        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.steps_beyond * reach),)
 
     @cache
     def samples() -> SampleNoise | None:

@@ -23,7 +23,7 @@ from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import finite_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
 from labpipe.results.sample_noise import Quantity, SampleNoise
-from labpipe.uncertainty.autocorrelation import fast_noise
+from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
 
 
@@ -36,11 +36,14 @@ class LossOfForce:
     force_below : share of the largest force below which the specimen has failed
     loss : share of the largest force that is lost suddenly
     within : s, longest duration of that loss, or one sampling step if that is longer
+    at_end_below : share of the largest force below which the record ends with the break; None if
+        its end is no break
     """
 
     force_below: float
     loss: float
     within: float
+    at_end_below: float | None = None
 
 
 def final_loss(
@@ -216,8 +219,8 @@ def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
     ahead, lost = (rise, fall) if is_clear else (rise + fall, 0.0)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
-        place = trace.displacement[..., sample] + trace.beyond * step
-        return place, trace.force[..., sample] + trace.beyond * ahead
+        place = trace.displacement[..., sample] + trace.steps_beyond * step
+        return place, trace.force[..., sample] + trace.steps_beyond * ahead
 
     def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
         place, force = numbers(drawn)
@@ -256,7 +259,7 @@ def _at_slow_loss(
         last = last_above(sense * force, share)[..., np.newaxis]
         ends = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
         step = np.gradient(place, axis=-1)
-        more = trace.beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
+        more = trace.steps_beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
         first_end, second_end = ends
         return first_end + more, second_end
 
@@ -280,7 +283,7 @@ def _loss_before(test: ReducedTest) -> tuple[float, bool]:
         return 0.0, False
     before = curve.force[: failure.sample]
     before = before[~np.isnan(before)]
-    is_clear = len(before) >= 8 and fall > 6.0 * float(fast_noise(before))
+    is_clear = len(before) >= 8 and fall > 6.0 * float(estimate_fast_noise(before))
     return sense * fall, bool(is_clear)
 
 
@@ -351,7 +354,7 @@ def _work(test: ReducedTest, trace: Trace) -> Reading:
     step, _ = _next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        more = trace.beyond * step * trace.force[..., sample]
+        more = trace.steps_beyond * step * trace.force[..., sample]
         return (np.asarray(work.numbers(trace)[0] + more, dtype=np.float64),)
 
     return Reading(numbers, work.n)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from labpipe.records.causes import FIT, SCALE_OF_FORCE, contribution
+from labpipe.records.causes import FIT, SCALE_OF_FORCE, make_contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_errors
@@ -195,7 +195,7 @@ def _completed(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contrib
         fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
         changes = {FIT: fit, **errors}
         if np.isfinite(list(changes.values())).all():
-            budget = tuple(contribution(*change) for change in changes.items() if change[1])
+            budget = tuple(make_contribution(*change) for change in changes.items() if change[1])
         outcome = add_errors(outcome, *errors.values())
     if not isinstance(outcome, Failure) and not np.isfinite([outcome.value, outcome.error]).all():
         reason = Failure.of("results.not_finite", value=outcome.value, error=outcome.error)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, ratio
+from labpipe.records.arrays import Flags, Floats, Ints, divide
 from labpipe.records.estimates import UnavailableError
 
 
@@ -41,7 +41,7 @@ def slope_of_line(x: Floats, y: Floats) -> Floats:
     array([2.5, 0. ])
     """
     lever = x - x.mean(axis=-1, keepdims=True)
-    return ratio(np.vecdot(lever, y), np.vecdot(lever, lever))
+    return divide(np.vecdot(lever, y), np.vecdot(lever, lever))
 
 
 def zero_of_line(x: Floats, y: Floats) -> Floats:
@@ -81,9 +81,9 @@ def line_in(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats
     """
     count = chosen.sum(axis=1)
     x, y = (np.where(chosen, values, 0.0) for values in (x, y))
-    middle, level = (ratio(values.sum(axis=1), count) for values in (x, y))
+    middle, level = (divide(values.sum(axis=1), count) for values in (x, y))
     lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
-    return middle, level, ratio(np.vecdot(lever, y), np.vecdot(lever, x))
+    return middle, level, divide(np.vecdot(lever, y), np.vecdot(lever, x))
 
 
 def polynomial_weights(x: Floats, *, degree: int) -> Floats:

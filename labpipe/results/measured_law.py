@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import Reason
@@ -35,7 +35,7 @@ from labpipe.results.bent_frames import (
     curves_at,
 )
 
-N_MEANS = 80
+N_FIT_MEANS = 80
 """Means over consecutive frames for the fit of the first loading."""
 N_CLOUD_ROWS = 50
 """Rows of the cloud in the first loading."""
@@ -77,7 +77,7 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
 
     Returns
     -------
-    The law, from about `N_MEANS` means over consecutive frames.
+    The law, from about `N_FIT_MEANS` means over consecutive frames.
 
     Raises
     ------
@@ -95,14 +95,14 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     min_points = 24
     count = int((test.branch == test.first).sum())
     branch = np.where(test.branch == test.first, test.branch, -1)
-    frames = test.frames(branch, per_mean=max(1, count // N_MEANS))
+    frames = test.frames(branch, per_mean=max(1, count // N_FIT_MEANS))
     n_means = len(frames.means.force)
     if n_means < min_points:
-        raise ValueError(sentence("results.few_means", count=n_means, needed=min_points))
+        raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_points))
     loaded = _loaded(test, frames)
     largest, at_rest = loaded.moment.max(), np.abs(loaded.moment_at_rest).max()
     if not largest > at_rest:
-        raise ValueError(sentence("results.no_moment", largest=largest, at_rest=at_rest))
+        raise ValueError(format_sentence("results.no_moment", largest=largest, at_rest=at_rest))
     fit, change_with_knots = refine_law(loaded)
     return tabulate(
         fit,
@@ -150,9 +150,9 @@ class _Shared:
         yield change(self.with_moments(reading=frames.means.force + errors.force_zero))
         if errors.other_tension_at_rest is not None:
             pull = replace(self.test.pull, tension_at_rest=errors.other_tension_at_rest)
-            yield change(self.with_moments(pull=pull), RECTANGLE)
+            yield change(self.with_moments(pull=pull), RECTANGULAR_DEVIATION)
         if frames.finer is not None:
-            yield change(self.with_moments(finer=True), RECTANGLE)
+            yield change(self.with_moments(finer=True), RECTANGULAR_DEVIATION)
         if errors.offset > 0.0:
             yield change(self.longer_at_the_clamp(errors.offset))
             yield change(self.longer_at_the_tip(errors.offset))
@@ -442,7 +442,8 @@ def _moment_errors(
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
-RECTANGLE = 1.0 / np.sqrt(3.0)
+RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
+"""Standard deviation of a rectangular distribution of half-width one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -516,7 +517,7 @@ def refine_law(loaded: Loaded) -> tuple[LawFit, Floats]:
         coarse, fit = fit, fine
     # The knots of the coarse law are among those of the fine one.
     coarse_compliance: Floats = coarse.basis.slopes(fit.basis.knots) @ coarse.compliance
-    return fit, RECTANGLE * (coarse_compliance - fit.compliance)
+    return fit, RECTANGULAR_DEVIATION * (coarse_compliance - fit.compliance)
 
 
 def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
@@ -584,7 +585,7 @@ def _uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
     moved = shapes.predict(0.0 * one)[1] @ one
     scale = float((moved**2).sum())
     if not scale > 0.0:
-        raise ValueError(sentence("results.no_change_of_moment"))
+        raise ValueError(format_sentence("results.no_change_of_moment"))
     return np.asarray(one * abs(float((moved * measured).sum())) / scale, dtype=np.float64)
 
 
@@ -615,7 +616,7 @@ def _inverse(normal: Floats) -> Floats:
     max_condition = 1e12
     scale = np.sqrt(np.diag(normal))
     if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > max_condition:
-        raise ValueError(sentence("results.law_not_determined", knots=len(scale)))
+        raise ValueError(format_sentence("results.law_not_determined", knots=len(scale)))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     return np.asarray(inverse, dtype=np.float64)
 

@@ -20,9 +20,9 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.errors import in_test_sheet
-from labpipe.messages import sentence
-from labpipe.records.arrays import Flags, Floats, Ints, block_means
+from labpipe.errors import format_overrides
+from labpipe.messages import format_sentence
+from labpipe.records.arrays import Flags, Floats, Ints, average_blocks
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
@@ -75,8 +75,8 @@ class AtRest:
         """Return the load at the tip in words, with its numbers."""
         weight, counterweight = 1e3 * self.weight, 1e3 * (self.weight - self.own_weight)
         if self.own_weight == 0.0:
-            return sentence("results.counterweight", weight=weight)
-        return sentence("results.load_at_tip", weight=weight, counterweight=counterweight)
+            return format_sentence("results.counterweight", weight=weight)
+        return format_sentence("results.load_at_tip", weight=weight, counterweight=counterweight)
 
     @property
     def load_alone(self) -> str:
@@ -131,14 +131,14 @@ class AtRest:
         facts = []
         if np.isfinite(self.sag):
             sag, reach, load = 1e3 * self.sag, 1e3 * self.reach, self.load_alone
-            facts.append(sentence("results.tip_below", sag=sag, load=load, reach=reach))
+            facts.append(format_sentence("results.tip_below", sag=sag, load=load, reach=reach))
         if np.isfinite(self.ahead):
-            facts.append(sentence("results.clamp_ahead", ahead=1e3 * self.ahead))
+            facts.append(format_sentence("results.clamp_ahead", ahead=1e3 * self.ahead))
         if np.isfinite(self.slackened):
-            facts.append(sentence("results.slackened", force=1e3 * self.slackened))
+            facts.append(format_sentence("results.slackened", force=1e3 * self.slackened))
         elif np.isfinite(self.lowest):
-            facts.append(sentence("results.lowest_force", force=1e3 * self.lowest))
-        return "; ".join(facts) or sentence("results.no_evidence")
+            facts.append(format_sentence("results.lowest_force", force=1e3 * self.lowest))
+        return "; ".join(facts) or format_sentence("results.no_evidence")
 
     @property
     def why_not_straight(self) -> str:
@@ -149,9 +149,11 @@ class AtRest:
         sag, ahead, reach = 1e3 * self.sag, 1e3 * self.ahead, 1e3 * self.reach
         if self.ahead > MIN_SLACK_TRAVEL:
             below = "" if np.isnan(self.sag) else f", its tip {sag:.3g} mm below"
-            return sentence("results.string_was_slack", ahead=ahead, load=self.load, below=below)
+            return format_sentence(
+                "results.string_was_slack", ahead=ahead, load=self.load, below=below
+            )
         if state != "unknown" or self.share > HANGING_SHARE:
-            return sentence("results.wire_hung", sag=sag, load=self.load, reach=reach)
+            return format_sentence("results.wire_hung", sag=sag, load=self.load, reach=reach)
         return ""
 
 
@@ -178,8 +180,8 @@ def at_rest(
     n_blocks = 100
     weight += own_weight
     part = slice(first.start, first.stop)
-    deflection = block_means(curve.displacement[part], n_blocks)
-    force = block_means(curve.force[part], n_blocks)
+    deflection = average_blocks(curve.displacement[part], n_blocks)
+    force = average_blocks(curve.force[part], n_blocks)
     reached = deflection[force >= weight]
     reach = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
     ahead, slackened = float("nan"), np.zeros(0)
@@ -246,7 +248,7 @@ def _lowest(force: Floats) -> float:
     finite = force[np.isfinite(force)]
     if len(finite) < _MEAN_SAMPLES:
         return float("nan")
-    return float(block_means(finite, len(finite) // _MEAN_SAMPLES).min())
+    return float(average_blocks(finite, len(finite) // _MEAN_SAMPLES).min())
 
 
 def _sag(shape: Shape | None, first: Branch) -> float:
@@ -309,26 +311,26 @@ def held(rest: AtRest) -> Held:
     weight = load - rest.own_weight
     if state == "unknown":
         taken, other = (0.0, load) if rest.ahead > MIN_SLACK_TRAVEL else (load, 0.0)
-        why = sentence(
+        why = format_sentence(
             "results.string_unknown",
             load=rest.load,
             taken="all of it" if taken else "nothing",
             facts=rest.facts,
-            remedy=in_test_sheet("rig.string.at_rest", "taut"),
+            remedy=format_overrides("rig.string.at_rest", "taut"),
         )
         return Held(state, taken, weight, other, why)
     if state == "part":
         carried, error = rest.carries, sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
-        why = sentence(
+        why = format_sentence(
             "results.string_carried_part", tension=tension, load=rest.load, facts=rest.facts
         )
         return Held(state, carried, weight, carried - error, why)
     if state == "off the wire":
-        why = sentence("results.string_off_the_wire", facts=rest.facts)
+        why = format_sentence("results.string_off_the_wire", facts=rest.facts)
         return Held(state, 0.0, 0.0, None, why)
     is_taut = state == "taut"
-    why = sentence(
+    why = format_sentence(
         "results.string_was_taut" if is_taut else "results.string_carried_nothing",
         load=rest.load,
         facts=rest.facts,
@@ -348,7 +350,7 @@ def stated(at_rest: Literal["taut", "slack"], weight: float, own_weight: float =
     tension = weight + own_weight if at_rest == "taut" else 0.0
     held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own_weight > 0.0)
     carried = held_up if at_rest == "taut" else "nothing"
-    why = sentence("results.string_stated", state=at_rest, carried=carried)
+    why = format_sentence("results.string_stated", state=at_rest, carried=carried)
     return Held(at_rest, tension, weight, None, why)
 
 
@@ -364,7 +366,7 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
         return Failure.of("results.no_bent_loading"), []
     if not test.setup.has_markers:
         return Failure.of("results.no_marker_block"), []
-    start, stop = test.signals.zeroed["deflection"]
+    start, stop = test.signals.zero_stretches["deflection"]
     rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
     pull, other, notes = _tip_pull(test, curve, shape, first, rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
@@ -439,7 +441,7 @@ def _tip_pull(
 def _law_note(bending: Bending) -> Finding:
     cloud, law, of_law = bending.cloud, bending.law, ""
     if law is not None:
-        of_law = sentence(
+        of_law = format_sentence(
             "results.law_of_frames",
             frames=law.n_frames,
             largest=law.curvature[-1],

@@ -12,7 +12,7 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.causes import TANGENT
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import CURVE, Length, Output, Share, StiffnessName
-from labpipe.records.estimates import Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results.curve_replicates import loading_of, traced
@@ -409,10 +409,10 @@ class Plateau(Kind):
         steeper = self._one_step_on(trace, tangents)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.beyond * steeper
+            end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.steps_beyond * steeper
             return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
 
-        return Reading(numbers, len(tangents.last), is_cut=slope.is_cut)
+        return Reading(numbers, len(tangents.last), ends_at_samples=slope.ends_at_samples)
 
     def _one_step_on(self, trace: Trace, tangents: Tangents) -> float:
         """Return the change of the slope at the end with one more sampling step, N/m.
@@ -420,7 +420,7 @@ class Plateau(Kind):
         From the step before: the machine turned somewhere between two samples.
         """
         d, f = _loading(trace)
-        before = or_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
+        before = return_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
         if isinstance(before, Failure):
             return 0.0
         return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
@@ -474,7 +474,7 @@ class Plateau(Kind):
         The smooth curve may have no corners of this size.
         """
         seen = self._corners(replicates.measured, self._begun(replicates.measured, initial))
-        smooth = or_failure(self._begun)(replicates.smooth, initial)
+        smooth = return_failure(self._begun)(replicates.smooth, initial)
         if isinstance(smooth, Failure):
             return _Corner(seen, np.zeros(2), np.zeros(2))
         base = self._corners(replicates.smooth, smooth)
@@ -488,7 +488,7 @@ class Plateau(Kind):
         if end.interval is None:
             return (), ()
         surely = end.interval.upper < self.slope_below
-        outcomes = or_failure(self._measured_onset)(test, initial) if surely else None
+        outcomes = return_failure(self._measured_onset)(test, initial) if surely else None
         if outcomes is None or isinstance(outcomes, Failure):
             note = Finding.of(
                 "results.no_plateau",

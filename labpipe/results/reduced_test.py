@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
 from labpipe.records.declarations import LIMITS, Limits
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
-from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
+    from labpipe.results.tension import Pull
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +150,7 @@ class ReducedTest:
     slips : the slip ledger
     compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement
     slack : displacement before the specimen was taut, m; None if not requested
+    pull : stress and strain with the elastic line, or why there are none; None if not requested
     cut_at : by quantity, s on the clock of the curve, where its record ends within a branch
     stiffnesses : by name, of earlier results
     findings : so far
@@ -169,6 +171,7 @@ class ReducedTest:
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
     slack: Measured | Failure | None = None
+    pull: Pull | Failure | None = None
     cut_at: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
@@ -199,7 +202,7 @@ class ReducedTest:
             If there is none.
         """
         if self.curve is None:
-            raise ValueError(sentence("results.no_curve"))
+            raise ValueError(format_sentence("results.no_curve"))
         return self.curve
 
     def measure(
@@ -209,7 +212,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        decide, values : as for `labpipe.uncertainty.intervals.measure`; `decide` may raise
+        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`; `decide` may raise
 
         Raises
         ------
@@ -221,7 +224,7 @@ class ReducedTest:
         return measured(self.replicates, decide, values)
 
     def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
-        """Measure the first number of a reading, as `measure`."""
+        """Measure the first number of a reading, as `measure_numbers`."""
         return self.measure(decide, values)[0]
 
     def unavailable(self, reason: Failure) -> UnavailableError:
@@ -299,8 +302,8 @@ class ReducedTest:
         name = {"force": signals.force, "displacement": signals.displacement}.get(
             doubt.quantity, ""
         )
-        if name in signals.zeroed or name in signals.lined:
-            zero = signals.zeroed.get(name) or signals.lined[name]
+        if name in signals.zero_stretches or name in signals.moving_zero_stretches:
+            zero = signals.zero_stretches.get(name) or signals.moving_zero_stretches[name]
             first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
@@ -310,7 +313,7 @@ def measured(
     replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
 ) -> tuple[Measured, ...]:
     """Measure numbers of replicates, as `ReducedTest.measure`."""
-    outcome = measure(replicates, or_failure(decide), values)
+    outcome = measure_numbers(replicates, return_failure(decide), values)
     if isinstance(outcome, Failure):
         raise UnavailableError(outcome)
     return outcome

@@ -17,9 +17,9 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.signals import Filter, FilterFunction, Signal
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.signal.filters import in_pieces
+from labpipe.signal.filters import filter_pieces
 from labpipe.uncertainty.extractors import Trace
-from labpipe.uncertainty.replicates import random_stream
+from labpipe.uncertainty.replicates import make_generator
 
 Quantity: TypeAlias = Literal["force", "displacement"]
 
@@ -67,7 +67,7 @@ class SampleNoise:
         None if the replicates have all samples, or too few of them are known.
         """
         max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
-        signal, chance = _signal_of(test, quantity), random_stream(test.seed, f"single {quantity}")
+        signal, chance = _signal_of(test, quantity), make_generator(test.seed, f"single {quantity}")
         block_samples = _step(trace.time) / _step(signal.time)
         if block_samples < min_block_samples:
             return None
@@ -116,7 +116,7 @@ class SampleNoise:
         windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
         rows = self.chance.integers(0, len(windows), len(noise))
         cuts = [cut - part.start for cut in self.cuts]
-        samples = in_pieces(windows[rows], cuts, self.filters)[:, near - part.start]
+        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near - part.start]
         if self.blocks is not None:
             samples += noise[:, self.blocks[near]]
         raised: Floats = (smooth[near] + sense * samples).max(axis=1) - smooth.max()
@@ -146,7 +146,7 @@ def _reach(filters: tuple[Filter, ...]) -> int:
     """Return the samples on each side that filters reach."""
     middle = 2000
     pulse = np.eye(1, 2 * middle + 1, middle)[0]
-    response = np.abs(in_pieces(pulse, (), filters))
+    response = np.abs(filter_pieces(pulse, (), filters))
     return int(np.abs(np.flatnonzero(response > 1e-3 * response.max()) - middle).max())
 
 
@@ -162,7 +162,7 @@ def _signal_of(test: ReducedTest, quantity: Quantity) -> Signal:
         return test.force
     curve = test.known_curve
     values = curve.force if quantity == "force" else curve.displacement
-    return replace(test.displacement, time=curve.time, values=values, moved={})
+    return replace(test.displacement, time=curve.time, values=values, perturbed={})
 
 
 def _has_single_samples(test: ReducedTest, quantity: Quantity) -> bool:

@@ -14,17 +14,17 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.results.cycles import rectangle
 from labpipe.results.kinds import Computed, Errors, Kind, force_scale
 from labpipe.results.least_squares import require_samples
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
-from labpipe.signal.turning_points import noise_level
-from labpipe.uncertainty.autocorrelation import long_run_variance
+from labpipe.signal.turning_points import estimate_noise_level
+from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.uncertainty.noise_model import estimate_noise
-from labpipe.uncertainty.replicates import N_REPLICATES, random_stream, smooth_curve
+from labpipe.uncertainty.replicates import N_REPLICATES, fit_smooth_curve, make_generator
 from labpipe.units import GRAVITY
 
 
@@ -64,7 +64,7 @@ def secant_stiffness(time: Floats, displacement: Floats, force: Floats, chosen: 
     scaled = weight / np.abs(weight).max()
     residuals = f - slope * d
     noise = residuals - np.polynomial.Polynomial.fit(scaled, residuals, 3)(scaled)
-    variance = long_run_variance(noise, parameters=4)
+    variance = estimate_long_run_variance(noise, parameters=4)
     return Estimate(slope, float(np.sqrt(variance * (weight @ weight)) / abs(travel)), count)
 
 
@@ -97,7 +97,7 @@ class TipTravel(Kind):
         if len(tip) < 16:
             raise UnavailableError.of("results.few_tips", count=len(tip))
         distances = np.linalg.norm(tip - tip[:5].mean(axis=0), axis=1)
-        error = float(np.sqrt(2.0) * noise_level(distances))
+        error = float(np.sqrt(2.0) * estimate_noise_level(distances))
         return Computed((self.number(test, Estimate(float(distances.max()), error, len(tip))),))
 
 
@@ -125,7 +125,7 @@ class MomentCurvature(Kind):
         law = bending.law
         if law is None:
             raise UnavailableError(bending.reason or Failure.of("results.no_law"))
-        outcome = or_failure(_stiffness)(law, self)
+        outcome = return_failure(_stiffness)(law, self)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
         doubts = _misfit(test, law) or (
             *_bent_before(bending, law, self),
@@ -239,10 +239,10 @@ class MidSpan(Window):
         bend, frames = parts[0], _Frames.of(test, parts)
         outcomes, other = (
             (
-                or_failure(self._stiffness)(parts, curvature),
-                or_failure(_at_turn)(curvature, frames, "mid-span curvature"),
+                return_failure(self._stiffness)(parts, curvature),
+                return_failure(_at_turn)(curvature, frames, "mid-span curvature"),
             )
-            for curvature in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
+            for curvature in (bend.shape.axis.mid_span, bend.shape.fewer_terms)
         )
         errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
@@ -265,7 +265,7 @@ class MidSpan(Window):
                 "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
             )
         inside &= (travelled >= self.start) & (travelled <= self.stop)
-        bent = bend.shape.bent
+        bent = bend.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
         moment = 0.25 * bent.span * force
         if "large-deflection" in self.corrections:
@@ -310,7 +310,9 @@ class _Frames:
         """
         spline_intervals = 40  # per branch
         batch_records = 50
-        smooth = [smooth_curve(self.time, value, self.cuts, spline_intervals) for value in values]
+        smooth = [
+            fit_smooth_curve(self.time, value, self.cuts, spline_intervals) for value in values
+        ]
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
         shares = [spread[0] / deviation if deviation > 0.0 else 0.0 for deviation in spread]
         values, smooth = (
@@ -325,7 +327,7 @@ class _Frames:
             [value[self.cuts[-1] :] for value in values],
             copies=len(values),
         )
-        rng = random_stream(self.seed, name)
+        rng = make_generator(self.seed, name)
         records = [
             noise.draw(len(values[0]), batch_records, rng) @ weights
             for _ in range(N_REPLICATES // batch_records)
@@ -391,7 +393,7 @@ class Twist(Kind):
         frames = _Frames.of(test, parts)
         others = [shape.twist[:, other] for other in able if other != section]
         alike = [other for other in others if np.isfinite(other).any()]
-        turned = or_failure(_at_turn)(shape.twist[:, section], frames, "twist", alike)
+        turned = return_failure(_at_turn)(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
         number = self.number(test, turned, during=test.while_loading())

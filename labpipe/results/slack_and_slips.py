@@ -10,19 +10,19 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from labpipe.messages import sentence
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, means_from, median, samples_of
+from labpipe.messages import format_sentence
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, average_between, median
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results.curve_replicates import displaced, loading_of
 from labpipe.results.kinds import Computed, Kind, force_scale
 from labpipe.results.least_squares import finite_samples, require_samples, zero_of_line
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, measured
-from labpipe.uncertainty.autocorrelation import cubic_basis, smooth_stretches
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, on_part
+from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers
 from labpipe.uncertainty.linear_fits import fit_linear
 from labpipe.uncertainty.replicates import Input, Replicates
@@ -232,7 +232,7 @@ def _places_per_freedom(kernel: Floats, factor: float) -> float:
 def _correlation(f: Floats) -> float:
     """Return the lag-one correlation of the noise: median over windows, about cubics."""
     width = min(_STRETCH_SAMPLES, len(f))
-    basis = cubic_basis(width).T
+    basis = build_cubic_basis(width).T
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
     pieces = np.array([f[start : start + width] for start in starts])
     residuals = pieces - (pieces @ basis) @ basis.T
@@ -249,7 +249,7 @@ def _seen_correlations(width: int) -> tuple[Floats, Floats]:
     Residuals of a fit are less correlated than the noise: Kendall, Biometrika 41 (1954).
     """
     factors = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
-    basis = cubic_basis(width).T
+    basis = build_cubic_basis(width).T
     lags = np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
     expected = []
     for factor in factors:
@@ -296,7 +296,7 @@ def _measure_drop(
     outside = [
         stretch
         for part in (pull.f[: window.low], pull.f[window.high :])
-        for stretch in smooth_stretches(part, width=_STRETCH_SAMPLES)
+        for stretch in cut_smooth_stretches(part, width=_STRETCH_SAMPLES)
     ]
     drop = fit_linear(design, f, weighted=True, beside=outside).estimate(0)
     if drop.interval is None or drop.interval.upper >= 0.0:
@@ -320,7 +320,8 @@ def _measure_drop(
     )
 
 
-_MIN_BRANCH_SAMPLES = 64
+_MIN_SEARCHED_SAMPLES = 64
+"""Slips are not searched in shorter branches."""
 
 
 def find_slips(
@@ -374,10 +375,10 @@ def find_slips(
     """
     finite: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
     finite = finite[~_is_outlier(force[finite])]
-    if len(finite) < _MIN_BRANCH_SAMPLES:
+    if len(finite) < _MIN_SEARCHED_SAMPLES:
         count, where = len(finite), " in the branch"
         return Failure.of(
-            "results.too_few_samples", count=count, where=where, needed=_MIN_BRANCH_SAMPLES
+            "results.too_few_samples", count=count, where=where, needed=_MIN_SEARCHED_SAMPLES
         )
     size, longest_samples = _block_size(displacement[finite], longest)
     d, f = (_blocks(values[finite], size) for values in (displacement, force))
@@ -398,13 +399,13 @@ def _block_size(d: Floats, longest: float | None) -> tuple[int, int]:
     travel = float(np.ptp(d))
     reach = min(0.02 * travel, 1e-3) if longest is None else longest
     samples = reach / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
-    size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _MIN_BRANCH_SAMPLES))
+    size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _MIN_SEARCHED_SAMPLES))
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
 def _blocks(values: Floats, size: int) -> Floats:
     """Average samples in blocks; the last one includes the remainder."""
-    return means_from(values, np.arange(0, len(values) - size + 1, size))
+    return average_between(values, np.arange(0, len(values) - size + 1, size))
 
 
 def samples_before(slips: Sequence[Slip], count: int) -> int:
@@ -414,7 +415,7 @@ def samples_before(slips: Sequence[Slip], count: int) -> int:
 
 def _is_outlier(f: Floats) -> Flags:
     """Flag samples far from the median of five, whose neighbours agree with each other."""
-    if len(f) < _MIN_BRANCH_SAMPLES:
+    if len(f) < _MIN_SEARCHED_SAMPLES:
         return np.zeros(len(f), dtype=np.bool_)
     steps = np.diff(f)
     usual = median(steps)
@@ -526,7 +527,7 @@ def _ledger_entry(
 def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
     """Return why what counts from a slack is as doubtful as the slack."""
     return tuple(
-        Reason(reason.code, sentence("results.doubtful_slack", why=reason.message))
+        Reason(reason.code, format_sentence("results.doubtful_slack", why=reason.message))
         for _, reason in measured_slack.doubts
     )
 
@@ -617,7 +618,7 @@ def toe_line(
     region = slice(first, last)
     if np.isnan(zero_of_line(d[region], f[region])):
         raise UnavailableError.of("results.not_rising")
-    return samples_of(finite[region])
+    return as_slice(finite[region])
 
 
 def _rise(force: Floats, height: float) -> int:
@@ -653,8 +654,8 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
         start_share=start_share,
         stop_share=stop_share,
     )
-    slack = on_part(zero_of_line, (stretch, region))
-    return Reading(slack, len(trace.force[stretch][region]), is_cut=True)
+    slack = read_part(zero_of_line, (stretch, region))
+    return Reading(slack, len(trace.force[stretch][region]), ends_at_samples=True)
 
 
 def counted_from_taut(
@@ -677,7 +678,9 @@ def counted_from_taut(
     """
     without_inputs = measured(replace(replicates, inputs=()), slack)
     draws = np.where(
-        np.isnan(without_inputs[0].off), np.nanmean(without_inputs[0].off), without_inputs[0].off
+        np.isnan(without_inputs[0].deviations),
+        np.nanmean(without_inputs[0].deviations),
+        without_inputs[0].deviations,
     )
     error = float(np.std(draws))
     inputs = tuple(
@@ -685,24 +688,24 @@ def counted_from_taut(
     )
     corrected = replace(replicates, inputs=inputs)
     if not error:
-        return corrected.displaced(-measured_slack.value)
+        return corrected.shift_displacement(-measured_slack.value)
     moved = partial(displaced, by=-error)
     of_slack = Input(SLACK, moved, draws=draws / error, doubts=doubts_of_slack(measured_slack))
-    return corrected.displaced(-measured_slack.value, of_slack)
+    return corrected.shift_displacement(-measured_slack.value, of_slack)
 
 
 def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     """Return an input with its effect on the slack."""
-    base = or_failure(slack)(smooth)
+    base = return_failure(slack)(smooth)
     if isinstance(base, Failure):
         return quantity
-    decided = SmoothNumbers.of(or_failure(slack), smooth, base)
-    less, more = (float(decided.changed(quantity, x)[0]) for x in (-1.0, 1.0))
+    decided = SmoothNumbers.of(return_failure(slack), smooth, base)
+    less, more = (float(decided.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
-        return displaced(quantity.moved(trace, x), x, by=less if x <= 0.0 else -more)
+        return displaced(quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more)
 
-    return replace(quantity, moved=moved)
+    return replace(quantity, perturb=moved)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

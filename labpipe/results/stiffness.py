@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, part_of, ratio, samples_of
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide, select_part
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     CURVE,
@@ -24,11 +24,12 @@ from labpipe.records.declarations import (
     Snake,
     StiffnessName,
 )
-from labpipe.records.estimates import Failure, UnavailableError, or_failure
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import (
+    FOOT_LIMIT_FACTOR,
     OfCycle,
     cut_short,
     cycle_of,
@@ -49,13 +50,9 @@ from labpipe.results.least_squares import (
 )
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness
 from labpipe.signal.filters import moving_average
-from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine, on_part
+from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine_numbers, read_part
 from labpipe.uncertainty.intervals import Measured
-
-_FOOT_LIMITS = 5.0
-"""The foot of the force, below this multiple of the limit, is taken as straight."""
-
 
 _MIN_FOOT_SAMPLES = 8
 
@@ -105,12 +102,12 @@ class TakeUp:
         Shapes (rows,), m and samples.
         """
         displacement, force = displacement[:, self.samples], force[:, self.samples]
-        limit = limits_by_noise(self.limit, force)[:, np.newaxis]
+        limit = scale_limit_by_noise(self.limit, force)[:, np.newaxis]
         within = force[:, : self.top] <= limit
         first = np.where(within.any(1), self.top - np.argmax(within[:, ::-1], 1), 0)
         low, count = int(first.min()), force.shape[1]
         numbers = np.arange(low, count)
-        beyond = (force[:, low:] > _FOOT_LIMITS * limit) & (numbers >= first[:, np.newaxis])
+        beyond = (force[:, low:] > FOOT_LIMIT_FACTOR * limit) & (numbers >= first[:, np.newaxis])
         last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
         last = np.maximum(last, first + _MIN_FOOT_SAMPLES)
         part = slice(low, min(int(last.max()), count))
@@ -168,21 +165,21 @@ def take_up(
     finite = finite_samples(displacement, force)
     require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
     d, f = displacement[finite], force[finite]
-    limit = noise_deviations * float(fast_noise(f)) if limit is None else limit
+    limit = noise_deviations * float(estimate_fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
         raise UnavailableError.of("results.no_force", largest=f[top], limit=limit)
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
-    beyond = np.flatnonzero(f[first:] > _FOOT_LIMITS * limit)
+    beyond = np.flatnonzero(f[first:] > FOOT_LIMIT_FACTOR * limit)
     least = steps * _MIN_FOOT_SAMPLES
     last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
     zero = float(zero_of_line(d[first:last], f[first:last]))
     is_line = not np.isnan(zero)
     if not len(within) and not (is_line and zero >= d[0] - max_extrapolation * float(np.ptp(d))):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
-    foot = samples_of(finite[first:last])
-    return TakeUp(samples_of(finite), top, int(finite[first]), foot, is_line, limit)
+    foot = as_slice(finite[first:last])
+    return TakeUp(as_slice(finite), top, int(finite[first]), foot, is_line, limit)
 
 
 _MIN_WINDOW_SAMPLES = 8
@@ -238,14 +235,14 @@ class WindowSlope:
 
     def _numbers(self, stretch: slice) -> Ints:
         """Return numbers in the branch of a range of the samples."""
-        samples = part_of(self.samples, stretch)
+        samples = select_part(self.samples, stretch)
         return np.arange(samples.start, samples.stop) if isinstance(samples, slice) else samples
 
     @property
     def window(self) -> Samples:
         """Return the samples of the branch within the window."""
         stretch, inside = self.inside()
-        return samples_of(self._numbers(stretch)[inside])
+        return as_slice(self._numbers(stretch)[inside])
 
     @property
     def n(self) -> int:
@@ -267,12 +264,12 @@ class WindowSlope:
         later, since : shape (...), as for `inside`
         """
         stretch, inside = self.inside(later, since)
-        samples, time = part_of(self.samples, stretch), self.time[stretch]
+        samples, time = select_part(self.samples, stretch), self.time[stretch]
         count = inside.sum(axis=-1)
         enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
-        middle = ratio(np.asarray(inside @ time), enough)
+        middle = divide(np.asarray(inside @ time), enough)
         weight = np.where(inside, time - middle[..., np.newaxis], 0.0)
-        return ratio(
+        return divide(
             np.vecdot(weight, force[..., samples]), np.vecdot(weight, displacement[..., samples])
         )
 
@@ -309,7 +306,7 @@ def window_slope(
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         raise UnavailableError.of("results.path_not_reached", reached=reached, needed=high)
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
-    samples = samples_of(finite_samples(displacement, force))
+    samples = as_slice(finite_samples(displacement, force))
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
     require_samples(fit.n, _MIN_WINDOW_SAMPLES)
     require_travel(displacement[fit.window])
@@ -335,7 +332,7 @@ def turn_at(trace: Trace, part: Branch) -> Callable[[Floats], Floats]:
     begin = begin[~np.isnan(trace.displacement[begin])]
     if len(begin) < _MIN_WINDOW_SAMPLES:
         return lambda values: np.asarray(values[..., part.start])
-    samples = samples_of(begin)
+    samples = as_slice(begin)
     weights = polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
@@ -516,7 +513,7 @@ def compliance_window(displacement: Floats, force: Floats, *, start: float, stop
     inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
     require_samples(len(inside), MIN_LINE_SAMPLES)
     require_travel(force[inside], "force")
-    return samples_of(inside)
+    return as_slice(inside)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -541,7 +538,7 @@ class UnloadingStiffness(OfCycle):
         def decide(trace: Trace) -> Reading:
             part, sense = unloading_of(cycle_of(trace, number)), sense_of(trace, trace.displacement)
             slope, n = unloading_slope(trace, part, length=self.over, sense=sense)
-            return Reading(on_part(slope, slice(None)), n)
+            return Reading(read_part(slope, slice(None)), n)
 
         return decide
 
@@ -565,8 +562,8 @@ class LoadingStiffness(OfCycle):
             part = cycle_of(trace, number)[0]
             parts, branch = on_branch(trace, part), slice(part.start, part.stop)
             fit = loading_slope(*parts, length=self.over, like=like, steps=trace.steps)
-            numbers, in_noise = on_part(fit.of, branch), on_part(fit.of_each, branch)
-            return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
+            numbers, in_noise = read_part(fit.of, branch), read_part(fit.of_each, branch)
+            return Reading(numbers, fit.slope.n, in_noise, ends_at_samples=True)
 
         return decide
 
@@ -586,7 +583,7 @@ class LoadingStiffness(OfCycle):
     def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
         curve = traced(test)
         parts = on_branch(curve, cycle_of(curve, number)[0])
-        fit = or_failure(loading_slope)(*parts, length=self.over)
+        fit = return_failure(loading_slope)(*parts, length=self.over)
         return None if isinstance(fit, Failure) else fit
 
 
@@ -609,18 +606,20 @@ class Hardening(Kind):
         first, *others = test.cycles
         stiffness = LoadingStiffness(over=self.over)
         before = stiffness.decider(test, 1)
-        base = or_failure(test.measure_one)(before)
+        base = return_failure(test.measure_one)(before)
         plain, doubts = stiffness.plain(test, first), stiffness.doubts(test, first)
         numbers = []
         for later in others:
             after = stiffness.decider(test, later[0].cycle)
-            decide = combine(lambda _, after, first: ratio(after, first), after, _first_of(before))
+            decide = combine_numbers(
+                lambda _, after, first: divide(after, first), after, _first_of(before)
+            )
             own = stiffness.plain(test, later)
             values = [own[0] / plain[0]] if own and plain else None
             numbers.append(
                 self.number(
                     test,
-                    or_failure(_above_noise)(test, decide, values, base),
+                    return_failure(_above_noise)(test, decide, values, base),
                     doubts=doubts + stiffness.doubts(test, later),
                     during=(first[0].start_time, later[0].stop_time),
                     part=f".{later[0].cycle}",
@@ -633,7 +632,7 @@ def _first_of(before: Decide) -> Decide:
     """Name the stiffness of the first cycle as missing if it is not available."""
 
     def decide(trace: Trace) -> Reading:
-        reading = or_failure(before)(trace)
+        reading = return_failure(before)(trace)
         if isinstance(reading, Failure):
             raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
         return reading
@@ -706,8 +705,8 @@ def _secant(trace: Trace, low: float, high: float) -> Reading:
     def with_own_window(path: Floats, force: Floats) -> Floats:
         return fit.of(path, force, middle - path[..., fit.window].mean(axis=-1))
 
-    numbers, in_noise = on_part(fit.of, branch), on_part(with_own_window, branch)
-    return Reading(numbers, fit.n, in_noise, is_cut=True)
+    numbers, in_noise = read_part(fit.of, branch), read_part(with_own_window, branch)
+    return Reading(numbers, fit.n, in_noise, ends_at_samples=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -781,7 +780,9 @@ class LineStiffness(Window):
         chosen = self.samples(trace)
         require_samples(len(chosen), MIN_LINE_SAMPLES)
         require_travel(trace.displacement[chosen])
-        return Reading(on_part(slope_of_line, samples_of(chosen)), len(chosen), is_cut=True)
+        return Reading(
+            read_part(slope_of_line, as_slice(chosen)), len(chosen), ends_at_samples=True
+        )
 
 
 class Context(NamedTuple):
@@ -812,7 +813,10 @@ class OfStiffness(Kind):
         stiffness = test.stiffnesses.get(self.of)
         if stiffness is None:
             raise test.unavailable(Failure.of("results.no_stiffness", name=self.of))
-        outcome, context = or_failure(self.outcome)(test, stiffness), self.context(test, stiffness)
+        outcome, context = (
+            return_failure(self.outcome)(test, stiffness),
+            self.context(test, stiffness),
+        )
         number = self.number(
             test,
             outcome,
@@ -844,7 +848,7 @@ class NormalisedStiffness(OfStiffness):
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
         trace = traced(test)
         peaks = {
-            cycle[0].cycle: or_failure(peak_of)(test, trace, cycle[0].cycle)
+            cycle[0].cycle: return_failure(peak_of)(test, trace, cycle[0].cycle)
             for cycle in test.cycles
         }
         readings = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
@@ -859,7 +863,7 @@ class NormalisedStiffness(OfStiffness):
         peak = test.measure_one(peak_force)
         if peak.value <= 3.0 * peak.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak.value)
-        quotient = combine(lambda _, one, peak: one / peak, stiffness.decide, peak_force)
+        quotient = combine_numbers(lambda _, one, peak: one / peak, stiffness.decide, peak_force)
         return test.measure_one(quotient)
 
 
@@ -882,10 +886,10 @@ class Modulus(OfStiffness):
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
         _area(self.area, test.setup.sizes)
-        return test.measure_one(combine(self._modulus, stiffness.decide))
+        return test.measure_one(combine_numbers(self._modulus, stiffness.decide))
 
     def _modulus(self, trace: Trace, stiffness: Floats) -> Floats:
-        area = or_failure(_area)(self.area, trace.sizes)
+        area = return_failure(_area)(self.area, trace.sizes)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
@@ -959,5 +963,5 @@ class ComplianceResult(Kind):
         slope = float(slope_of_line(f[window], d[window]))
         if slope <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=slope)
-        compliance = on_part(lambda d, f: slope_of_line(f, d), (stretch, window))
-        return Reading(compliance, len(d[window]), is_cut=True)
+        compliance = read_part(lambda d, f: slope_of_line(f, d), (stretch, window))
+        return Reading(compliance, len(d[window]), ends_at_samples=True)

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.declarations import Output
-from labpipe.records.estimates import UnavailableError, or_failure
+from labpipe.records.estimates import UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import Computed, marked_slips
@@ -315,7 +315,7 @@ def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
         ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet
         in the first or the last twentieth of the stretch.
     """
-    straight = or_failure(require_bend)(fit, smooth, drawn, hinges)
+    straight = return_failure(require_bend)(fit, smooth, drawn, hinges)
     if straight is not None:
         residuals, (start, stop) = hinges.scan.r, (1e3 * end for end in hinges.ends)
         rms = float(np.sqrt(residuals @ residuals / (len(residuals) - 2)))
@@ -391,11 +391,11 @@ class _TwoLines(Window):
         _, hinges = self._places(traced(test))
         measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
         if test.replicates is not None:
-            reading = or_failure(self.decide)(test.replicates.smooth)
+            reading = return_failure(self.decide)(test.replicates.smooth)
             if isinstance(reading, Reading):
                 smooth = Segments(*reading.numbers(test.replicates.smooth))
         drawn = Segments(
-            *(value + number.off for value, number in zip(smooth, numbers, strict=True))
+            *(value + number.deviations for value, number in zip(smooth, numbers, strict=True))
         )
         require(measured, smooth, drawn, hinges)
         return _TwoLineFit(numbers, hinges)
@@ -416,7 +416,7 @@ class _TwoLines(Window):
         def numbers(trace: Trace) -> Segments:
             return hinges.fitted(trace.force[..., part], trace.displacement[..., part])
 
-        return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
+        return Reading(numbers, len(hinges.scan.d), ends_at_samples=True, depends_on_corners=True)
 
     def one_of(self, trace: Trace, *, number: int) -> Reading:
         """Choose the places for one of the numbers.

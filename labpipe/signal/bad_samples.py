@@ -9,7 +9,7 @@ from math import log, pi, sqrt
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, median
-from labpipe.signal.turning_points import noise_level, noise_of_differences
+from labpipe.signal.turning_points import convert_to_noise, estimate_noise_level
 
 _UNUSUAL_RUN_FACTOR = 4.0
 """Times the usual run length of the channel."""
@@ -40,7 +40,7 @@ class StuckRun:
     is_clipped: bool
 
 
-def stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> list[StuckRun]:
+def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> list[StuckRun]:
     """Find runs in which a channel repeats a value although its quantity changes.
 
     Parameters
@@ -75,13 +75,13 @@ def stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> lis
     long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
     several = np.flatnonzero(lengths >= min_run)
     ends = several[channel.is_extreme(starts[several])]
-    stuck_runs = []
+    find_stuck_runs = []
     for run in np.union1d(long, ends).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
         is_clipped = bool(channel.is_extreme(np.array([start]))[0])
         if channel.is_stuck(start, stop, is_clipped=is_clipped):
-            stuck_runs.append(StuckRun(start, stop, is_clipped))
-    return stuck_runs
+            find_stuck_runs.append(StuckRun(start, stop, is_clipped))
+    return find_stuck_runs
 
 
 def _runs(values: Floats) -> tuple[Ints, Ints]:
@@ -100,7 +100,7 @@ class _Channel:
 
     Parameters
     ----------
-    time, values, other : as for `stuck_runs`
+    time, values, other : as for `find_stuck_runs`
     lengths : lengths of its runs, in samples
     """
 
@@ -155,7 +155,7 @@ class _Channel:
     @cached_property
     def other_noise(self) -> float:
         """Return the noise of the other quantity."""
-        return 0.0 if self.other is None else noise_level(self.other)
+        return 0.0 if self.other is None else estimate_noise_level(self.other)
 
     @cached_property
     def longest_by_chance(self) -> float:
@@ -321,7 +321,7 @@ def _longest_by_chance(values: Floats, lengths: Ints, usual: float, resolution: 
     if len(third) < 20:
         return float("inf")
     size = median(np.abs(second, out=second))
-    noise = noise_of_differences(size)
+    noise = convert_to_noise(size)
     if not noise > resolution or median(np.abs(third, out=third)) < min_white_ratio * size:
         return float("inf")  # no noise, or a smooth curve
     equal_chance = resolution / (2.0 * sqrt(pi) * noise)  # of two neighbours

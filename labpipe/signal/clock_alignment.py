@@ -12,12 +12,12 @@ from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.turning_points import Stroke, find_strokes
-from labpipe.uncertainty.autocorrelation import long_run_variance
+from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 _MIN_BINS = 50
 
 
-def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float) -> Floats:
+def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float) -> Floats:
     """Find the times of the upper turning points of a signal, to within about `smoothing`.
 
     Parameters
@@ -272,7 +272,7 @@ def _lag_correction(
     difference = (later - earlier)[valid]
     solution = np.linalg.lstsq(design, difference, rcond=None)[0]
     residuals = difference - design @ solution
-    variance = long_run_variance(residuals, parameters=len(columns))
+    variance = estimate_long_run_variance(residuals, parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
     # If the lag is too large by tau, y(t + lag) - y(t) = tau y'(t): the correction is negative.
     reliability = max(0.1, 1.0 - _slope_noise(time, residuals) * float(covariance[0, 0]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.uncertainty.autocorrelation import long_run_variance
+from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +48,17 @@ def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> C
     y = v + a min(t - c, 0) + b max(t - c, 0); v, a, b by linear least squares for every c on a
     grid, then all together by Gauss-Newton. Long records are averaged in 600 to 1200
     bins per side first. Standard errors use the long-run variance of the residuals
-    (`long_run_variance`). NaN are ignored.
+    (`estimate_long_run_variance`). NaN are ignored.
     """
     # Where there are as many samples.
     min_bins_per_side, min_side_samples = 600, 4
     chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
     size = int(chosen.sum()) // (2 * min_bins_per_side)
-    t, y = block_means(time[chosen] - near, values[chosen], size)
+    t, y = average_pairs(time[chosen] - near, values[chosen], size)
     if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
-    coarse = block_means(t, y, len(t) // 200)
+    coarse = average_pairs(t, y, len(t) // 200)
     costs = [_joint_fit(*coarse, corner_time)[1] for corner_time in grid]
     corner_time = float(grid[int(np.argmin(costs))])
     parameters = np.append(_joint_fit(t, y, corner_time)[0], corner_time)
@@ -132,7 +132,7 @@ def fit_stop(
 def _corner(
     jacobian: Floats, misfit: Floats, parameters: Floats, near: float, count: int
 ) -> Corner:
-    variance = long_run_variance(misfit, parameters=jacobian.shape[1])
+    variance = estimate_long_run_variance(misfit, parameters=jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     information = (jacobian / scale).T @ (jacobian / scale)
@@ -148,7 +148,7 @@ def _corner(
     )
 
 
-def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
+def average_pairs(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
     """Average consecutive samples; unlike picking samples, this does not alias hum.
 
     Parameters

@@ -13,7 +13,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.signals import Filter
 
 
-def window_length(span: float, count: int) -> int:
+def compute_window(span: float, count: int) -> int:
     """Turn the span of MATLAB's ``smooth`` into an odd number of samples.
 
     Parameters
@@ -37,7 +37,7 @@ def window_length(span: float, count: int) -> int:
 
     Examples
     --------
-    >>> window_length(0.05, 2650), window_length(6, 100), window_length(500, 12)
+    >>> compute_window(0.05, 2650), compute_window(6, 100), compute_window(500, 12)
     (133, 5, 11)
     """
     if not span > 0 or count < 1:
@@ -169,7 +169,7 @@ def _line_through(rows: Floats, number: Floats, places: Floats) -> Floats:
     return line
 
 
-def in_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
+def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
     """Filter a signal piece by piece, so that no filter smooths a corner or a loss.
 
     Parameters
@@ -261,4 +261,4 @@ def seconds_to_window(span: float, time: Floats) -> int:
     if len(time) < 2:
         return 1
     step = float(np.median(np.diff(time[: min(len(time), 100_000)])))
-    return window_length(max(1.0, round(span / step, 6)), len(time))
+    return compute_window(max(1.0, round(span / step, 6)), len(time))

@@ -6,8 +6,8 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, median, stretches_of
-from labpipe.signal.turning_points import noise_level
+from labpipe.records.arrays import Floats, find_runs, median
+from labpipe.signal.turning_points import estimate_noise_level
 
 
 def moves_at_end(time: Floats, values: Floats) -> bool:
@@ -33,7 +33,7 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
         return False
     speed, steps = abs(travel) / lasts, np.abs(np.diff(values))
     resolution = float(steps[steps > 1e-9 * abs(travel)].min())
-    noise = max(noise_level(values), resolution / sqrt(12.0))
+    noise = max(estimate_noise_level(values), resolution / sqrt(12.0))
     time_step, size = median(np.diff(time)), 3
     while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / time_step > max_error * speed:
         size += max(1, size // 4)
@@ -42,9 +42,7 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
     return slope * float(np.sign(travel)) >= min_end_speed * speed
 
 
-def standing_stretches(
-    time: Floats, values: Floats, *, size: int, speed: float
-) -> list[tuple[int, int]]:
+def find_rests(time: Floats, values: Floats, *, size: int, speed: float) -> list[tuple[int, int]]:
     """Find the rests within or at the ends of a motion in one direction.
 
     Parameters
@@ -77,18 +75,23 @@ def standing_stretches(
     mean_times = time[: count * size].reshape(count, size).mean(axis=1)
     means = values[: count * size].reshape(count, size).mean(axis=1)
     speeds = np.abs(np.diff(means)) / np.diff(mean_times)
-    noise = noise_factor * sqrt(2.0 / size) * noise_level(values) / (size * median(np.diff(time)))
+    noise = (
+        noise_factor
+        * sqrt(2.0 / size)
+        * estimate_noise_level(values)
+        / (size * median(np.diff(time)))
+    )
     if not speed > 3.0 * noise:
         return []
-    standing_stretches = []
-    for start, stop in stretches_of(speeds <= max(rest_speed_share * speed, noise)):
+    find_rests = []
+    for start, stop in find_runs(speeds <= max(rest_speed_share * speed, noise)):
         inner = start > 0 and stop < len(speeds)
         if stop - start >= (min_steps if inner else min_steps_at_turn):
-            standing_stretches.append((start * size, (stop + 1) * size))
-    return standing_stretches
+            find_rests.append((start * size, (stop + 1) * size))
+    return find_rests
 
 
-def samples_at_rest(values: Floats) -> int:
+def count_rest_samples(values: Floats) -> int:
     """Count the samples of a stretch before it begins to move.
 
     Parameters
@@ -127,7 +130,7 @@ def samples_at_rest(values: Floats) -> int:
     return int(corners[best]) if gain > max(min_variances * variance, min_share * line) else 0
 
 
-def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
+def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
     """Find single steps that are far larger than those before and after them.
 
     Parameters
@@ -157,13 +160,13 @@ def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
         return ()
     steps = np.diff(v)
     speeds = np.abs(steps) / np.diff(time[valid])
-    least = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * noise_level(v))
-    level_jumps = []
+    least = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * estimate_noise_level(v))
+    find_level_jumps = []
     for sample in np.flatnonzero(np.abs(steps) > least).tolist():
         before = speeds[max(sample - neighbours, 0) : sample]
         after = speeds[sample + 1 : sample + 1 + neighbours]
         if min(len(before), len(after)) < neighbours:
             continue
         if speeds[sample] > jump_speed_factor * float(np.concatenate([before, after]).max()):
-            level_jumps.append((int(valid[sample + 1]), float(steps[sample])))
-    return tuple(level_jumps)
+            find_level_jumps.append((int(valid[sample + 1]), float(steps[sample])))
+    return tuple(find_level_jumps)

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from labpipe.records.arrays import Floats
-from labpipe.signal.corners import Corner, block_means
-from labpipe.uncertainty.autocorrelation import long_run_variance
+from labpipe.signal.corners import Corner, average_pairs
+from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 _FIXED = 5
 """Columns: height, slopes before and after, curvatures before and after."""
@@ -116,7 +116,7 @@ def fit_reversal(
     first_half_width = 0.15
     chosen = (time >= near - window) & (time <= near + window + dwell) & ~np.isnan(values)
     count, wait = int(chosen.sum()), dwell / window
-    t, y = block_means((time[chosen] - near) / window, values[chosen], count // min_bins)
+    t, y = average_pairs((time[chosen] - near) / window, values[chosen], count // min_bins)
     if min((t < -_REACH).sum(), (t > wait + _REACH).sum()) < _FIXED or np.ptp(y) == 0.0:
         return None
     variance = _white_noise(y)
@@ -276,7 +276,7 @@ def _residual_noise(t: Floats, y: Floats, grid: _Grid, variance: float, wait: fl
     place, rough = np.unravel_index(int(np.argmax(grid.likelihood)), grid.likelihood.shape)
     residuals = y - grid.curves[place, rough] @ _design(t, grid.places[[place]], wait)[0]
     spent = int(np.ceil(np.trace(grid.inverse[place, rough] @ grid.gram[place])))
-    noise = long_run_variance(residuals, parameters=spent)
+    noise = estimate_long_run_variance(residuals, parameters=spent)
     return max(noise, 1e-18 * float(np.ptp(y)) ** 2) if np.isfinite(noise) else variance
 
 

@@ -49,10 +49,10 @@ def goes_down(values: Floats) -> bool:
     size = max(1, len(valid) // 100)
     ends = float(valid[:size].mean()), float(valid[-size:].mean())
     up, down = float(valid.max()) - max(ends), min(ends) - float(valid.min())
-    return down > up and down - up > 5.0 * noise_level(valid)  # slow, so computed last
+    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # slow, so computed last
 
 
-def noise_level(values: Floats) -> float:
+def estimate_noise_level(values: Floats) -> float:
     """Estimate the standard deviation of white noise on a smooth signal.
 
     Parameters
@@ -70,10 +70,10 @@ def noise_level(values: Floats) -> float:
     """
     second = np.diff(values, n=2)
     second = second[~np.isnan(second)]
-    return noise_of_differences(median(np.abs(second))) if len(second) > 2 else 0.0
+    return convert_to_noise(median(np.abs(second))) if len(second) > 2 else 0.0
 
 
-def noise_of_differences(second: float) -> float:
+def convert_to_noise(second: float) -> float:
     """Return the standard deviation of white noise from its median absolute second difference.
 
     Parameters
@@ -120,7 +120,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     extremes = _extremes(motion, min_stroke)
     if not extremes:
         return ()
-    tolerance = 5.0 * noise_level(motion)
+    tolerance = 5.0 * estimate_noise_level(motion)
     stays = [
         (
             _stay(time, motion, (turn, before), tolerance),
@@ -279,7 +279,7 @@ def split_branches(
     return tuple(branches)
 
 
-def branch_numbers(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Ints]:
+def number_branches(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Ints]:
     """Return branch and cycle number of every sample.
 
     Parameters
@@ -300,7 +300,7 @@ def branch_numbers(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Ints
     return branch, cycle
 
 
-def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:
+def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:
     """Find where the slope of a signal drops most.
 
     Parameters
@@ -327,7 +327,7 @@ def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None
     if levels is None:
         return None
     middles, level = levels
-    if np.ptp(level) < range_noise_factor * noise_level(level):
+    if np.ptp(level) < range_noise_factor * estimate_noise_level(level):
         return None
     bend, after = _slope_drops(level)
     inner = level[_BLOCKS:-_BLOCKS] - level.min()
@@ -336,7 +336,7 @@ def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None
     return float(middles[best + _BLOCKS]) if drop[best] > 0.0 else None
 
 
-def turn_near(
+def find_turn_near(
     time: Floats, values: Floats, *, near: float, reach: float, width: float, dwell: float
 ) -> float | None:
     """Find roughly where a signal stops rising, before it falls after a known dwell.

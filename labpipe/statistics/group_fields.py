@@ -19,7 +19,7 @@ NOT_SAID = "not stated"
 """Text for a field that the test sheets of a group do not state."""
 
 
-def fields_of(specimen: Specimen) -> dict[str, str]:
+def list_fields(specimen: Specimen) -> dict[str, str]:
     """Return all fields that a specimen can be grouped by, as text.
 
     Parameters
@@ -32,25 +32,25 @@ def fields_of(specimen: Specimen) -> dict[str, str]:
 
     Examples
     --------
-    >>> fields_of(Specimen("A2", "A2-s1", "1", {"length": 0.085}))
+    >>> list_fields(Specimen("A2", "A2-s1", "1", {"length": 0.085}))
     {'type': 'A2', 'spool': 'A2-s1', 'length': '85 mm'}
     """
-    sizes = {name: size_words(size) for name, size in specimen.dimensions.items()}
+    sizes = {name: format_size(size) for name, size in specimen.dimensions.items()}
     bore = specimen.bundle.conduit_bore if specimen.bundle is not None else None
-    return dict(specimen.fields) | sizes | ({} if bore is None else {BORE: size_words(bore)})
+    return dict(specimen.fields) | sizes | ({} if bore is None else {BORE: format_size(bore)})
 
 
-def size_words(size: float) -> str:
+def format_size(size: float) -> str:
     """Write a size in mm, such as ``85 mm``."""
     return f"{1e3 * size:.4g} mm"
 
 
-def known_fields(specimens: Iterable[Specimen]) -> list[str]:
+def list_field_names(specimens: Iterable[Specimen]) -> list[str]:
     """List the fields that any of the specimens has, each once."""
-    return list(dict.fromkeys(name for specimen in specimens for name in fields_of(specimen)))
+    return list(dict.fromkeys(name for specimen in specimens for name in list_fields(specimen)))
 
 
-def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
+def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
     """Return the fields that are the same in all samples of a group.
 
     Parameters
@@ -61,16 +61,16 @@ def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
     -------
     Text by field; for a dimension that varies by at most 1 %, that of the mean.
     """
-    shared_fields: dict[str, str] = {}
-    all_fields = [fields_of(sample.specimen) for sample in samples]
-    for name in known_fields(sample.specimen for sample in samples):
+    shared: dict[str, str] = {}
+    all_fields = [list_fields(sample.specimen) for sample in samples]
+    for name in list_field_names(sample.specimen for sample in samples):
         values = {fields.get(name) for fields in all_fields}
         sizes = _sizes(samples, name)
         if len(values) == 1:
-            shared_fields[name] = all_fields[0][name]
+            shared[name] = all_fields[0][name]
         elif len(sizes) == len(samples) and _are_alike(sizes):
-            shared_fields[name] = size_words(sum(sizes) / len(sizes))
-    return shared_fields
+            shared[name] = format_size(sum(sizes) / len(sizes))
+    return shared
 
 
 def _sizes(samples: Iterable[Sample], name: str) -> list[float]:
@@ -82,21 +82,21 @@ def _are_alike(sizes: Sequence[float]) -> bool:
     return max(sizes) - min(sizes) <= 0.01 * max(map(abs, sizes))
 
 
-def varying_fields(group: Group) -> tuple[str, ...]:
+def find_varying_fields(group: Group) -> tuple[str, ...]:
     """Return the fields that vary within a group, except for the spool.
 
     Parameters
     ----------
     group : a varying composition is named instead of its wires and numbers
     """
-    every = known_fields(sample.specimen for sample in group.samples)
+    every = list_field_names(sample.specimen for sample in group.samples)
     varying = [name for name in every if name not in group.fields and name != SPOOL]
     if "composition" in varying:
         varying = [name for name in varying if name not in {"wire", "number"}]
     return tuple(varying)
 
 
-def differing_fields(
+def find_differing_fields(
     first: Group, second: Group, by: Sequence[str] = (TYPE,)
 ) -> dict[str, tuple[str, str]]:
     """Return the fields in which two groups differ.
@@ -113,7 +113,7 @@ def differing_fields(
     two has none; the bore and the section of a conduit if the conduits differ; the arrangement if a
     bundle has wires of one kind only. Dimensions differ by more than 1 %.
     """
-    varying = {*varying_fields(first), *varying_fields(second)}
+    varying = {*find_varying_fields(first), *find_varying_fields(second)}
     if "composition" in varying:
         varying |= {"wire", "number"} - (first.fields.keys() & second.fields.keys())
     names = dict.fromkeys((*first.fields, *second.fields))
@@ -164,7 +164,7 @@ def _dependent(
     return dependent
 
 
-def in_order(name: str, word: str) -> tuple[object, ...]:
+def make_field_sort_key(name: str, word: str) -> tuple[object, ...]:
     """Return a sort key for values of a field: ``none`` first, more tape later, 7 before 12.
 
     Parameters
@@ -174,17 +174,17 @@ def in_order(name: str, word: str) -> tuple[object, ...]:
 
     Examples
     --------
-    >>> sorted(["half-lap", "none", "coarse"], key=lambda word: in_order("taping", word))
+    >>> sorted(["half-lap", "none", "coarse"], key=lambda word: make_field_sort_key("taping", word))
     ['none', 'coarse', 'half-lap']
     """
     if name == "taping" and word in TAPINGS:
         return 0, TAPINGS.index(word)
     if word in {NONE, NOT_SAID}:
         return (0,)
-    return 1, natural_order(word)
+    return 1, make_natural_sort_key(word)
 
 
-def natural_order(text: str) -> tuple[tuple[int, str], ...]:
+def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
     """Return a sort key with 7 before 12."""
     parts = split(r"(\d+)", text)
     return tuple((int(part), "") if part.isdecimal() else (0, part) for part in parts)
@@ -195,7 +195,7 @@ _OF_BUNDLES = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Subset:
     """Samples of a type that have the same fields.
 
     Parameters
@@ -208,7 +208,7 @@ class Part:
     samples: tuple[Sample, ...]
 
 
-def divide(samples: Sequence[Sample]) -> list[Part]:
+def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
     """Divide samples by every dimension and every field of the specimen that differs.
 
     Parameters
@@ -234,7 +234,7 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
         if len(set(finer)) > len(set(keys)):
             keys, named = finer, [*named, name]
     return [
-        Part(
+        Subset(
             dict(zip(named, word, strict=True)),
             tuple(sample for sample, key in zip(samples, keys, strict=True) if key == word),
         )
@@ -244,7 +244,7 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
 
 def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
     """Return the fields that may divide, with the value of each sample."""
-    all_fields = [fields_of(sample.specimen) for sample in samples]
+    all_fields = [list_fields(sample.specimen) for sample in samples]
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
     labels = dict.fromkeys(name for specimen in specimens for name in specimen.labels)
@@ -279,5 +279,5 @@ def _size_texts(sizes: Sequence[float | None]) -> list[str]:
     texts: dict[float | None, str] = {None: NOT_SAID}
     for cluster in together:
         every = [size for size in sizes if size is not None and size in cluster]
-        texts |= dict.fromkeys(cluster, size_words(sum(every) / len(every)))
+        texts |= dict.fromkeys(cluster, format_size(sum(every) / len(every)))
     return [texts[size] for size in sizes]

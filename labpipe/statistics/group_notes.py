@@ -17,7 +17,7 @@ _IN_COMPOSITION = ("wire", "number")
 PROTOCOLS_DIFFER = "protocols_differ"
 
 
-def sample_keys(samples: Sequence[Sample]) -> list[str]:
+def name_samples(samples: Sequence[Sample]) -> list[str]:
     """Return a unique name of each sample: its test, with the file if two tests share one.
 
     Parameters
@@ -35,7 +35,7 @@ def sample_keys(samples: Sequence[Sample]) -> list[str]:
     ]
 
 
-def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+def make_sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     """Return notes on missing, single, repeated and differing samples.
 
     Parameters
@@ -91,12 +91,12 @@ def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
 def _unlike(samples: Sequence[Sample], name: str) -> str:
     """Describe which samples have which value of a field, or return empty for one value."""
     tests_by_value: dict[str, list[str]] = {}
-    for key, sample in zip(sample_keys(samples), samples, strict=True):
+    for key, sample in zip(name_samples(samples), samples, strict=True):
         tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
-    return f"{name}: {parted(tests_by_value)}" if len(tests_by_value) > 1 else ""
+    return f"{name}: {describe_values(tests_by_value)}" if len(tests_by_value) > 1 else ""
 
 
-def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
+def make_grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
     """Return notes on the grouping of samples.
 
     Parameters
@@ -111,7 +111,7 @@ def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[Quali
     return notes
 
 
-def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
+def make_number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
     """Return notes on means with doubtful values, and on numbers not tested for outliers.
 
     Parameters
@@ -130,7 +130,7 @@ def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
     return notes
 
 
-def too_few_for_outliers(spools: Sequence[str]) -> str:
+def describe_missing_samples(spools: Sequence[str]) -> str:
     """Return why no sample can be marked as an outlier, or empty.
 
     Parameters
@@ -150,10 +150,10 @@ def _too_few(number: GroupNumber) -> str:
     if number.mean is None:
         return ""
     spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
-    return too_few_for_outliers(spools)
+    return describe_missing_samples(spools)
 
 
-def ways_of(number: GroupNumber) -> dict[str, list[str]]:
+def group_by_method(number: GroupNumber) -> dict[str, list[str]]:
     """Return the tests by the method of their number.
 
     Parameters
@@ -171,7 +171,7 @@ def ways_of(number: GroupNumber) -> dict[str, list[str]]:
     return tests_by_method
 
 
-def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
+def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
     """Find numbers with several methods, and those that depend on them.
 
     Parameters
@@ -184,7 +184,7 @@ def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
     """
     ways_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
-    for key, sample in zip(sample_keys(samples), samples, strict=True):
+    for key, sample in zip(name_samples(samples), samples, strict=True):
         for result in sample.results:
             if result.value is not None:
                 ways_by_name.setdefault(result.name, {}).setdefault(result.method, []).append(key)
@@ -198,7 +198,7 @@ def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
     return mixed_ways | of_these
 
 
-def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
+def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
     """List the tests whose number has another method, and is not averaged with the others.
 
     Parameters
@@ -212,7 +212,7 @@ def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
     test.
     """
     left_out: dict[str, dict[str, Reason]] = {}
-    for name, ways in mixed(samples).items():
+    for name, ways in find_mixed_methods(samples).items():
         usual = max(ways, key=lambda way: len(ways[way]))
         others = {
             key: Reason.of("statistics.made_otherwise", way=way or "no stated method", usual=usual)
@@ -224,14 +224,14 @@ def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
     return left_out
 
 
-def method_notes(
+def make_method_notes(
     made_otherwise: Mapping[str, Mapping[str, Reason]], samples: Sequence[Sample]
 ) -> list[QualityNote]:
     """Warn of numbers with different methods.
 
     Parameters
     ----------
-    made_otherwise : as `otherwise_made` gives them
+    made_otherwise : as `find_other_methods` gives them
     samples : of the group, with their decisions on slips
 
     Returns
@@ -248,29 +248,31 @@ def method_notes(
         for decision in dict.fromkeys(slip.decision for slip in sample.slips):
             decisions.setdefault(decision, []).append(sample.test)
     if len(decisions) > 1:
-        note = QualityNote.of("statistics.slips_differ", "slips", decisions=parted(decisions))
-        notes.append(replace(note, tests=tests_with_fewer_facts(decisions)))
+        note = QualityNote.of(
+            "statistics.slips_differ", "slips", decisions=describe_values(decisions)
+        )
+        notes.append(replace(note, tests=list_minority_tests(decisions)))
     return notes
 
 
-def tests_with_fewer_facts(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """List the tests outside the largest set of `parted`.
+def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """List the tests outside the largest set of `describe_values`.
 
     Examples
     --------
-    >>> tests_with_fewer_facts({"2 mm": ["a", "b"], "1 mm": ["f"]})
+    >>> list_minority_tests({"2 mm": ["a", "b"], "1 mm": ["f"]})
     ('f',)
     """
     *others, _ = sorted(tests.values(), key=len)
     return tuple(dict.fromkeys(test for entries in others for test in entries))
 
 
-def parted(tests: Mapping[str, Sequence[str]]) -> str:
+def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
     """Describe which tests have which value, the most frequent one last.
 
     Examples
     --------
-    >>> parted({"2 mm": ["a", "b", "c", "d", "e"], "1 mm": ["f"]})
+    >>> describe_values({"2 mm": ["a", "b", "c", "d", "e"], "1 mm": ["f"]})
     '1 mm (f) and 2 mm (the other 5)'
     """
     max_named_tests = 4
@@ -282,9 +284,9 @@ def parted(tests: Mapping[str, Sequence[str]]) -> str:
     return f"{'; '.join(parts[:-1])} and {parts[-1]}"
 
 
-def method_caveats(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:
+def make_method_caveats(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:
     """Return a caveat if a number of two groups was computed by different methods."""
-    first, second = list(ways_of(one)), list(ways_of(two))
+    first, second = list(group_by_method(one)), list(group_by_method(two))
     if sorted(first) == sorted(second) and len(first) == 1:
         return ()
     return (f"not made alike: {' or '.join(first)} against {' or '.join(second)}",)

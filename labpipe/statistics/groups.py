@@ -10,27 +10,27 @@ import numpy as np
 from labpipe.records.group import Difference, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.statistics.group_fields import natural_order, shared_fields
+from labpipe.statistics.group_fields import find_shared_fields, make_natural_sort_key
 from labpipe.statistics.group_notes import (
-    method_caveats,
-    method_notes,
-    number_notes,
-    otherwise_made,
-    sample_keys,
-    sample_notes,
+    find_other_methods,
+    make_method_caveats,
+    make_method_notes,
+    make_number_notes,
+    make_sample_notes,
+    name_samples,
 )
-from labpipe.statistics.mean_curves import loading_band, scaled_band
+from labpipe.statistics.mean_curves import average_loading, average_scaled_loading
 from labpipe.statistics.means import (
     DEFAULT_LIMITS,
     PoolingLimits,
     add_common_causes,
-    can_be_on_a_log_scale,
-    nested_mean,
-    on_log_scale,
+    are_positive,
+    compute_nested_mean,
+    convert_to_log_scale,
 )
-from labpipe.statistics.two_groups import compare
+from labpipe.statistics.two_groups import compare_means
 
-__all__ = ["PoolingLimits", "build_group", "compare_groups", "group_number"]
+__all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
 
 
 def build_group(
@@ -64,10 +64,10 @@ def build_group(
     """
     ordered = tuple(sorted(samples, key=_order))
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
-    made_otherwise = otherwise_made(ordered)
+    made_otherwise = find_other_methods(ordered)
     numbers = tuple(
         replace(
-            group_number(
+            average_result(
                 name,
                 ordered,
                 limits,
@@ -78,25 +78,27 @@ def build_group(
         )
         for name in names
     )
-    band, notes = loading_band(ordered, limits)
-    share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
+    band, notes = average_loading(ordered, limits)
+    share, share_notes = average_scaled_loading(ordered, limits) if scaled else (None, [])
     all_notes = (
-        *method_notes(made_otherwise, ordered),
-        *sample_notes(ordered),
-        *number_notes(numbers),
+        *make_method_notes(made_otherwise, ordered),
+        *make_sample_notes(ordered),
+        *make_number_notes(numbers),
         *notes,
         *share_notes,
     )
-    return Group(name, protocol, ordered, numbers, band, share, all_notes, shared_fields(ordered))
+    return Group(
+        name, protocol, ordered, numbers, band, share, all_notes, find_shared_fields(ordered)
+    )
 
 
 def _order(sample: Sample) -> list[tuple[tuple[int, str], ...]]:
     """Return a sort key with sample 2 before sample 10."""
     parts = (sample.specimen.spool, sample.specimen.sample, sample.test, sample.source)
-    return list(map(natural_order, parts))
+    return list(map(make_natural_sort_key, parts))
 
 
-def group_number(
+def average_result(
     name: str,
     samples: Sequence[Sample],
     limits: PoolingLimits = DEFAULT_LIMITS,
@@ -112,8 +114,8 @@ def group_number(
     samples : with or without it
     limits : when spools may be pooled
     without : samples whose number is excluded from the mean, and why
-    is_signed : whether it can be negative; else intervals are on a log scale (`on_log_scale`), if
-        no value is zero or below
+    is_signed : whether it can be negative; else intervals are on a log scale
+        (`convert_to_log_scale`), if no value is zero or below
 
     Returns
     -------
@@ -123,7 +125,7 @@ def group_number(
     """
     results = {
         key: next((result for result in sample.results if result.name == name), None)
-        for key, sample in zip(sample_keys(samples), samples, strict=True)
+        for key, sample in zip(name_samples(samples), samples, strict=True)
     }
     spools = dict(zip(results, (sample.specimen.spool for sample in samples), strict=True))
     units = [finding.unit for finding in results.values() if finding is not None]
@@ -165,9 +167,9 @@ def _nested(
         name: np.array([result.value for result in results], dtype=np.float64)
         for name, results in spools.items()
     }
-    mean = add_common_causes(nested_mean(values, limits), spools)
+    mean = add_common_causes(compute_nested_mean(values, limits), spools)
     every = [result for results in spools.values() for result in results]
-    return mean if is_signed or not can_be_on_a_log_scale(every) else on_log_scale(mean)
+    return mean if is_signed or not are_positive(every) else convert_to_log_scale(mean)
 
 
 def compare_groups(
@@ -185,7 +187,7 @@ def compare_groups(
     Returns
     -------
     One per result that has a mean in both groups and one unit, in the order of `names`, without a
-    verdict (`judged`), with a caveat if the methods of the two differ.
+    verdict (`judge_family`), with a caveat if the methods of the two differ.
     """
     one = {number.name: number for number in first.numbers}
     two = {number.name: number for number in second.numbers}
@@ -196,7 +198,7 @@ def compare_groups(
             continue
         if first_number.mean is not None and second_number.mean is not None:
             means = (first.name, first_number.mean), (second.name, second_number.mean)
-            difference = compare(name, first_number.unit, *means, margin)
-            caveats = (*difference.caveats, *method_caveats(first_number, second_number))
+            difference = compare_means(name, first_number.unit, *means, margin)
+            caveats = (*difference.caveats, *make_method_caveats(first_number, second_number))
             differences.append(replace(difference, caveats=caveats))
     return tuple(differences)

@@ -8,11 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, special
 
-from labpipe.records.arrays import Floats, block_means
+from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.group import Band, NestedMean, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.statistics.group_notes import sample_keys
-from labpipe.statistics.means import DEFAULT_LIMITS, LEVEL, PoolingLimits, nested_mean, t_quantile
+from labpipe.statistics.group_notes import name_samples
+from labpipe.statistics.means import (
+    DEFAULT_LIMITS,
+    LEVEL,
+    PoolingLimits,
+    compute_nested_mean,
+    compute_t_quantile,
+)
 
 _CURVE_POINTS = 500
 """Points of a curve before averaging, each the mean of its samples: faster noise has no information
@@ -21,7 +27,7 @@ N_DISPLACEMENTS = 201
 """Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
 
-def loading_band(
+def average_loading(
     samples: Sequence[Sample],
     limits: PoolingLimits = DEFAULT_LIMITS,
     *,
@@ -37,38 +43,38 @@ def loading_band(
 
     Returns
     -------
-    The band, reduced for few curves (`without_band`), and notes. Over spool means unless the mean
+    The band, reduced for few curves (`reduce_band`), and notes. Over spool means unless the mean
     forces over the common range allow pooling: one decision for the whole curve, since the width of
     a band with a decision at every displacement would jump.
     """
     drawn = [
         (key, sample)
-        for key, sample in zip(sample_keys(samples), samples, strict=True)
+        for key, sample in zip(name_samples(samples), samples, strict=True)
         if sample.loading and (divisors is None or key in divisors)
     ]
     curves = [
         (
-            block_means(sample.loading[0].displacement, _CURVE_POINTS),
-            block_means(sample.loading[0].force, _CURVE_POINTS) / (divisors or {}).get(key, 1.0),
+            average_blocks(sample.loading[0].displacement, _CURVE_POINTS),
+            average_blocks(sample.loading[0].force, _CURVE_POINTS) / (divisors or {}).get(key, 1.0),
         )
         for key, sample in drawn
     ]
-    shared = common_curves(curves, [key for key, _ in drawn])
+    shared = interpolate_curves(curves, [key for key, _ in drawn])
     notes = [*_curve_notes(samples, shared)]
     if not len(shared.displacement):
-        return mean_band(shared), notes
+        return compute_band(shared), notes
     spools = [sample.specimen.spool for _, sample in drawn]
     decision = _curve_decision(shared, spools, limits)
     if len(set(spools)) > 1:
         why = decision.decision
         notes.append(QualityNote.of("statistics.curve_pooling", "group", decision=why))
     if decision.is_pooled:
-        return without_band(mean_band(shared)), notes
-    band = mean_band(_spool_curves(shared, spools), members="spool means")
-    return without_band(band), notes
+        return reduce_band(compute_band(shared)), notes
+    band = compute_band(_spool_curves(shared, spools), members="spool means")
+    return reduce_band(band), notes
 
 
-def without_band(band: Band) -> Band:
+def reduce_band(band: Band) -> Band:
     """Remove the bands of a mean over few curves.
 
     Parameters
@@ -104,7 +110,7 @@ def _curve_decision(
 ) -> NestedMean:
     level = shared.force.mean(axis=1)
     by_spool = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
-    return nested_mean(by_spool, limits)
+    return compute_nested_mean(by_spool, limits)
 
 
 def _spool_curves(shared: CommonCurves, spools: Sequence[str]) -> CommonCurves:
@@ -114,7 +120,9 @@ def _spool_curves(shared: CommonCurves, spools: Sequence[str]) -> CommonCurves:
     return CommonCurves(shared.displacement, np.array(means))
 
 
-def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band, list[QualityNote]]:
+def average_scaled_loading(
+    samples: Sequence[Sample], limits: PoolingLimits
+) -> tuple[Band, list[QualityNote]]:
     """Average force over the peak force of the same sample.
 
     Parameters
@@ -124,12 +132,12 @@ def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band,
 
     Returns
     -------
-    The band (force without a unit) and notes, as `loading_band` gives them; their codes end in
+    The band (force without a unit) and notes, as `average_loading` gives them; their codes end in
     ``_scaled``.
     """
-    peaks = dict(zip(sample_keys(samples), (_peak(sample) for sample in samples), strict=True))
+    peaks = dict(zip(name_samples(samples), (_peak(sample) for sample in samples), strict=True))
     usable = {key: peak for key, peak in peaks.items() if peak > 0}
-    band, notes = loading_band(samples, limits, divisors=usable)
+    band, notes = average_loading(samples, limits, divisors=usable)
     without = [key for key in peaks if key not in usable]
     scaled_notes = [
         QualityNote(
@@ -156,7 +164,9 @@ def _peak(sample: Sample) -> float:
 
 def _curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
     without = [
-        key for key, sample in zip(sample_keys(samples), samples, strict=True) if not sample.loading
+        key
+        for key, sample in zip(name_samples(samples), samples, strict=True)
+        if not sample.loading
     ]
     notes = []
     if without:
@@ -193,7 +203,7 @@ class CommonCurves:
     reason: Reason | None = None
 
 
-def common_curves(
+def interpolate_curves(
     curves: Sequence[tuple[Floats, Floats]],
     names: Sequence[str] = (),
     points: int = N_DISPLACEMENTS,
@@ -261,7 +271,7 @@ def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> R
     )
 
 
-def mean_band(curves: CommonCurves, members: str = "samples") -> Band:
+def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     """Compute the mean of curves with a pointwise and a simultaneous 95 % band.
 
     Parameters
@@ -278,7 +288,7 @@ def mean_band(curves: CommonCurves, members: str = "samples") -> Band:
     Notes
     -----
     mean -+ c s / sqrt(n) at each displacement, s with n - 1. Pointwise c is the quantile of t.
-    Simultaneous c: `simultaneous_quantile`.
+    Simultaneous c: `compute_simultaneous_quantile`.
     """
     n = len(curves.force)
     if curves.reason or not len(curves.displacement):
@@ -289,7 +299,10 @@ def mean_band(curves: CommonCurves, members: str = "samples") -> Band:
         reason = Reason.of("statistics.one_curve")
         return _bare(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
-    half, half_all = t_quantile(n - 1) * error, simultaneous_quantile(curves.force) * error
+    half, half_all = (
+        compute_t_quantile(n - 1) * error,
+        compute_simultaneous_quantile(curves.force) * error,
+    )
     return Band(
         curves.displacement,
         mean,
@@ -308,7 +321,7 @@ def _bare(displacement: Floats, mean: Floats, n: int, members: str, reason: Reas
     return Band(displacement, mean, nothing, nothing, nothing, nothing, n, members, reason)
 
 
-def simultaneous_quantile(curves: Floats) -> float:
+def compute_simultaneous_quantile(curves: Floats) -> float:
     """Return the multiple of the standard error that covers a whole mean curve with 95 %.
 
     Parameters
@@ -340,7 +353,7 @@ def simultaneous_quantile(curves: Floats) -> float:
         rises: float = turning / (2.0 * np.pi) * (1.0 + c**2 / free) ** (-0.5 * (free - 1))
         return 2.0 * (float(special.stdtr(free, -c)) + rises) - outside
 
-    bonferroni = t_quantile(free, outside / points)
+    bonferroni = compute_t_quantile(free, outside / points)
     if exceeding(bonferroni) >= 0.0:
         return bonferroni
     return float(optimize.brentq(exceeding, 0.0, bonferroni, full_output=False))

@@ -13,7 +13,7 @@ from statistics import median
 import numpy as np
 from scipy import special
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
@@ -48,7 +48,7 @@ class PoolingLimits:
 DEFAULT_LIMITS = PoolingLimits()
 
 
-def nested_mean(
+def compute_nested_mean(
     spools: Mapping[str, Sequence[float] | Floats], limits: PoolingLimits = DEFAULT_LIMITS
 ) -> NestedMean:
     """Compute the mean of samples nested in spools, with an interval for the type.
@@ -73,14 +73,14 @@ def nested_mean(
     finite = {name: _finite(values) for name, values in spools.items()}
     finite = {name: values for name, values in finite.items() if len(values)}
     values = list(finite.values())
-    over_samples = mean_interval(np.concatenate([np.zeros(0), *values]), "sample")
-    means = {name: mean_interval(spool_values, "sample") for name, spool_values in finite.items()}
+    over_samples = compute_mean(np.concatenate([np.zeros(0), *values]), "sample")
+    means = {name: compute_mean(spool_values, "sample") for name, spool_values in finite.items()}
     if len(finite) < 2:
         return _one_spool(over_samples, means)
-    scatter = spool_scatter(values, limits.confidence)
-    p = equal_spools_p(values)
+    scatter = estimate_spool_scatter(values, limits.confidence)
+    p = compute_spools_p(values)
     is_pooled = bool(p >= limits.min_p and scatter.share_upper < limits.max_spool_share)
-    over_spools = mean_interval([mean.mean for mean in means.values()], "spool")
+    over_spools = compute_mean([mean.mean for mean in means.values()], "spool")
     return NestedMean(
         chosen=over_samples if is_pooled else over_spools,
         over_samples=over_samples,
@@ -103,8 +103,8 @@ def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) ->
     decision = Decision("No samples")
     if over_samples.n:
         counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
-        done = sentence("statistics.over_one_spool", samples=counted)
-        decision = Decision(done, (sentence("statistics.one_spool"),))
+        done = format_sentence("statistics.over_one_spool", samples=counted)
+        decision = Decision(done, (format_sentence("statistics.one_spool"),))
     nan = float("nan")
     return NestedMean(
         chosen=over_samples,
@@ -129,47 +129,47 @@ def _decision(
 ) -> Decision:
     """Describe the decision: what was averaged, and the numbers behind it."""
     counts = tuple(len(values) for values in spools)
-    done = sentence(
+    done = format_sentence(
         "statistics.pooled" if is_pooled else "statistics.not_pooled",
         samples=sum(counts),
         spools=len(counts),
     )
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
-        return Decision(done, (sentence("statistics.values_equal"),))
+        return Decision(done, (format_sentence("statistics.values_equal"),))
     return Decision(done, (*_share_words(scatter, limits), _test_words(p, counts, limits)))
 
 
 def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
     """Describe the shares of the variance, and the limit for pooling."""
     if np.isnan(scatter.within):
-        return (sentence("statistics.scatter_unknown"),)
+        return (format_sentence("statistics.scatter_unknown"),)
     share, upper, ratio = scatter.share, 100.0 * scatter.share_upper, ""
     if scatter.within > 0.0:
         times = scatter.between_spools / scatter.within
-        ratio = sentence("statistics.scatter_ratio", times=times)
+        ratio = format_sentence("statistics.scatter_ratio", times=times)
     text = (
-        sentence("statistics.spools_alike", upper=upper)
+        format_sentence("statistics.spools_alike", upper=upper)
         if scatter.between_spools == 0.0
-        else sentence("statistics.share", share=100.0 * share, ratio=ratio, upper=upper)
+        else format_sentence("statistics.share", share=100.0 * share, ratio=ratio, upper=upper)
     )
     most, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
-    return text, sentence("statistics.share_needed", most=most, confidence=confidence)
+    return text, format_sentence("statistics.share_needed", most=most, confidence=confidence)
 
 
 def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
     if np.isnan(p):
-        return sentence("statistics.no_test")
-    least = smallest_p(counts)
+        return format_sentence("statistics.no_test")
+    least = compute_smallest_p(counts)
     if least >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
-        return sentence("statistics.blind_test", sizes=sizes, least=least)
+        return format_sentence("statistics.blind_test", sizes=sizes, least=least)
     is_alike = p >= limits.min_p
-    return sentence(
+    return format_sentence(
         "statistics.equal" if is_alike else "statistics.unequal", p=p, needed=limits.min_p
     )
 
 
-def t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
+def compute_t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
     """Return the two-sided quantile of Student's t with a share outside.
 
     Parameters
@@ -185,7 +185,7 @@ def t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
     return float(special.stdtrit(degrees, 1.0 - 0.5 * outside))
 
 
-def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
+def compute_mean(values: Iterable[float], what: str = "value") -> MeanInterval:
     """Compute the mean of independent values with its 95 % interval.
 
     Parameters
@@ -208,7 +208,7 @@ def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
     if n == 1:
         return MeanInterval(mean, None, np.nan, 1, Reason.of("statistics.one_value", what=what))
     deviation = float(finite.std(ddof=1))
-    half = t_quantile(n - 1) * deviation / np.sqrt(n)
+    half = compute_t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)
 
 
@@ -231,7 +231,7 @@ class SpoolScatter:
     share_upper: float
 
 
-def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
+def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
     """Estimate the scatter between spools and within spools.
 
     Parameters
@@ -276,7 +276,7 @@ def _share_at(observed: float, expected: float, harmonic: float) -> float:
     return max(excess, 0.0) / (max(excess, 0.0) + harmonic)
 
 
-def equal_spools_p(spools: Sequence[Floats]) -> float:
+def compute_spools_p(spools: Sequence[Floats]) -> float:
     """Return the p-value of the k-sample Anderson-Darling test of equal spools.
 
     Parameters
@@ -316,8 +316,8 @@ def _partitions(counts: Sequence[int]) -> int:
 
 
 @lru_cache(maxsize=64)
-def smallest_p(counts: tuple[int, ...]) -> float:
-    """Return the smallest p-value of `equal_spools_p`, for fully separated spools.
+def compute_smallest_p(counts: tuple[int, ...]) -> float:
+    """Return the smallest p-value of `compute_spools_p`, for fully separated spools.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def smallest_p(counts: tuple[int, ...]) -> float:
         return 0.001
     orders = set(permutations(sorted(counts)))
     ranks = np.arange(sum(counts), dtype=np.float64)
-    return min(equal_spools_p(np.split(ranks, np.cumsum(order)[:-1])) for order in orders)
+    return min(compute_spools_p(np.split(ranks, np.cumsum(order)[:-1])) for order in orders)
 
 
 SCATTER = "scatter of the tests"
@@ -356,7 +356,7 @@ class GroupBudget:
     of_mean: Mapping[str, float]
 
 
-def group_budget(number: GroupNumber) -> GroupBudget:
+def summarise_budget(number: GroupNumber) -> GroupBudget:
     """Summarise the budgets of the tests of a group, and compute that of their mean.
 
     Parameters
@@ -373,29 +373,30 @@ def group_budget(number: GroupNumber) -> GroupBudget:
         for value in number.values.values()
         if value.largest_share is not None
     ]
-    causes = in_order({cause for test in tests for cause in test})
+    causes = sort_causes({cause for test in tests for cause in test})
     medians = {cause: median(test.get(cause, 0.0) for test in tests) for cause in causes}
     total = sum(medians.values())
     shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
     return GroupBudget(shares, {} if number.mean is None else _of_mean(number.mean.chosen))
 
 
-def in_order(causes: set[str]) -> list[str]:
-    """Sort causes in the order of budgets and figures; unknown ones come last."""
-    return [*(cause for cause in IS_COMMON if cause in causes), *sorted(causes - set(IS_COMMON))]
+def sort_causes(causes: Iterable[str]) -> list[str]:
+    """Sort causes in the order of budgets and figures, `SCATTER` first and unknown ones last."""
+    every, known = set(causes), (SCATTER, *IS_COMMON)
+    return [*(cause for cause in known if cause in every), *sorted(every.difference(known))]
 
 
 def _of_mean(mean: MeanInterval) -> dict[str, float]:
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return {}
-    normal = Interval.normal_95(0.0, 1.0).upper / mean.half
+    normal = Interval.normal_95(0.0, 1.0).upper / mean.half_width
     common = {
         contribution.cause: (normal * contribution.change) ** 2
         for contribution in mean.common
         if contribution.change
     }
-    scatter = 1.0 - (normal * standard_uncertainty(mean.common)) ** 2
-    return {SCATTER: scatter, **{cause: common[cause] for cause in in_order(set(common))}}
+    scatter = 1.0 - (normal * combine_changes(mean.common)) ** 2
+    return {SCATTER: scatter, **{cause: common[cause] for cause in sort_causes(common)}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -423,7 +424,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     Returns
     -------
     The same means and scatter. Every interval is about the mean of the estimates, and is widened by
-    common causes (`widened_by`), which are named in the decision.
+    common causes (`widen_interval`), which are named in the decision.
 
     Notes
     -----
@@ -443,7 +444,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     causes = tuple(contribution.cause for contribution in chosen.common)
     because = (f"its interval holds what all tests of a rig share: {', '.join(causes)}",)
     decision = replace(
-        mean.decision, because=(*mean.decision.because, *(because if causes else ()))
+        mean.decision, grounds=(*mean.decision.grounds, *(because if causes else ()))
     )
     return replace(
         mean,
@@ -489,16 +490,16 @@ def _add_shared(mean: MeanInterval, shared: _Shared) -> MeanInterval:
     moved = mean.interval and Interval(
         mean.interval.lower - shared.off, mean.interval.upper - shared.off
     )
-    interval = moved and widened_by(moved, common)
+    interval = moved and widen_interval(moved, common)
     return replace(mean, interval=interval, estimate=estimate, common=common)
 
 
-def standard_uncertainty(common: Sequence[Contribution]) -> float:
+def combine_changes(common: Sequence[Contribution]) -> float:
     """Return the combined standard uncertainty of independent causes."""
     return hypot(*(contribution.change for contribution in common))
 
 
-def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:
+def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interval:
     """Widen the t interval of a mean by common causes.
 
     Parameters
@@ -517,12 +518,12 @@ def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:
     quadrature never do; for their coverage see docs/explanations/statistics.md.
     """
     middle = 0.5 * (interval.lower + interval.upper)
-    shared = Interval.normal_95(0.0, standard_uncertainty(common)).upper
+    shared = Interval.normal_95(0.0, combine_changes(common)).upper
     half = hypot(0.5 * (interval.upper - interval.lower), shared)
     return Interval(middle - half, middle + half, interval.level) if shared else interval
 
 
-def difference_of(
+def subtract_changes(
     first: Sequence[Contribution], second: Sequence[Contribution]
 ) -> tuple[Contribution, ...]:
     """Return the changes by common causes of the difference of two means, second less first.
@@ -541,7 +542,7 @@ def difference_of(
     )
 
 
-def can_be_on_a_log_scale(values: list[Result]) -> bool:
+def are_positive(values: list[Result]) -> bool:
     """Return whether all values and estimates are above zero.
 
     Parameters
@@ -556,7 +557,7 @@ def can_be_on_a_log_scale(values: list[Result]) -> bool:
     )
 
 
-def on_log_scale(mean: NestedMean) -> NestedMean:
+def convert_to_log_scale(mean: NestedMean) -> NestedMean:
     """Put the intervals of the mean of a positive number on a log scale.
 
     Parameters
@@ -589,6 +590,6 @@ def _log_interval(mean: MeanInterval) -> MeanInterval:
     max_exponent = 300.0  # keeps the ends finite and above zero
     if mean.interval is None or not mean.middle > 0.0:
         return mean
-    factor = exp(min(mean.half / mean.middle, max_exponent))
+    factor = exp(min(mean.half_width / mean.middle, max_exponent))
     ends = Interval(mean.middle / factor, mean.middle * factor, mean.interval.level)
     return replace(mean, interval=ends, is_log=True)

@@ -11,8 +11,8 @@ from scipy import special
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Group, GroupNumber, Outlier
-from labpipe.statistics.group_notes import sample_keys
-from labpipe.statistics.two_groups import holm
+from labpipe.statistics.group_notes import name_samples
+from labpipe.statistics.two_groups import correct_p_values
 
 GRUBBS = "Grubbs' test"
 GRUBBS_WITHIN = "Grubbs' test within spools"
@@ -30,9 +30,9 @@ _METHODS = {
 class _Step:
     """The furthest of the remaining values, its p-value, and equally far values."""
 
-    where: int
+    index: int
     p: float
-    twins: tuple[int, ...]
+    ties: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Suspects:
         """Return the smallest p-value, or NaN without a test."""
         return min((step.p for step in self.steps), default=float("nan"))
 
-    def below(self, level: float) -> tuple[Outlier, ...]:
+    def select_outliers(self, level: float) -> tuple[Outlier, ...]:
         """Return the outliers with a p-value below a level, furthest first.
 
         Parameters
@@ -67,7 +67,7 @@ class Suspects:
         chances = [min(step.p for step in self.steps[number:]) for number in range(len(self.steps))]
         pairs = zip(self.steps, chances, strict=True)
         marked = [(step, chance) for step, chance in pairs if chance < level]
-        single_places = {step.where for step, _ in marked}
+        single_places = {step.index for step, _ in marked}
         return tuple(
             Outlier(
                 self.names[where],
@@ -93,8 +93,8 @@ def find_suspects(
 
     Returns
     -------
-    Empty if `too_few_for_outliers` gives a reason. Equally far values are all named, also in the
-    method: the two samples of a spool always are, as they are equally far from their mean.
+    Empty if `describe_missing_samples` gives a reason. Equally far values are all named, also in
+    the method: the two samples of a spool always are, as they are equally far from their mean.
 
     Notes
     -----
@@ -113,7 +113,7 @@ def find_suspects(
     return Suspects(names, number.tolist(), _steps(number, spool, allowed), method)
 
 
-def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
+def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     """Mark outliers among all numbers of a report.
 
     Parameters
@@ -124,22 +124,22 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     Returns
     -------
     The groups with outliers in their numbers. The smallest p-values of all numbers are one family,
-    corrected by `holm`, which allows for dependent numbers of one test. The steps of the ESD test
-    count as one test each, since its false-alarm rate exceeds its level (1.14 times at 5 % and 20
-    samples, two steps).
+    corrected by `correct_p_values`, which allows for dependent numbers of one test. Each step of
+    the ESD test counts as one test, since its false-alarm rate exceeds its level (1.14 times at 5 %
+    and 20 samples, two steps).
     """
     suspects = [[_suspects(group, number) for number in group.numbers] for group in groups]
     chances = [
         len(suspect.steps) * suspect.p for group_suspects in suspects for suspect in group_suspects
     ]
-    corrected = iter(holm(chances, level))
+    corrected = iter(correct_p_values(chances, level))
     return [
         replace(
             group,
             numbers=tuple(
                 replace(
                     number,
-                    outliers=suspect.below(
+                    outliers=suspect.select_outliers(
                         level / next(corrected).divisor / max(1, len(suspect.steps))
                     ),
                 )
@@ -153,7 +153,7 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
 def _suspects(group: Group, number: GroupNumber) -> Suspects:
     if number.is_set_by_rig:
         return Suspects()
-    keys = sample_keys(group.samples)
+    keys = name_samples(group.samples)
     spools = dict(zip(keys, (sample.specimen.spool for sample in group.samples), strict=True))
     values = {key: value.value for key, value in number.values.items() if value.value is not None}
     return find_suspects(values, spools)
@@ -161,7 +161,7 @@ def _suspects(group: Group, number: GroupNumber) -> Suspects:
 
 def _shared(step: _Step, single_places: set[int]) -> list[tuple[int, list[int]]]:
     """Return the value of a step and equally suspect ones, each with the others."""
-    every = [step.where, *(twin for twin in step.twins if twin not in single_places)]
+    every = [step.index, *(twin for twin in step.ties if twin not in single_places)]
     return [(where, [other for other in every if other != where]) for where in every]
 
 

@@ -14,14 +14,14 @@ from labpipe.records.group import Contrast, Difference, MeanInterval, NestedMean
 from labpipe.records.result import Contribution
 from labpipe.statistics.means import (
     LEVEL,
-    difference_of,
-    standard_uncertainty,
-    t_quantile,
-    widened_by,
+    combine_changes,
+    compute_t_quantile,
+    subtract_changes,
+    widen_interval,
 )
 
 
-def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
+def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
     """Compute the second mean minus the first with its 95 % interval.
 
     Parameters
@@ -40,19 +40,19 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
     Satterthwaite.
     """
     difference, n = second.mean - first.mean, first.n + second.n
-    common = difference_of(first.common, second.common)
+    common = subtract_changes(first.common, second.common)
     reason = first.reason or second.reason
     if reason:
         return MeanInterval(difference, None, np.nan, n, reason, common=common)
     middle = second.middle - first.middle
     plain = Contrast(middle, (_error(first), _error(second)), (first.n, second.n))
-    half = half_of(plain)
-    interval = widened_by(Interval(middle - half, middle + half), common)
+    half = compute_half_width(plain)
+    interval = widen_interval(Interval(middle - half, middle + half), common)
     estimate = None if middle == difference else middle
     return MeanInterval(difference, interval, np.nan, n, estimate=estimate, common=common)
 
 
-def contrast_of(
+def compute_contrast(
     first: MeanInterval, second: MeanInterval, margin: float | None = None
 ) -> Contrast | None:
     """Return the difference of two means on the scale of its judgement.
@@ -80,7 +80,7 @@ def contrast_of(
         difference=log(two / one) if is_log else second.middle - first.middle,
         errors=(_error(first) / one, _error(second) / two),
         counts=(first.n, second.n),
-        shared=standard_uncertainty(difference_of(*common)),
+        shared=combine_changes(subtract_changes(*common)),
         margin=room or None,
         is_log=is_log,
     )
@@ -96,7 +96,7 @@ def _over(common: Sequence[Contribution], size: float) -> tuple[Contribution, ..
     )
 
 
-def half_of(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
+def compute_half_width(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
     """Return half the width of the interval of a difference.
 
     Parameters
@@ -108,11 +108,13 @@ def half_of(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
     -------
     Scatter and common causes in quadrature, as in the interval of a mean.
     """
-    scatter = t_quantile(contrast.degrees, outside) * contrast.error if contrast.error else 0.0
+    scatter = (
+        compute_t_quantile(contrast.degrees, outside) * contrast.error if contrast.error else 0.0
+    )
     return hypot(scatter, float(special.ndtri(1.0 - 0.5 * outside)) * contrast.shared)
 
 
-def difference_p(contrast: Contrast) -> float:
+def compute_difference_p(contrast: Contrast) -> float:
     """Return the p-value of no difference: the level at which its interval ends at zero.
 
     Parameters
@@ -122,7 +124,7 @@ def difference_p(contrast: Contrast) -> float:
     return min(1.0, 2.0 * _tail(abs(contrast.difference), contrast))
 
 
-def equivalence_p(contrast: Contrast) -> float:
+def compute_equivalence_p(contrast: Contrast) -> float:
     """Return the p-value of the two one-sided tests of a difference within the margin.
 
     Parameters
@@ -163,7 +165,7 @@ def _tail(room: float, contrast: Contrast) -> float:
     return float(special.ndtr(-optimize.brentq(beyond, 0.0, max_deviations)))
 
 
-def compare(
+def compare_means(
     name: str,
     unit: str,
     first: tuple[str, NestedMean],
@@ -181,10 +183,10 @@ def compare(
 
     Returns
     -------
-    With its own p-values and no verdict: see `judged`.
+    With its own p-values and no verdict: see `judge_family`.
     """
     one, two = first[1].chosen, second[1].chosen
-    difference, contrast = difference_of_means(one, two), contrast_of(one, two, margin)
+    difference, contrast = subtract_means(one, two), compute_contrast(one, two, margin)
     nothing = float("nan")
     return Difference(
         name=name,
@@ -194,32 +196,32 @@ def compare(
         difference=difference,
         margin=None if margin is None or one.mean == 0.0 else margin * abs(one.mean),
         contrast=contrast,
-        p=nothing if contrast is None else difference_p(contrast),
-        p_equivalent=nothing if contrast is None else equivalence_p(contrast),
+        p=nothing if contrast is None else compute_difference_p(contrast),
+        p_equivalent=nothing if contrast is None else compute_equivalence_p(contrast),
         caveats=(*_caveats([first, second]), *_shared(difference)),
     )
 
 
-def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
+def judge_family(family: str, differences: Sequence[Difference]) -> list[Difference]:
     """Judge a family of comparisons.
 
     Parameters
     ----------
     family : their name
-    differences : as `compare` gives them
+    differences : as `compare_means` gives them
 
     Returns
     -------
     In the same order. Any *different* of the family is wrong in at most 5 % of reports, and so is
-    any *equivalent*: both are corrected for their number by `holm`. The verdict is
+    any *equivalent*: both are corrected for their number by `correct_p_values`. The verdict is
 
     - ``different`` if zero is outside the corrected interval;
     - ``equivalent`` if the two one-sided tests find the difference within the margin, significant
       or not;
     - ``cannot tell`` otherwise.
     """
-    unlike = holm([difference.p for difference in differences])
-    alike = holm([difference.p_equivalent for difference in differences])
+    unlike = correct_p_values([difference.p for difference in differences])
+    alike = correct_p_values([difference.p_equivalent for difference in differences])
     return [
         _judged(family, difference, *corrected)
         for difference, *corrected in zip(differences, unlike, alike, strict=True)
@@ -233,9 +235,9 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
     if contrast is None:
         reason = difference.difference.reason
         why = reason.message if reason else "there is no interval"
-        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, why=why)
+        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=why)
     outside = (1.0 - LEVEL) / unlike.divisor
-    half = half_of(contrast, outside)
+    half = compute_half_width(contrast, outside)
     ends = Interval(contrast.difference - half, contrast.difference + half, 1.0 - outside)
     if contrast.is_log:
         ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
@@ -252,7 +254,12 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
             beyond = f"not shown to be within {_relative(difference)}"
             why = f"the interval holds zero, {beyond}{_needed(contrast, outside)}"
     return replace(
-        difference, family=family, tests=unlike.tests, interval=ends, verdict=verdict, why=why
+        difference,
+        family=family,
+        tests=unlike.tests,
+        interval=ends,
+        verdict=verdict,
+        verdict_reason=why,
     )
 
 
@@ -273,11 +280,11 @@ def _relative(difference: Difference) -> str:
 
 
 def _needed(contrast: Contrast, outside: float) -> str:
-    n = samples_needed(contrast, outside)
+    n = count_needed_samples(contrast, outside)
     return f"; with this scatter n = {n} in each group would tell" if n else ""
 
 
-def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
+def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
     """Find how many values per group are enough to distinguish different from equivalent.
 
     Parameters
@@ -296,7 +303,7 @@ def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | No
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
     for n in range(max(contrast.counts) + 1, max_advised_samples + 1):
         more = replace(contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n))
-        if half_of(more, outside) <= 0.5 * contrast.margin:
+        if compute_half_width(more, outside) <= 0.5 * contrast.margin:
             return n
     return None
 
@@ -334,7 +341,7 @@ class Corrected:
     tests: int
 
 
-def holm(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
+def correct_p_values(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
     """Correct the p-values of a family.
 
     Parameters
@@ -355,7 +362,7 @@ def holm(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
 
     Examples
     --------
-    >>> [each.p for each in holm([0.04, 0.01, 0.03])]
+    >>> [each.p for each in correct_p_values([0.04, 0.01, 0.03])]
     [0.06, 0.03, 0.06]
     """
     tested = sorted((i for i, p in enumerate(chances) if not isnan(p)), key=chances.__getitem__)

@@ -34,7 +34,7 @@ from labpipe.store.hdf5_objects import (
     set_text,
     set_texts,
 )
-from labpipe.store.layout import Field, scales_of
+from labpipe.store.layout import DatasetSpec, find_scales
 from labpipe.store.replace import is_cut_off
 
 CHUNK_BYTES = 1 << 18
@@ -44,40 +44,40 @@ Packed = dict[tuple[object, ...], list[bytes]]
 """Existing chunks, by the memory location of their array."""
 
 
-def _chunks_of(array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
+def _chunks_of(read_array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
     """Return the chunks of an array, made in the pool unless they exist already."""
     # Smaller arrays are deflated faster without threads.
     min_pool_bytes = 1 << 15
-    place = place_of(array)
+    place = locate_array(read_array)
     if place not in packed:
-        starts = range(0, len(array) if array.size else 0, rows)
-        blocks = (array[start : start + rows] for start in starts)
-        run = map if array.nbytes < min_pool_bytes else pool.map
+        starts = range(0, len(read_array) if read_array.size else 0, rows)
+        blocks = (read_array[start : start + rows] for start in starts)
+        run = map if read_array.nbytes < min_pool_bytes else pool.map
         packed[place] = list(run(_pack_chunk, blocks, repeat(rows)))
     return packed[place]
 
 
-def place_of(array: NDArray[Any]) -> tuple[object, ...]:
+def locate_array(read_array: NDArray[Any]) -> tuple[object, ...]:
     """Return the memory location and layout of an array, which identify it while it exists."""
-    return (array.ctypes.data, array.shape, array.strides, array.dtype.str)
+    return (read_array.ctypes.data, read_array.shape, read_array.strides, read_array.dtype.str)
 
 
-def same_content(dataset: Any, array: NDArray[Any]) -> bool:
+def has_same_content(dataset: Any, read_array: NDArray[Any]) -> bool:
     """Return whether a dataset reads back as exactly this array, NaN patterns included.
 
     Of a long dataset the first, the last, and every sixteenth chunk are read through HDF5's
     filters, to check the format of the chunks. `write_result` compares all bytes on the disk.
     """
-    if dataset.shape != array.shape or dataset.dtype != array.dtype:
+    if dataset.shape != read_array.shape or dataset.dtype != read_array.dtype:
         return False
     rows = dataset.chunks[0]
-    if 0 < len(array) <= rows:
-        values = np.empty_like(array, order="C")
+    if 0 < len(read_array) <= rows:
+        values = np.empty_like(read_array, order="C")
         dataset.id.read(h5s.ALL, h5s.ALL, values)
-        return values.tobytes() == array.tobytes()
-    starts = list(range(0, len(array) if array.size else 0, rows))
+        return values.tobytes() == read_array.tobytes()
+    starts = list(range(0, len(read_array) if read_array.size else 0, rows))
     return all(
-        dataset[start : start + rows].tobytes() == array[start : start + rows].tobytes()
+        dataset[start : start + rows].tobytes() == read_array[start : start + rows].tobytes()
         for start in {*starts[::16], *starts[-1:]}
     )
 
@@ -143,14 +143,14 @@ class Target:
     pool: Executor
     written: dict[str, NDArray[Any]] = field(default_factory=dict)
     packed: Packed = field(default_factory=dict)
-    datasets: dict[str, tuple[Any, Field]] = field(default_factory=dict)
+    datasets: dict[str, tuple[Any, DatasetSpec]] = field(default_factory=dict)
 
-    def inside(self, name: str) -> Target:
+    def open_group(self, name: str) -> Target:
         """Return a subgroup, creating it if needed."""
         return Target(self.group.require_group(name), self.pool, self.written, self.packed)
 
-    def array(
-        self, name: str, values: NDArray[Any] | tuple[str, ...], spec: Field, unit: str = ""
+    def write_array(
+        self, name: str, values: NDArray[Any] | tuple[str, ...], spec: DatasetSpec, unit: str = ""
     ) -> Any:
         """Write numbers or texts as a chunked dataset with its unit and axes.
 
@@ -172,7 +172,7 @@ class Target:
         if isinstance(values, tuple):
             # UTF-8 of fixed width, which all programs read, declared ASCII, which Octave reads;
             # with a final zero, for h5dump. Of one byte, netCDF would read single characters.
-            encoded = [text.encode() for text in values]
+            encoded = [read_text.encode() for read_text in values]
             values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
         rest = tuple(max(size, 1) for size in values.shape[1:])
         rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(rest)), 1)  # at most all rows
@@ -187,18 +187,18 @@ class Target:
         self.datasets[name] = dataset, spec
         return dataset
 
-    def link(self, name: str, dataset: Any, spec: Field) -> None:
+    def link_dataset(self, name: str, dataset: Any, spec: DatasetSpec) -> None:
         """Add a dataset of another group to this one."""
         self.group[name] = dataset
         self.datasets[name] = self.group[name], spec
 
-    def scaled(self) -> None:
+    def attach_scales(self) -> None:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
 
-        An axis without a dataset of its own (`layout.scales_of`) gets one of its name, with the
+        An axis without a dataset of its own (`layout.find_scales`) gets one of its name, with the
         labels of `AXIS_LABELS` or numbers from 0.
         """
-        scales = scales_of({name: spec for name, (_, spec) in self.datasets.items()})
+        scales = find_scales({name: spec for name, (_, spec) in self.datasets.items()})
         opened_scales: dict[str, Any] = {}
         for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
@@ -210,7 +210,7 @@ class Target:
                 unique = f"{scale}_{n_before + 1}" if n_before else scale
                 if unique not in opened_scales:
                     opened_scales[unique] = self._scale(unique, scale, axis, dataset.shape[place])
-                self.attach(dataset, place, opened_scales[unique])
+                self.attach_scale(dataset, place, opened_scales[unique])
 
     def _scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, creating it if needed."""
@@ -218,12 +218,12 @@ class Target:
             return self.group[name]
         if name != scale:
             same, spec = self.datasets[scale]
-            return self.array(name, self.written[same.name], spec)
+            return self.write_array(name, self.written[same.name], spec)
         if axis in AXIS_LABELS:
-            return self.array(name, AXIS_LABELS[axis], Field((axis,), layout.TEXT))
-        return self.array(name, np.arange(size), Field((axis,), "1"))
+            return self.write_array(name, AXIS_LABELS[axis], DatasetSpec((axis,), layout.TEXT))
+        return self.write_array(name, np.arange(size), DatasetSpec((axis,), "1"))
 
-    def attach(self, dataset: Any, place: int, scale: Any) -> None:
+    def attach_scale(self, dataset: Any, place: int, scale: Any) -> None:
         """Make a dataset the dimension scale of an axis of another one.
 
         Parameters
@@ -236,13 +236,13 @@ class Target:
             h5ds.set_scale(scale.id, scale.name.rpartition("/")[2].encode())
         h5ds.attach_scale(dataset.id, scale.id, place)
 
-    def texts(self, name: str, values: tuple[str, ...]) -> None:
+    def write_texts(self, name: str, values: tuple[str, ...]) -> None:
         """Write an attribute that is a list of strings."""
         set_texts(self.group, name, values)
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def open_result(path: Path) -> Iterator[Any]:
     """Open a result file of a known schema; raise all faults as StoreError."""
     try:
         if is_cut_off(path.parent):
@@ -296,12 +296,12 @@ def _check_links(path: Path, root: Any) -> None:
         raise StoreError.about("store.link", path, link.decode(errors="replace"))
 
 
-def text(group: Any, name: str) -> str:
+def read_text(group: Any, name: str) -> str:
     """Read an attribute that is one string."""
     return _utf8_text(get_text(group, name))
 
 
-def texts(group: Any, name: str) -> tuple[str, ...]:
+def read_texts(group: Any, name: str) -> tuple[str, ...]:
     """Read an attribute that is a list of strings."""
     return () if is_empty(group, name) else tuple(map(_utf8_text, group.attrs[name]))
 
@@ -313,28 +313,32 @@ def _utf8_text(value: object) -> str:
     return string
 
 
-def array(group: Any, name: str, spec: Field) -> Any:
+def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
     dataset = _checked_dataset(group, name, spec)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
-    return tuple(text.decode() for text in values.tolist()) if spec.dtype == layout.TEXT else values
+    return (
+        tuple(read_text.decode() for read_text in values.tolist())
+        if spec.dtype == layout.TEXT
+        else values
+    )
 
 
-def array_rows(group: Any, name: str, spec: Field, chosen: Ints) -> NDArray[Any]:
-    """Read rows of a dataset, as `array`.
+def read_array_rows(group: Any, name: str, spec: DatasetSpec, chosen: Ints) -> NDArray[Any]:
+    """Read rows of a dataset, as `read_array`.
 
     Parameters
     ----------
-    group, name, spec : as for `array`
+    group, name, spec : as for `read_array`
     chosen : indices of rows of the first axis, strictly increasing
     """
     values: NDArray[Any] = _checked_dataset(group, name, spec)[chosen]
     return values
 
 
-def _checked_dataset(group: Any, name: str, spec: Field) -> Any:
+def _checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Return a dataset after checking unit, axes, number type and storage."""
     dataset = group[name]
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):

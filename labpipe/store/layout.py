@@ -23,7 +23,7 @@ from typing import Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_ori
 
 import numpy as np
 
-from labpipe.records.arrays import Unit, dtype_of
+from labpipe.records.arrays import Unit, find_dtype
 from labpipe.records.curve import Branch, FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Instrument
@@ -34,7 +34,7 @@ SCHEMA: Final = 2
 """Version of the layout; other versions are refused."""
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
 
-NO_UNIT: Final = "unknown"
+UNSTATED_UNIT: Final = "unknown"
 """Unit of channels for which neither the export nor the protocol states one."""
 
 TEXT: Final = "text"
@@ -60,7 +60,7 @@ INSTRUMENTS: Final = "instruments"
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class DatasetSpec:
     """Definition of a dataset.
 
     Parameters
@@ -77,7 +77,7 @@ class Field:
     stated_in: str = ""
 
 
-class Attribute(NamedTuple):
+class AttributeSpec(NamedTuple):
     """A field of a record that is an attribute, or a cell of a table.
 
     Parameters
@@ -92,7 +92,7 @@ class Attribute(NamedTuple):
     is_optional: bool
 
 
-class Column(NamedTuple):
+class ColumnSpec(NamedTuple):
     """A column of a table of records.
 
     Parameters
@@ -104,7 +104,7 @@ class Column(NamedTuple):
 
     name: str
     end: str
-    field: Field
+    field: DatasetSpec
 
 
 def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
@@ -113,31 +113,31 @@ def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
 
 
 @_cached
-def fields_of(record: Any) -> Mapping[str, Field]:
+def list_datasets(record: Any) -> Mapping[str, DatasetSpec]:
     """Return the datasets of a type of record, by name."""
-    datasets: dict[str, Field] = {}
+    datasets: dict[str, DatasetSpec] = {}
     for name, (values, axes, unit) in _annotations(record):
         if get_origin(values) is np.ndarray:
-            dtype = np.dtype(dtype_of(values)).name.replace("bool", "uint8")
+            dtype = np.dtype(find_dtype(values)).name.replace("bool", "uint8")
             symbol, stated_in = (unit.symbol or None, unit.stated_in) if unit else (None, "")
-            datasets[name] = Field(axes, symbol, dtype, stated_in)
+            datasets[name] = DatasetSpec(axes, symbol, dtype, stated_in)
         elif get_origin(values) is tuple and axes:
-            datasets[name] = Field(axes, TEXT, TEXT)
+            datasets[name] = DatasetSpec(axes, TEXT, TEXT)
     return datasets
 
 
-def scales_of(datasets: Mapping[str, Field]) -> dict[str, str]:
+def find_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
     """Return the dimension scale of each axis: the first dataset along it alone."""
     along_one = [(name, field) for name, field in datasets.items() if len(field.axes) == 1]
     return {field.axes[0]: name for name, field in reversed(along_one)}
 
 
 @_cached
-def attributes_of(record: Any) -> Mapping[str, Attribute]:
+def list_attributes(record: Any) -> Mapping[str, AttributeSpec]:
     """Return the fields of a type of record that are numbers, texts, intervals or reasons."""
     stored = {field.name for field in fields(record) if field.compare}
-    stored -= {field.stated_in for field in fields_of(record).values()}
-    attributes: dict[str, Attribute] = {}
+    stored -= {field.stated_in for field in list_datasets(record).values()}
+    attributes: dict[str, AttributeSpec] = {}
     for name, (hint, axes, unit) in _annotations(record):
         kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
         kind = next(kind for kind in kinds if kind is not NoneType)
@@ -146,12 +146,12 @@ def attributes_of(record: Any) -> Mapping[str, Attribute]:
         )
         is_list = get_origin(kind) is tuple and get_args(kind)[0] in (str, Reason) and not axes
         if name in stored and (is_simple or is_list):
-            attributes[name] = Attribute(kind, unit, NoneType in kinds)
+            attributes[name] = AttributeSpec(kind, unit, NoneType in kinds)
     return attributes
 
 
 @_cached
-def columns_of(row: Any) -> Mapping[str, Column]:
+def list_columns(row: Any) -> Mapping[str, ColumnSpec]:
     """Return the columns of a table, by name.
 
     Parameters
@@ -159,19 +159,21 @@ def columns_of(row: Any) -> Mapping[str, Column]:
     row : type of record, a key of `ROW_AXES`
     """
     number_types = {int: "int64", float: "float64", bool: "uint8", Interval: "float64"}
-    columns: dict[str, Column] = {}
-    for name, (kind, unit, _) in attributes_of(row).items():
+    columns: dict[str, ColumnSpec] = {}
+    for name, (kind, unit, _) in list_attributes(row).items():
         dtype = number_types.get(kind, TEXT)
         symbol = TEXT if dtype == TEXT else (unit.symbol or None) if unit else "1"
-        field = Field((ROW_AXES[row],), symbol, dtype)
+        field = DatasetSpec((ROW_AXES[row],), symbol, dtype)
         if kind is Interval:
-            columns |= {stem_of(name) + end: Column(name, end, field) for end in ("lower", "upper")}
+            columns |= {
+                find_stem(name) + end: ColumnSpec(name, end, field) for end in ("lower", "upper")
+            }
         else:
-            columns[name] = Column(name, "", field)
+            columns[name] = ColumnSpec(name, "", field)
     return columns
 
 
-def stem_of(interval: str) -> str:
+def find_stem(interval: str) -> str:
     """Return the start of the names of an interval's ends: ``drop_`` for ``drop_interval``."""
     return interval.removesuffix("interval")
 
@@ -224,7 +226,7 @@ ROW_AXES: Final[Mapping[type, str]] = {
 """Types of records that are rows of a table, and the axis of the table."""
 
 
-def link_name(name: str, taken: Iterable[str]) -> str:
+def make_link_name(name: str, taken: Iterable[str]) -> str:
     """Return an unused name that HDF5, h5dump and MATLAB accept.
 
     Parameters
@@ -238,7 +240,7 @@ def link_name(name: str, taken: Iterable[str]) -> str:
 
     Examples
     --------
-    >>> link_name("Load Cell/Out1", {"Load_Cell_Out1"})
+    >>> make_link_name("Load Cell/Out1", {"Load_Cell_Out1"})
     'Load_Cell_Out1_2'
     """
     plain = re.sub(r"[^\w.+-]", "_", name)

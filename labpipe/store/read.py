@@ -36,9 +36,9 @@ from labpipe.records.result import (
     TestResult,
 )
 from labpipe.store import layout
-from labpipe.store.datasets import array, array_rows, opened, text, texts
+from labpipe.store.datasets import open_result, read_array, read_array_rows, read_text, read_texts
 from labpipe.store.hdf5_objects import get_number
-from labpipe.store.layout import BudgetRow, attributes_of, fields_of
+from labpipe.store.layout import BudgetRow, list_attributes, list_datasets
 from labpipe.store.stored_parts import read_recording, read_specimen
 from labpipe.store.stored_records import read_arrays, read_attributes, read_record, read_table
 
@@ -87,7 +87,7 @@ def read_result(path: Path) -> TestResult:
     StoreError
         If the file is none of labpipe's, of a newer schema, truncated or damaged.
     """
-    with opened(path) as root:
+    with open_result(path) as root:
         return TestResult(
             **_head(root),
             **_outcome(root),
@@ -114,12 +114,12 @@ def read_outcome(path: Path) -> TestResult:
     StoreError
         As `read_result`.
     """
-    with opened(path) as root:
+    with open_result(path) as root:
         return _read_reported(root)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawable:
+class ReportedTest:
     """The parts of a result file for a report.
 
     Parameters
@@ -134,9 +134,9 @@ class Drawable:
     law: DrawnLaw | None
 
 
-def read_drawable(
+def read_reported(
     path: Path, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
-) -> Drawable:
+) -> ReportedTest:
     """Read the parts of a result file for a report: outcome, few shapes and measured law.
 
     Parameters
@@ -150,9 +150,9 @@ def read_drawable(
     StoreError
         As `read_result`.
     """
-    with opened(path) as root:
+    with open_result(path) as root:
         result = _read_reported(root)
-        return Drawable(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
+        return ReportedTest(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
 
 
 def _read_drawn_shapes(
@@ -160,9 +160,9 @@ def _read_drawn_shapes(
 ) -> DrawnShapes | None:
     if layout.SHAPE not in root:
         return None
-    group, fields = root[layout.SHAPE], fields_of(Shape)
-    frames, deflection = choose(result, array(group, "time", fields["time"]))
-    places = array_rows(group, "positions", fields["positions"], frames)
+    group, fields = root[layout.SHAPE], list_datasets(Shape)
+    frames, deflection = choose(result, read_array(group, "time", fields["time"]))
+    places = read_array_rows(group, "positions", fields["positions"], frames)
     return DrawnShapes(deflection, places[:, :, :2])
 
 
@@ -198,7 +198,7 @@ def read_stages(path: Path) -> TestResult:
     StoreError
         As `read_result`.
     """
-    with opened(path) as root:
+    with open_result(path) as root:
         head = _head(root, raw=False)
         return TestResult(**head, **_outcome(root), aligned=_aligned(root), shape=_shape(root))
 
@@ -219,7 +219,7 @@ def read_raw(path: Path) -> RawTest:
     StoreError
         As `read_result`.
     """
-    with opened(path) as root:
+    with open_result(path) as root:
         return RawTest(**_head(root))
 
 
@@ -235,8 +235,8 @@ def read_name(path: Path) -> str:
     StoreError
         As `read_result`.
     """
-    with opened(path) as root:
-        return text(root, "test")
+    with open_result(path) as root:
+        return read_text(root, "test")
 
 
 def read_run(path: Path) -> str:
@@ -251,14 +251,14 @@ def read_run(path: Path) -> str:
     StoreError
         As `read_result`.
     """
-    with opened(path) as root:
-        return text(root, "run")
+    with open_result(path) as root:
+        return read_text(root, "run")
 
 
 def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     """Read the fields that `TestResult` and `RawTest` share."""
     group = root[layout.RAW]
-    roles = texts(group, "roles") if raw else ()
+    roles = read_texts(group, "roles") if raw else ()
     return {
         **read_attributes(root, RawTest),
         "specimen": read_specimen(root),
@@ -269,9 +269,9 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
 
 def _outcome(root: Any) -> dict[str, Any]:
     """Read the outcome of processing: curve, numbers and circumstances."""
-    group, display = root.get(layout.CURVE, {}), json.loads(text(root, "display"))
+    group, display = root.get(layout.CURVE, {}), json.loads(read_text(root, "display"))
     return {
-        **read_attributes(root, TestResult, skip=attributes_of(RawTest)),
+        **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
         "curve": _curve(group) if group else None,
         "results": _results(root),
         "quality": read_table(root, layout.QUALITY, QualityNote),
@@ -291,8 +291,8 @@ def _inputs(raw: Any) -> tuple[InputFile, ...]:
     for role, group in raw.items():
         rows = zip(
             group.attrs["input_order"],
-            texts(group, "file"),
-            texts(group, "sha256"),
+            read_texts(group, "file"),
+            read_texts(group, "sha256"),
             group.attrs["bytes"],
             strict=True,
         )
@@ -303,10 +303,12 @@ def _inputs(raw: Any) -> tuple[InputFile, ...]:
 def _aligned(root: Any) -> Aligned | None:
     if layout.ALIGNED not in root:
         return None
-    group, values = root[layout.ALIGNED], fields_of(Series)["values"]
+    group, values = root[layout.ALIGNED], list_datasets(Series)["values"]
     series = {
-        text(group[name], "name"): Series(array(group, name, values), text(group[name], "unit"))
-        for name in texts(group, "series")
+        read_text(group[name], "name"): Series(
+            read_array(group, name, values), read_text(group[name], "unit")
+        )
+        for name in read_texts(group, "series")
     }
     fit = None
     if layout.EVENTS in group:
@@ -316,7 +318,7 @@ def _aligned(root: Any) -> Aligned | None:
 
 
 def _curve(group: Any) -> Curve:
-    time_unit = text(group[layout.TIME], "unit")
+    time_unit = read_text(group[layout.TIME], "unit")
     branches = read_table(group, layout.BRANCHES, Branch, time_unit)
     return read_record(group, Curve, branches=branches)
 
@@ -339,7 +341,8 @@ def _results(root: Any) -> tuple[Result, ...]:
         contribution = Contribution(row.cause, row.change, row.is_common)
         budgets.setdefault(row.result, []).append(contribution)
     return tuple(
-        _result(name, group[name], tuple(budgets.get(name, ()))) for name in texts(group, "order")
+        _result(name, group[name], tuple(budgets.get(name, ())))
+        for name in read_texts(group, "order")
     )
 
 
@@ -347,7 +350,7 @@ def _result(name: str, group: Any, budget: tuple[Contribution, ...]) -> Result:
     fields = read_attributes(group, Result, skip=("name", "value"))
     value = None if fields["status"] is Status.FAILED else get_number(group, "value")
     result = Result(name=name, value=value, budget=budget, **fields)
-    if text(group, "seal") != result.seal:
+    if read_text(group, "seal") != result.seal:
         message = f"results/{name}: its numbers were changed after they were written"
         raise ValueError(message)
     return result

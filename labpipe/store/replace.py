@@ -112,7 +112,7 @@ def is_cut_off(folder: Path) -> bool:
     return (folder / _COMMIT).is_dir() and not (folder / _COMMIT).is_symlink()
 
 
-def is_there(path: Path) -> bool:
+def exists_or_is_staged(path: Path) -> bool:
     """Return whether a file exists, or will exist after `finish_cut_off`."""
     return path.is_file() or (path.parent / _COMMIT / _FILES / path.name).is_file()
 
@@ -137,7 +137,7 @@ def finish_cut_off(folder: Path) -> bool:
         return False
     moves = _moves(folder)
     for move in moves:
-        move.make()
+        move.apply()
     _finish(folder, moves)
     return True
 
@@ -159,7 +159,7 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
         _flush_folder(folder)
         moves = _moves(folder)
         for move in moves:
-            move.make()
+            move.apply()
         _finish(folder, moves)
     except BaseException:
         if is_cut_off(folder):
@@ -170,28 +170,28 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
 
 
 class _Move(NamedTuple):
-    """Move of the file at `goal` aside, and of the new file, if any, to its place."""
+    """Move of the file at `destination` aside, and of the new file, if any, to its place."""
 
     new: Path
-    goal: Path
+    destination: Path
     aside: Path
 
-    def make(self) -> None:
-        if self.goal.exists():
+    def apply(self) -> None:
+        if self.destination.exists():
             self.aside.parent.mkdir(parents=True, exist_ok=True)
-            self.goal.replace(self.aside)
+            self.destination.replace(self.aside)
         if self.new.exists():
-            self.goal.parent.mkdir(parents=True, exist_ok=True)
-            self.new.replace(self.goal)
+            self.destination.parent.mkdir(parents=True, exist_ok=True)
+            self.new.replace(self.destination)
 
     def undo(self) -> None:
-        if not self.new.exists() and self.goal.exists():
-            self.goal.replace(self.new)
+        if not self.new.exists() and self.destination.exists():
+            self.destination.replace(self.new)
         if self.aside.exists():
-            self.aside.replace(self.goal)
+            self.aside.replace(self.destination)
         else:
             with suppress(OSError):  # if it contains other files
-                self.goal.parent.rmdir()
+                self.destination.parent.rmdir()
 
 
 def _moves(folder: Path) -> list[_Move]:
@@ -205,7 +205,7 @@ def _moves(folder: Path) -> list[_Move]:
 
 def _finish(folder: Path, moves: Iterable[_Move]) -> None:
     """Flush the moves to the disk, then delete the earlier files."""
-    for place in {move.goal.parent for move in moves} | {folder}:
+    for place in {move.destination.parent for move in moves} | {folder}:
         if place.is_dir():
             _flush_folder(place)
     shutil.rmtree(folder / _DONE, ignore_errors=True)

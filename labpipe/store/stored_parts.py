@@ -14,9 +14,9 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import Specimen
 from labpipe.store import layout
-from labpipe.store.datasets import Target, array, text, texts
+from labpipe.store.datasets import Target, read_array, read_text, read_texts
 from labpipe.store.hdf5_objects import set_text
-from labpipe.store.layout import Field, fields_of, link_name
+from labpipe.store.layout import DatasetSpec, list_datasets, make_link_name
 from labpipe.store.stored_records import (
     read_attributes,
     read_record,
@@ -28,11 +28,11 @@ from labpipe.store.stored_records import (
 
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
 """Attributes of the root."""
-_WIRE_TYPE: Final = Field(("type",), layout.TEXT, layout.TEXT)
-_WIRE_NUMBER: Final = Field(("type",), "1", "int64")
-_WIRE_DIAMETER: Final = Field(("type",), "m")
-_WIRE_POSITION: Final = Field(("wire", "xy"), "m")
-_CHANNEL: Final = Field(("sample",), None)
+_WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
+_WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
+_WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
+_WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
+_CHANNEL: Final = DatasetSpec(("sample",), None)
 _CHANNEL_TEXTS: Final = {
     "name": "name",
     "path": "name_in_file",
@@ -53,15 +53,15 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     """
     for name, attribute in _SPECIMEN_TEXTS.items():
         set_text(target.group, attribute, getattr(specimen, name))
-    target = target.inside(layout.SPECIMEN)
-    target.texts("dimensions", tuple(specimen.dimensions))
+    target = target.open_group(layout.SPECIMEN)
+    target.write_texts("dimensions", tuple(specimen.dimensions))
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
     target.group.attrs["unit"] = "m"
     if specimen.labels:
-        target.texts("labels", tuple(specimen.labels))
-        target.texts("label_words", tuple(specimen.labels.values()))
+        target.write_texts("labels", tuple(specimen.labels))
+        target.write_texts("label_words", tuple(specimen.labels.values()))
     if specimen.bundle is not None:
-        _write_bundle(target.inside("bundle"), specimen.bundle)
+        _write_bundle(target.open_group("bundle"), specimen.bundle)
 
 
 def _write_bundle(target: Target, bundle: Bundle) -> None:
@@ -70,12 +70,12 @@ def _write_bundle(target: Target, bundle: Bundle) -> None:
     target.group.attrs["conduit_bore_unit"] = "m"
     numbers = np.array([wire.number for wire in bundle.wires], dtype=np.int64)
     diameters = np.array([_number(wire.diameter) for wire in bundle.wires])
-    target.array("wire_types", tuple(wire.type for wire in bundle.wires), _WIRE_TYPE)
-    target.array("wire_numbers", numbers, _WIRE_NUMBER)
-    target.array("wire_diameters", diameters, _WIRE_DIAMETER)
+    target.write_array("wire_types", tuple(wire.type for wire in bundle.wires), _WIRE_TYPE)
+    target.write_array("wire_numbers", numbers, _WIRE_NUMBER)
+    target.write_array("wire_diameters", diameters, _WIRE_DIAMETER)
     if bundle.positions:
-        target.array("positions", np.array(bundle.positions), _WIRE_POSITION)
-    target.scaled()
+        target.write_array("positions", np.array(bundle.positions), _WIRE_POSITION)
+    target.attach_scales()
 
 
 def read_specimen(root: Any) -> Specimen:
@@ -85,26 +85,28 @@ def read_specimen(root: Any) -> Specimen:
     ----------
     root : open result file
     """
-    named = {name: text(root, where) for name, where in _SPECIMEN_TEXTS.items()}
+    named = {name: read_text(root, where) for name, where in _SPECIMEN_TEXTS.items()}
     group = root[layout.SPECIMEN]
     values = (float(value) for value in group.attrs["values"])
-    dimensions = dict(zip(texts(group, "dimensions"), values, strict=True))
+    dimensions = dict(zip(read_texts(group, "dimensions"), values, strict=True))
     bundle = _bundle(group["bundle"]) if "bundle" in group else None
     has_labels = "labels" in group.attrs
     labels = (
-        zip(texts(group, "labels"), texts(group, "label_words"), strict=True) if has_labels else ()
+        zip(read_texts(group, "labels"), read_texts(group, "label_words"), strict=True)
+        if has_labels
+        else ()
     )
     return Specimen(**named, dimensions=dimensions, bundle=bundle, labels=dict(labels))
 
 
 def _bundle(group: Any) -> Bundle:
     wires = zip(
-        array(group, "wire_types", _WIRE_TYPE),
-        array(group, "wire_numbers", _WIRE_NUMBER),
-        array(group, "wire_diameters", _WIRE_DIAMETER),
+        read_array(group, "wire_types", _WIRE_TYPE),
+        read_array(group, "wire_numbers", _WIRE_NUMBER),
+        read_array(group, "wire_diameters", _WIRE_DIAMETER),
         strict=True,
     )
-    positions = array(group, "positions", _WIRE_POSITION) if "positions" in group else ()
+    positions = read_array(group, "positions", _WIRE_POSITION) if "positions" in group else ()
     bundle = Bundle(
         wires=tuple(
             BundleWire(wire_type, int(number), _optional(wide)) for wire_type, number, wide in wires
@@ -152,11 +154,13 @@ def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
     scales: dict[str, Any] = {}
     for clock in clocks:
         wanted = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
-        names.append(link_name(wanted, target.group))
-        dataset = target.array(names[-1], clock.time, fields_of(Clock)["time"], clock.unit)
+        names.append(make_link_name(wanted, target.group))
+        dataset = target.write_array(
+            names[-1], clock.time, list_datasets(Clock)["time"], clock.unit
+        )
         set_text(dataset, "clock", clock.name)
         scales[clock.name] = dataset
-    target.texts("clocks", tuple(names))
+    target.write_texts("clocks", tuple(names))
     return scales
 
 
@@ -166,25 +170,27 @@ def _write_channels(
     reserved = (layout.TIME, _MARKERS, _BODIES, _NOTES)
     names: list[str] = []
     for channel in channels:
-        names.append(link_name(channel.name, [*target.group, *reserved]))
-        unit = layout.NO_UNIT if channel.unit is None else channel.unit
-        dataset = target.array(names[-1], channel.values, _CHANNEL, unit)
+        names.append(make_link_name(channel.name, [*target.group, *reserved]))
+        unit = layout.UNSTATED_UNIT if channel.unit is None else channel.unit
+        dataset = target.write_array(names[-1], channel.values, _CHANNEL, unit)
         for field_name, attribute in _CHANNEL_TEXTS.items():
             set_text(dataset, attribute, getattr(channel, field_name))
-        target.attach(dataset, 0, scales[channel.clock])
-    target.texts("channels", tuple(names))
+        target.attach_scale(dataset, 0, scales[channel.clock])
+    target.write_texts("channels", tuple(names))
 
 
 def _write_markers(target: Target, tracks: MarkerTracks) -> None:
-    markers, bodies = target.inside(_MARKERS), target.inside(_BODIES)
+    markers, bodies = target.open_group(_MARKERS), target.open_group(_BODIES)
     write_record(markers, tracks)
     names: list[str] = []
     for body in tracks.bodies:
-        names.append(link_name(body.name, names))
-        inside = bodies.inside(names[-1])
-        inside.link(layout.TIME, markers.group[layout.TIME], fields_of(MarkerTracks)["time"])
+        names.append(make_link_name(body.name, names))
+        inside = bodies.open_group(names[-1])
+        inside.link_dataset(
+            layout.TIME, markers.group[layout.TIME], list_datasets(MarkerTracks)["time"]
+        )
         write_record(inside, body)
-    bodies.texts("bodies", tuple(names))
+    bodies.write_texts("bodies", tuple(names))
 
 
 def read_recording(group: Any) -> Recording:
@@ -204,10 +210,10 @@ def read_recording(group: Any) -> Recording:
     recording = read_record(
         group,
         Recording,
-        clocks=tuple(_clock(group, name) for name in texts(group, "clocks")),
-        channels=tuple(_channel(group, name) for name in texts(group, "channels")),
+        clocks=tuple(_clock(group, name) for name in read_texts(group, "clocks")),
+        channels=tuple(_channel(group, name) for name in read_texts(group, "channels")),
         markers=_markers(group) if _MARKERS in group else None,
-        metadata=dict(json.loads(text(group, "metadata")).items()),
+        metadata=dict(json.loads(read_text(group, "metadata")).items()),
         notes=read_table(group, _NOTES, QualityNote),
     )
     _require_equal_lengths(recording)
@@ -230,18 +236,20 @@ def _require_equal_lengths(recording: Recording) -> None:
 
 
 def _clock(group: Any, name: str) -> Clock:
-    time = array(group, name, fields_of(Clock)["time"])
-    return Clock(text(group[name], "clock"), time, text(group[name], "unit"))
+    time = read_array(group, name, list_datasets(Clock)["time"])
+    return Clock(read_text(group[name], "clock"), time, read_text(group[name], "unit"))
 
 
 def _channel(group: Any, name: str) -> Channel:
-    fields = {key: text(group[name], where) for key, where in _CHANNEL_TEXTS.items()}
-    unit = text(group[name], "unit")
-    values = array(group, name, _CHANNEL)
-    return Channel(**fields, values=values, unit=None if unit == layout.NO_UNIT else unit)
+    fields = {key: read_text(group[name], where) for key, where in _CHANNEL_TEXTS.items()}
+    unit = read_text(group[name], "unit")
+    values = read_array(group, name, _CHANNEL)
+    return Channel(**fields, values=values, unit=None if unit == layout.UNSTATED_UNIT else unit)
 
 
 def _markers(group: Any) -> MarkerTracks:
     bodies = group[_BODIES]
-    all_bodies = tuple(read_record(bodies[name], RigidBody) for name in texts(bodies, "bodies"))
+    all_bodies = tuple(
+        read_record(bodies[name], RigidBody) for name in read_texts(bodies, "bodies")
+    )
     return read_record(group[_MARKERS], MarkerTracks, bodies=all_bodies)

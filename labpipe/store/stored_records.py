@@ -12,9 +12,16 @@ import numpy as np
 
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
-from labpipe.store.datasets import Target, array, text, texts
+from labpipe.store.datasets import Target, read_array, read_text, read_texts
 from labpipe.store.hdf5_objects import get_number, has_attribute, set_number, set_text, set_texts
-from labpipe.store.layout import TEXT, Attribute, attributes_of, columns_of, fields_of, stem_of
+from labpipe.store.layout import (
+    TEXT,
+    AttributeSpec,
+    find_stem,
+    list_attributes,
+    list_columns,
+    list_datasets,
+)
 
 _R = TypeVar("_R")
 _ENDS = ("lower", "upper", "level")
@@ -54,12 +61,12 @@ def write_arrays(target: Target, record: Any) -> None:
     target : its group
     record : of a type whose annotations define the layout
     """
-    for name, field in fields_of(type(record)).items():
+    for name, field in list_datasets(type(record)).items():
         values = getattr(record, name)
         if field.dtype == "uint8":
             values = values.astype(np.uint8)
-        target.array(name, values, field, getattr(record, field.stated_in, ""))
-    target.scaled()
+        target.write_array(name, values, field, getattr(record, field.stated_in, ""))
+    target.attach_scales()
 
 
 def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, Any]:
@@ -72,11 +79,11 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
     names : of the arrays; none for all
     """
     read: dict[str, Any] = {}
-    for name, field in fields_of(kind).items():
+    for name, field in list_datasets(kind).items():
         if not names or name in names:
-            read[name] = array(group, name, field)
+            read[name] = read_array(group, name, field)
             if field.stated_in:
-                read[field.stated_in] = text(group[name], "unit")
+                read[field.stated_in] = read_text(group[name], "unit")
     return read
 
 
@@ -89,12 +96,12 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
     record : of a type whose annotations define the layout
     skip : names of fields that are elsewhere
     """
-    for name, attribute in attributes_of(type(record)).items():
+    for name, attribute in list_attributes(type(record)).items():
         if name not in skip:
             _write_attribute(target.group, name, attribute, getattr(record, name))
 
 
-def _write_attribute(group: Any, name: str, attribute: Attribute, value: Any) -> None:
+def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any) -> None:
     kind, unit, _ = attribute
     if kind in _REASONS:
         reasons = value if isinstance(value, tuple) else (value,) if value else ()
@@ -102,7 +109,7 @@ def _write_attribute(group: Any, name: str, attribute: Attribute, value: Any) ->
         set_texts(group, _MESSAGES, [reason.message for reason in reasons])
     elif isinstance(value, Interval):
         for end in _ENDS:
-            set_number(group, stem_of(name) + end, float(getattr(value, end)))
+            set_number(group, find_stem(name) + end, float(getattr(value, end)))
     elif isinstance(value, tuple):
         set_texts(group, name, value)
     elif kind not in (int, float, Interval):
@@ -122,21 +129,21 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
     kind : its type
     skip : names of fields that are elsewhere
     """
-    attributes = attributes_of(kind).items()
+    attributes = list_attributes(kind).items()
     return {name: _read_attribute(group, name, of) for name, of in attributes if name not in skip}
 
 
-def _read_attribute(group: Any, name: str, attribute: Attribute) -> Any:
+def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
     kind, _, is_optional = attribute
     if kind in _REASONS:
-        pairs = zip(texts(group, _CODES), texts(group, _MESSAGES), strict=True)
+        pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
         reasons = tuple(Reason(*pair) for pair in pairs)
         return next(iter(reasons), None) if kind is Reason else reasons
     if kind == tuple[str, ...]:
-        return texts(group, name)
+        return read_texts(group, name)
     if kind not in (int, float, Interval):
-        return _cell({name: text(group, name)}, name, attribute)
-    names = [stem_of(name) + end for end in _ENDS] if kind is Interval else [name]
+        return _cell({name: read_text(group, name)}, name, attribute)
+    names = [find_stem(name) + end for end in _ENDS] if kind is Interval else [name]
     if is_optional and not has_attribute(group, names[0]):
         return None
     return kind(*(get_number(group, number) for number in names))
@@ -155,16 +162,16 @@ def write_table(
     rows : any number
     unit : of the columns whose unit the layout does not define
     """
-    table = target.inside(name)
-    for column, (source, end, field) in columns_of(kind).items():
+    table = target.open_group(name)
+    for column, (source, end, field) in list_columns(kind).items():
         cells = [getattr(row, source) for row in rows]
         if end:
             cells = [getattr(interval, end) for interval in cells]
         values: Any = tuple(map(_text_of, cells))
         if field.dtype != TEXT:
             values = np.array([nan if cell is None else cell for cell in cells], field.dtype)
-        table.array(column, values, field, unit)
-    table.scaled()
+        table.write_array(column, values, field, unit)
+    table.attach_scales()
 
 
 def _text_of(value: Any) -> str:
@@ -184,19 +191,19 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     The records.
     """
     columns = [
-        array(parent[name], column, replace(field, unit=field.unit or unit))
-        for column, (_, _, field) in columns_of(kind).items()
+        read_array(parent[name], column, replace(field, unit=field.unit or unit))
+        for column, (_, _, field) in list_columns(kind).items()
     ]
     columns = [column if isinstance(column, tuple) else column.tolist() for column in columns]
-    rows = (dict(zip(columns_of(kind), row, strict=True)) for row in zip(*columns, strict=True))
-    fields = attributes_of(kind).items()
+    rows = (dict(zip(list_columns(kind), row, strict=True)) for row in zip(*columns, strict=True))
+    fields = list_attributes(kind).items()
     return tuple(kind(**{field: _cell(row, field, of) for field, of in fields}) for row in rows)
 
 
-def _cell(row: Mapping[str, Any], name: str, of: Attribute) -> Any:
+def _cell(row: Mapping[str, Any], name: str, of: AttributeSpec) -> Any:
     """Return one field of a record from a row."""
     if of.kind is Interval:
-        return Interval(*(row[stem_of(name) + end] for end in ("lower", "upper")))
+        return Interval(*(row[find_stem(name) + end] for end in ("lower", "upper")))
     cell = row[name]
     if of.is_optional and (cell == "" or (of.kind is float and isnan(cell))):
         return None

@@ -13,7 +13,7 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.errors import StoreError
-from labpipe.records.result import InputFile, Result, Specimen, TestResult, seal_of
+from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
 from labpipe.store.replace import locked, replacing
 
 SUMMARY_FILE = "summary.json"
@@ -22,7 +22,7 @@ FAILURE_FILE = "failure.json"
 FAILURE_SCHEMA = 1
 
 
-def summary(result: TestResult) -> dict[str, object]:
+def build_summary(result: TestResult) -> dict[str, object]:
     """Return the summary of a test in SI numbers.
 
     Parameters
@@ -41,15 +41,15 @@ def summary(result: TestResult) -> dict[str, object]:
         "protocol": result.protocol,
         "labpipe": result.labpipe_version,
         "inputs": _inputs(result.inputs),
-        "date": plain(result.date),
+        "date": to_json(result.date),
         "operator": result.operator,
-        "instruments": plain(result.instruments),
+        "instruments": to_json(result.instruments),
         "run": result.run,
         "made_of": {
             "sheet": sha256(result.test_yaml.encode()).hexdigest(),
             "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
         },
-        "results": [result_entry(entry) for entry in result.results],
+        "results": [build_result_entry(entry) for entry in result.results],
         "quality": [
             {"code": note.code, "severity": str(note.severity), "message": note.message}
             for note in result.quality
@@ -70,26 +70,26 @@ def write_summary(result: TestResult, path: Path) -> None:
     StoreError
         If it cannot be written: full disk, no permission.
     """
-    text = json.dumps(summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(build_summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode())
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Convert records to what JSON has: no NaN, no tuples, days as texts."""
     if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
+        return {str(key): to_json(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
+        return [to_json(entry) for entry in value]
     if isinstance(value, float):
-        return finite_or_none(value)
+        return replace_non_finite(value)
     return str(value) if isinstance(value, str | date) else value
 
 
 def _specimen(specimen: Specimen) -> dict[str, object]:
-    content = plain(specimen)
+    content = to_json(specimen)
     bundle = specimen.bundle
     about = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
     optional = {"bundle": about | (content["bundle"] or {}), "labels": content["labels"]}
@@ -100,7 +100,7 @@ def _specimen(specimen: Specimen) -> dict[str, object]:
     }
 
 
-def result_entry(result: Result) -> dict[str, object]:
+def build_result_entry(result: Result) -> dict[str, object]:
     """Return a result as an entry of ``summary.json``.
 
     Parameters
@@ -109,20 +109,20 @@ def result_entry(result: Result) -> dict[str, object]:
     """
     ends = result.interval
     shares = zip(result.budget, result.shares, strict=True)
-    entry: dict[str, object] = plain({
+    entry: dict[str, object] = to_json({
         "name": result.name,
         "value": result.value,
         "unit": result.unit,
         "lower": ends and ends.lower,
         "upper": ends and ends.upper,
         "level": ends and ends.level,
-        "estimate": result.likely,
+        "estimate": result.best_estimate,
         "status": result.status,
         "seal": result.seal,
         "code": ", ".join(result.codes),
-        "reason": result.why,
+        "reason": result.reason_text,
         "reasons": result.reasons,
-        "method": result.how,
+        "method": result.full_method,
         "budget": [
             {"cause": row.cause, "change": row.change, "share": share, "common": row.is_common}
             for row, share in shares
@@ -152,22 +152,22 @@ def check_summary(result: TestResult, path: Path) -> None:
         return
     seals = {entry.name: entry.seal for entry in result.results}
     for entry in read_summary(path)["results"]:
-        if not entry["seal"] == sealed(entry) == seals.get(entry["name"]):
+        if not entry["seal"] == compute_entry_seal(entry) == seals.get(entry["name"]):
             raise StoreError.about("store.other_numbers", path, str(entry["name"]))
 
 
-def sealed(entry: Mapping[str, Any]) -> str:
+def compute_entry_seal(entry: Mapping[str, Any]) -> str:
     """Return the seal of the numbers of an entry of ``summary.json``.
 
     Parameters
     ----------
-    entry : of `result_entry`
+    entry : of `build_result_entry`
     """
     numbers = [entry[key] for key in ("value", "lower", "upper", "level", "estimate")]
-    return seal_of(entry["name"], entry["unit"], entry["status"], numbers)
+    return compute_seal(entry["name"], entry["unit"], entry["status"], numbers)
 
 
-def finite_or_none(value: float | None) -> float | None:
+def replace_non_finite(value: float | None) -> float | None:
     """Return the number; None for NaN and infinities, which JSON does not have."""
     return float(value) if value is not None and isfinite(value) else None
 

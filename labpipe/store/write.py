@@ -26,9 +26,9 @@ from labpipe.records.curve import (
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Instrument, Result, TestResult
 from labpipe.store import layout
-from labpipe.store.datasets import Target, place_of, same_content
+from labpipe.store.datasets import Target, has_same_content, locate_array
 from labpipe.store.hdf5_objects import open_dataset, set_number, set_text
-from labpipe.store.layout import BudgetRow, ResultRow, fields_of, link_name
+from labpipe.store.layout import BudgetRow, ResultRow, list_datasets, make_link_name
 from labpipe.store.replace import replacing
 from labpipe.store.stored_parts import write_recording, write_specimen
 from labpipe.store.stored_records import write_arrays, write_attributes, write_record, write_table
@@ -81,9 +81,9 @@ def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArra
     if is_whole:
         try:
             with h5py.File(temporary, "r") as root:
-                unique = {place_of(array): name for name, array in written.items()}.values()
+                unique = {locate_array(array): name for name, array in written.items()}.values()
                 is_whole = all(
-                    same_content(open_dataset(root, name), written[name]) for name in unique
+                    has_same_content(open_dataset(root, name), written[name]) for name in unique
                 )
         except OSError:  # a wrong checksum
             is_whole = False
@@ -96,18 +96,18 @@ def _write_root(target: Target, result: TestResult) -> None:
     write_attributes(target, result)
     set_text(target.group, "display", json.dumps(dict(result.display), ensure_ascii=False))
     write_specimen(target, result.specimen)
-    _write_raw(target.inside(layout.RAW), result)
+    _write_raw(target.open_group(layout.RAW), result)
     if result.aligned is not None:
-        _write_aligned(target.inside(layout.ALIGNED), result.aligned)
+        _write_aligned(target.open_group(layout.ALIGNED), result.aligned)
     if result.curve is not None:
-        _write_curve(target.inside(layout.CURVE), result, result.curve)
+        _write_curve(target.open_group(layout.CURVE), result, result.curve)
     if result.shape is not None:
-        write_record(target.inside(layout.SHAPE), result.shape)
+        write_record(target.open_group(layout.SHAPE), result.shape)
     if result.bending is not None:
-        _write_bending(target.inside(layout.BENDING), result.bending)
+        _write_bending(target.open_group(layout.BENDING), result.bending)
     if result.instruments:
         write_table(target, layout.INSTRUMENTS, Instrument, result.instruments)
-    _write_results(target.inside(layout.RESULTS), result.results)
+    _write_results(target.open_group(layout.RESULTS), result.results)
     budget = [
         BudgetRow(entry.name, row.cause, row.change, entry.unit, share, row.is_common)
         for entry in result.results
@@ -121,13 +121,13 @@ def _write_root(target: Target, result: TestResult) -> None:
 def _write_raw(target: Target, result: TestResult) -> None:
     """Write recordings by role, with fingerprints and order of their exports."""
     roles = dict.fromkeys([*result.recordings, *(export.role for export in result.inputs)])
-    target.texts("roles", tuple(result.recordings))
+    target.write_texts("roles", tuple(result.recordings))
     for role in roles:
-        inside = target.inside(role)
+        inside = target.open_group(role)
         places = [place for place, export in enumerate(result.inputs) if export.role == role]
         inputs = [result.inputs[place] for place in places]
-        inside.texts("file", tuple(export.file for export in inputs))
-        inside.texts("sha256", tuple(export.sha256 for export in inputs))
+        inside.write_texts("file", tuple(export.file for export in inputs))
+        inside.write_texts("sha256", tuple(export.sha256 for export in inputs))
         sizes = np.array([export.bytes for export in inputs], dtype=np.int64)
         inside.group.attrs["bytes"] = sizes
         inside.group.attrs["input_order"] = np.array(places, dtype=np.int64)
@@ -139,14 +139,16 @@ def _write_aligned(target: Target, aligned: Aligned) -> None:
     write_arrays(target, aligned)
     names: list[str] = []
     for name, series in aligned.series.items():
-        names.append(link_name(name, [*target.group, layout.EVENTS]))
-        dataset = target.array(names[-1], series.values, fields_of(Series)["values"], series.unit)
+        names.append(make_link_name(name, [*target.group, layout.EVENTS]))
+        dataset = target.write_array(
+            names[-1], series.values, list_datasets(Series)["values"], series.unit
+        )
         set_text(dataset, "name", name)
-    target.texts("series", tuple(names))
-    target.scaled()
+    target.write_texts("series", tuple(names))
+    target.attach_scales()
     if aligned.clock_fit is not None:
         write_attributes(target, aligned.clock_fit)
-        write_arrays(target.inside(layout.EVENTS), aligned.clock_fit)
+        write_arrays(target.open_group(layout.EVENTS), aligned.clock_fit)
 
 
 def _write_curve(target: Target, result: TestResult, curve: Curve) -> None:
@@ -162,13 +164,13 @@ def _write_bending(target: Target, bending: Bending) -> None:
     write_record(target, bending.cloud)
     write_attributes(target, bending)
     if bending.law is not None:
-        write_record(target.inside(layout.LAW), bending.law)
+        write_record(target.open_group(layout.LAW), bending.law)
 
 
 def _write_results(target: Target, results: tuple[Result, ...]) -> None:
-    target.texts("order", tuple(result.name for result in results))
+    target.write_texts("order", tuple(result.name for result in results))
     for result in results:
-        inside = target.inside(result.name)
+        inside = target.open_group(result.name)
         set_number(inside.group, "value", np.nan if result.value is None else float(result.value))
         set_text(inside.group, "seal", result.seal)
         write_attributes(inside, result, skip=("name", "value"))
@@ -180,12 +182,12 @@ def _row_of(result: Result) -> ResultRow:
     return ResultRow(
         result.name,
         result.value,
-        result.likely,
+        result.best_estimate,
         ends.lower,
         ends.upper,
         result.unit,
         ends.level,
         result.status,
         ", ".join(result.codes),
-        result.why,
+        result.reason_text,
     )

@@ -19,7 +19,7 @@ _WHITE_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
 """White noise below correlated noise, as shares of the spectrum at frequency zero."""
 
 
-def long_run_variance(residuals: Floats, *, parameters: int) -> float:
+def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
     """Return n times the variance of the mean of n residuals.
 
     Parameters
@@ -53,7 +53,7 @@ def long_run_variance(residuals: Floats, *, parameters: int) -> float:
     return max(total / lost, 0.5 * plain) * count / (count - parameters)
 
 
-def fast_noise(values: Floats) -> Floats:
+def estimate_fast_noise(values: Floats) -> Floats:
     """Return the median standard deviation about parabolas through blocks of 20 samples.
 
     Parameters
@@ -67,7 +67,7 @@ def fast_noise(values: Floats) -> Floats:
 
     Examples
     --------
-    >>> round(float(fast_noise(3.0 + np.random.default_rng(0).normal(0.0, 0.01, 4000))), 3)
+    >>> round(float(estimate_fast_noise(3.0 + np.random.default_rng(0).normal(0.0, 0.01, 4000))), 3)
     0.01
     """
     block_samples = 20
@@ -80,7 +80,7 @@ def fast_noise(values: Floats) -> Floats:
     return deviation
 
 
-def limits_by_noise(limit: float, rows: Floats) -> Floats:
+def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
     """Scale a limit, set by the fast noise of one record, to the noise of each of many like it.
 
     Parameters
@@ -92,13 +92,13 @@ def limits_by_noise(limit: float, rows: Floats) -> Floats:
     -------
     Shape (rows,): `limit` times the noise of each row over their mean noise.
     """
-    noise = fast_noise(rows[:, ~np.isnan(rows).any(axis=0)])
+    noise = estimate_fast_noise(rows[:, ~np.isnan(rows).any(axis=0)])
     middle = float(noise.mean())
     return limit * noise / middle if middle > 0.0 else np.full(len(rows), limit)
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class SpectrumGrid:
     """Grid of correlation times.
 
     Parameters
@@ -133,7 +133,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StretchLikelihood:
+class SpectrumLikelihood:
     """Likelihood of each of g spectra by stretches of a signal with the same basis.
 
     Parameters
@@ -156,7 +156,9 @@ class StretchLikelihood:
     unit: Floats
 
     @classmethod
-    def of(cls, basis: Floats, values: Floats, grid: Grid, n_cosines: int) -> StretchLikelihood:
+    def from_values(
+        cls, basis: Floats, values: Floats, grid: SpectrumGrid, n_cosines: int
+    ) -> SpectrumLikelihood:
         """Compute the likelihood by the slowest cosines of stretches.
 
         Parameters
@@ -169,11 +171,11 @@ class StretchLikelihood:
         """
         spent, count = basis.shape
         terms = min(count, n_cosines)
-        cosines = slowest_cosines(np.vstack([basis, values]), terms)
-        return cls.of_waves(_spectra(grid, count, terms), cosines[spent:], cosines[:spent].T)
+        cosines = transform_to_cosines(np.vstack([basis, values]), terms)
+        return cls.from_cosines(_spectra(grid, count, terms), cosines[spent:], cosines[:spent].T)
 
     @classmethod
-    def of_waves(cls, spectra: Floats, waves: Floats, columns: Floats) -> StretchLikelihood:
+    def from_cosines(cls, spectra: Floats, waves: Floats, columns: Floats) -> SpectrumLikelihood:
         """Compute the restricted likelihood in cosines (Harville, JASA 72 (1977) 320).
 
         Parameters
@@ -207,7 +209,7 @@ class StretchLikelihood:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+class SpectrumPosterior:
     """Probability of each of g spectra from all stretches.
 
     Parameters
@@ -222,7 +224,7 @@ class Noise:
     freedom: int
 
     @classmethod
-    def of(cls, stretches: Sequence[StretchLikelihood], prior: Floats) -> Noise:
+    def combine(cls, stretches: Sequence[SpectrumLikelihood], prior: Floats) -> SpectrumPosterior:
         """Multiply the likelihoods, with one variance for all, and the prior of the spectra."""
         freedom = sum(stretch.freedom for stretch in stretches)
         squares = np.sum([stretch.squares for stretch in stretches], axis=0)
@@ -232,7 +234,7 @@ class Noise:
         return cls(chances / chances.sum(), squares / freedom, freedom)
 
 
-def slowest_cosines(rows: Floats, terms: int) -> Floats:
+def transform_to_cosines(rows: Floats, terms: int) -> Floats:
     """Return the lowest coefficients of a discrete cosine transform.
 
     Parameters
@@ -253,7 +255,7 @@ def slowest_cosines(rows: Floats, terms: int) -> Floats:
 
     Examples
     --------
-    >>> slowest_cosines(np.full((1, 4), 3.0), 2).round(12)
+    >>> transform_to_cosines(np.full((1, 4), 3.0), 2).round(12)
     array([[6., 0.]])
     """
     # Samples per block.
@@ -279,7 +281,7 @@ def slowest_cosines(rows: Floats, terms: int) -> Floats:
     return waves
 
 
-def smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
+def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
     """Cut a signal into stretches without corners.
 
     Parameters
@@ -297,19 +299,19 @@ def smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
     if count == 0:
         return ()
     pieces = finite[len(finite) - count * width :].reshape(count, width)
-    basis = cubic_basis(width)
+    basis = build_cubic_basis(width)
     variances = np.var(pieces - (pieces @ basis.T) @ basis, axis=1)
     return tuple(pieces[variances <= 4.0 * np.median(variances)])
 
 
 @lru_cache(maxsize=8)
-def cubic_basis(count: int) -> Floats:
+def build_cubic_basis(count: int) -> Floats:
     """Return orthonormal polynomials up to degree three over even samples, shape (4, count)."""
     basis: Floats = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 4))[0].T
     return np.ascontiguousarray(basis)
 
 
-def exact_covariance(basis: Floats, grid: Grid) -> Floats:
+def compute_covariance(basis: Floats, grid: SpectrumGrid) -> Floats:
     """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p)."""
     spent, count = basis.shape
     covariances = _covariances(grid, count)
@@ -323,7 +325,7 @@ def exact_covariance(basis: Floats, grid: Grid) -> Floats:
     return unit
 
 
-def _covariances(grid: Grid, count: int) -> Floats:
+def _covariances(grid: SpectrumGrid, count: int) -> Floats:
     """Return autocovariances of noise with the spectra of `_spectra`, shape (g, count)."""
     lags, factors = np.arange(count), np.exp(-1.0 / grid.times)[:, None]
     slow = (1.0 - factors) / (1.0 + factors) * factors**lags
@@ -339,21 +341,21 @@ def _products(waves: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _spectra(grid: Grid, count: int, terms: int) -> Floats:
+def _spectra(grid: SpectrumGrid, count: int, terms: int) -> Floats:
     """Return spectra of autoregressive noise at the cosines, 1 at frequency zero.
 
     Each with white noise from zero to a third below: a load cell has both, and a pure first-order
     process fitted to both is too fast and too small.
     """
     factors = np.append(0.0, np.exp(-1.0 / grid.times))
-    spectra = autoregressive_spectra(factors, np.pi * np.arange(terms) / count)
+    spectra = compute_autoregressive_spectra(factors, np.pi * np.arange(terms) / count)
     # Mirror images rise with frequency. Without them white noise would be at the edge of the grid,
     # and its intervals would be too wide.
     mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _WHITE_FLOORS]
     return np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
 
 
-def autoregressive_spectra(factors: Floats, angle: Floats) -> Floats:
+def compute_autoregressive_spectra(factors: Floats, angle: Floats) -> Floats:
     """Return the power at angles per sample (k,) for lag-one correlations (g,), 1 at zero."""
     a = factors[:, None]
     spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)

@@ -28,7 +28,7 @@ class Trace:
     branches : in samples of the curve
     failed_at : sample of the failure, or None
     sizes : m (an area m^2), of specimen and rig by the keys of the protocol
-    beyond : time from the last sample before a failure or turn to it, in sampling steps
+    steps_beyond : time from the last sample before a failure or turn to it, in sampling steps
     steps : parts that each sampling step has been divided into
     """
 
@@ -38,10 +38,10 @@ class Trace:
     branches: tuple[Branch, ...] = ()
     failed_at: int | None = None
     sizes: Mapping[str, float] = field(default_factory=dict)
-    beyond: float = 0.0
+    steps_beyond: float = 0.0
     steps: int = 1
 
-    def finer(self, times: int, *, has_corners: bool = False) -> Trace:
+    def refine(self, times: int, *, has_corners: bool = False) -> Trace:
         """Return the curve with each sampling step divided by linear interpolation.
 
         Parameters
@@ -103,32 +103,34 @@ class Reading:
     numbers : returns each number of a trace with the same samples, shape (...) of the curves; NaN
         where a curve has none
     n : number of samples used
-    in_noise : the same for curves with noise, if noise changes which samples are read, else None
-    is_cut : whether windows end at samples, and nothing else depends on the sampling: finer samples
-        then show the effect of the sampling
-    feels_corners : whether that effect is taken from the measured curve, because the smooth one
-        rounds off corners that the number depends on
-    between : correction of each number to infinitely fine samples, if the extractor knows it
+    noisy_numbers : the same for curves with noise, if noise changes which samples are read, else
+        None
+    ends_at_samples : whether windows end at samples, and nothing else depends on the sampling:
+        finer samples then show the effect of the sampling
+    depends_on_corners : whether that effect is taken from the measured curve, because the smooth
+        one rounds off corners that the number depends on
+    sampling_correction : correction of each number to infinitely fine samples, if the extractor
+        knows it
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
     n: int
-    in_noise: Callable[[Trace], tuple[Floats, ...]] | None = None
-    is_cut: bool = False
-    feels_corners: bool = False
-    between: tuple[float, ...] | None = None
+    noisy_numbers: Callable[[Trace], tuple[Floats, ...]] | None = None
+    ends_at_samples: bool = False
+    depends_on_corners: bool = False
+    sampling_correction: tuple[float, ...] | None = None
 
     @property
-    def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
+    def replicate_numbers(self) -> Callable[[Trace], tuple[Floats, ...]]:
         """Return the function that returns the numbers of curves with noise."""
-        return self.in_noise or self.numbers
+        return self.noisy_numbers or self.numbers
 
 
 Decide: TypeAlias = Callable[[Trace], Reading | Failure]
 """Chooses, on one curve, the samples that numbers are read from; or says why there are none."""
 
 
-def on_part(
+def read_part(
     function: Callable[[Floats, Floats], Floats], part: Samples | tuple[slice, Samples]
 ) -> Callable[[Trace], tuple[Floats]]:
     """Return a number of traces from displacement and force of a part of them.
@@ -149,7 +151,7 @@ def on_part(
     return numbers
 
 
-def combine(function: Callable[..., Floats], *parts: Decide) -> Decide:
+def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
     """Combine numbers into one.
 
     Parameters
@@ -174,10 +176,12 @@ def combine(function: Callable[..., Floats], *parts: Decide) -> Decide:
             return (function(trace, *(reading.numbers(trace)[0] for reading in readings)),)
 
         def drawn(trace: Trace) -> tuple[Floats]:
-            return (function(trace, *(reading.drawn(trace)[0] for reading in readings)),)
+            return (
+                function(trace, *(reading.replicate_numbers(trace)[0] for reading in readings)),
+            )
 
-        is_cut = all(reading.is_cut for reading in readings)
-        has_noise = any(reading.feels_corners for reading in readings)
+        is_cut = all(reading.ends_at_samples for reading in readings)
+        has_noise = any(reading.depends_on_corners for reading in readings)
         return Reading(numbers, readings[0].n, drawn, is_cut, has_noise)
 
     return decide

@@ -19,7 +19,7 @@ from math import hypot
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import NOISE, STEP, contribution
+from labpipe.records.causes import NOISE, STEP, make_contribution
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
@@ -42,15 +42,15 @@ class Measured:
     Parameters
     ----------
     value : the plain number of the measured curve
-    off : shape (replicates,), error of the number of each replicate, in its unit; NaN where a
-        replicate has none
+    deviations : shape (replicates,), error of the number of each replicate, in its unit; NaN where
+        a replicate has none
     budget : contributions to the uncertainty
     n : number of samples used
     doubts : reasons why the interval may be wrong, with the quantity whose noise is the cause
     """
 
     value: float
-    off: Floats
+    deviations: Floats
     budget: tuple[Contribution, ...]
     n: int
     doubts: tuple[tuple[str, Reason], ...] = ()
@@ -58,12 +58,12 @@ class Measured:
     @property
     def estimate(self) -> float:
         """Return the value less the mean effect of noise."""
-        return self.value - float(np.nanmean(self.off))
+        return self.value - float(np.nanmean(self.deviations))
 
     @property
     def error(self) -> float:
         """Return the standard uncertainty of the estimate."""
-        return float(np.nanstd(self.off))
+        return float(np.nanstd(self.deviations))
 
     @property
     def as_estimate(self) -> Estimate:
@@ -76,11 +76,11 @@ class Measured:
 
         The largest of many noisy samples and the last one before a break are outside otherwise.
         """
-        low, high = np.nanquantile(self.off, _QUANTILES_95).tolist()
+        low, high = np.nanquantile(self.deviations, _QUANTILES_95).tolist()
         return Interval(self.value - max(high, 0.0), self.value - min(low, 0.0))
 
 
-def measure(
+def measure_numbers(
     replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
 ) -> tuple[Measured, ...] | Failure:
     """Measure numbers of a curve with their uncertainty.
@@ -110,18 +110,18 @@ def measure(
     if isinstance(plain, Failure):
         return plain
     smooth = SmoothNumbers.of(decide, replicates.smooth, plain, replicates.curves)
-    drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
+    drawn = [np.asarray(plain.replicate_numbers(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
     between, spread_between = _between_samples(replicates, reading, smooth)
     off = noise - between
     parts, doubts = [(STEP, spread_between)], list[tuple[str, Reason]]()
     handed = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
-        low, high = (smooth.changed(quantity, x) for x in (-1.0, 1.0))
+        low, high = (smooth.compute_change(quantity, x) for x in (-1.0, 1.0))
         if np.isnan(low + high).any():
             low, high = _mirrored(low, high)
             doubts.append(("", Reason.of("uncertainty.no_number", cause=quantity.cause)))
-        z = replicates.draws(quantity)
+        z = replicates.draw_input(quantity)
         off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
         parts.append((quantity.cause, 0.5 * (high - low) * quantity.deviation))
         handed += [(np.abs(parts[-1][1]), reason) for reason in quantity.doubts]
@@ -161,22 +161,25 @@ def _between_samples(
     Shape (numbers, replicates), and the standard deviation of each number.
     """
     measured = replicates.measured
-    if reading.between is not None:
-        between = np.array(reading.between)
-    elif not reading.feels_corners or len(measured.time) != len(replicates.smooth.time):
-        between = smooth.between_samples()
+    if reading.sampling_correction is not None:
+        between = np.array(reading.sampling_correction)
+    elif not reading.depends_on_corners or len(measured.time) != len(replicates.smooth.time):
+        between = smooth.compute_sampling_change()
     else:
-        between = SmoothNumbers.of(smooth.decide, measured, reading).between_samples()
+        between = SmoothNumbers.of(smooth.decide, measured, reading).compute_sampling_change()
     share = 1.0 / np.sqrt(3.0)
-    drawn, spread = np.outer(between, 0.5 + share * replicates.draws(_BETWEEN)), share * between
+    drawn, spread = (
+        np.outer(between, 0.5 + share * replicates.draw_input(_BETWEEN)),
+        share * between,
+    )
     longest = max((branch.stop - branch.start for branch in measured.branches), default=0)
-    is_sampled = reading.is_cut or reading.between is not None
-    if longest > SHORT_RECORD_SAMPLES or reading.feels_corners or not is_sampled:
+    is_sampled = reading.ends_at_samples or reading.sampling_correction is not None
+    if longest > SHORT_RECORD_SAMPLES or reading.depends_on_corners or not is_sampled:
         return drawn, spread
     # A short record does not show whether the curve is smooth: one half of the replicates has a
     # corner wherever the steps allow one.
-    corners, has_corners = smooth.corners(), replicates.draws(_CORNERS) > 0.0
-    interpolated = drawn if reading.between is None else np.zeros_like(drawn)
+    corners, has_corners = smooth.compute_corner_change(), replicates.draw_input(_CORNERS) > 0.0
+    interpolated = drawn if reading.sampling_correction is None else np.zeros_like(drawn)
     drawn = np.where(has_corners, interpolated + corners[:, None], drawn)
     return drawn, np.where(corners == 0.0, spread, np.copysign(drawn.std(axis=1), spread))
 
@@ -263,7 +266,7 @@ class SmoothNumbers:
         cls, decide: Decide, trace: Trace, reading: Reading, curves: Curves | None = None
     ) -> SmoothNumbers:
         """Decide again on finer samples, if only the sampling cuts its windows."""
-        times = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.is_cut else 1
+        times = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.ends_at_samples else 1
         plain = trace, reading, _numbers_of(reading, trace)
         smooth = cls(decide, *plain, *plain, {} if curves is None else curves)
         fine = smooth._curve(None, 0.0, times)
@@ -273,23 +276,23 @@ class SmoothNumbers:
         numbers = _numbers_of(fine_reading, fine)
         return replace(smooth, fine=fine, fine_reading=fine_reading, fine_numbers=numbers)
 
-    def between_samples(self) -> Floats:
+    def compute_sampling_change(self) -> Floats:
         """Return the change of the numbers with finer samples."""
         return self.fine_numbers - self.numbers
 
-    def corners(self) -> Floats:
+    def compute_corner_change(self) -> Floats:
         """Return the change of the numbers with corners between samples, where steps allow them."""
         parts_per_step = 8
         changes = list[Floats]()
         for has_corners in (False, True):
-            fine = self.trace.finer(parts_per_step, has_corners=has_corners)
+            fine = self.trace.refine(parts_per_step, has_corners=has_corners)
             reading = self.decide(fine)
             if isinstance(reading, Failure):
                 return np.zeros(len(self.numbers))
             changes.append(_numbers_of(reading, fine))
         return changes[1] - changes[0]
 
-    def changed(self, quantity: Input, by: float) -> Floats:
+    def compute_change(self, quantity: Input, by: float) -> Floats:
         """Return the change of the numbers with an input.
 
         Parameters
@@ -314,9 +317,9 @@ class SmoothNumbers:
         key = quantity, by, times
         if key not in self.curves:
             if times > 1:
-                curve = self._curve(quantity, by, 1).finer(times)
+                curve = self._curve(quantity, by, 1).refine(times)
             else:
-                curve = quantity.moved(self.trace, by) if quantity else self.trace
+                curve = quantity.perturb(self.trace, by) if quantity else self.trace
             self.curves[key] = curve
         return self.curves[key]
 
@@ -337,4 +340,4 @@ def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Co
         before, by = changes.get(cause, 0.0), float(change[row])
         changes[cause] = hypot(before, by) if before else by
     least = 1e-9 * max(map(abs, changes.values()))
-    return tuple(contribution(cause, by) for cause, by in changes.items() if abs(by) > least)
+    return tuple(make_contribution(cause, by) for cause, by in changes.items() if abs(by) > least)

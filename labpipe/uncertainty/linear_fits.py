@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import beta, stdtr, stdtrit
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
 from labpipe.uncertainty.autocorrelation import (
     MAX_COSINES,
-    Grid,
-    Noise,
-    StretchLikelihood,
-    cubic_basis,
-    exact_covariance,
+    SpectrumGrid,
+    SpectrumLikelihood,
+    SpectrumPosterior,
+    build_cubic_basis,
+    compute_covariance,
 )
 
 
@@ -95,29 +95,31 @@ def fit_linear(
     count, spent = design.shape
     least = spent + (1 if beside else 4)
     if count < least:
-        text = sentence("uncertainty.too_few", least=least, spent=spent, count=count)
+        text = format_sentence("uncertainty.too_few", least=least, spent=spent, count=count)
         raise ValueError(text)
-    basis, to_coefficients = orthonormal(design)
+    basis, to_coefficients = orthonormalise(design)
     plain = basis @ values
     residuals = values - plain @ basis
     max_samples = max([count, *map(len, beside)])
-    grid = Grid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
-    window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
+    grid = SpectrumGrid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
+    window = SpectrumLikelihood.from_values(
+        basis, residuals, grid, count if weighted else MAX_COSINES
+    )
     lengths = sorted(set(map(len, beside)))
     others = [
-        StretchLikelihood.of(
-            cubic_basis(length),
+        SpectrumLikelihood.from_values(
+            build_cubic_basis(length),
             np.stack([x for x in beside if len(x) == length]),
             grid,
             MAX_COSINES,
         )
         for length in lengths
     ]
-    noise = Noise.of([window, *others], grid.prior)
+    noise = SpectrumPosterior.combine([window, *others], grid.prior)
     shifts, unit = window.shifts[:, 0], window.unit
     if not weighted:
         shifts = np.zeros_like(shifts)
-        unit = exact_covariance(basis, grid) if beside else window.plain_covariance()
+        unit = compute_covariance(basis, grid) if beside else window.plain_covariance()
     shift = noise.chances @ shifts
     deviation = float(np.sqrt(residuals @ residuals / (count - spent)))
     covariances = to_coefficients @ (unit * noise.variances[:, None, None]) @ to_coefficients.T
@@ -133,7 +135,7 @@ def fit_linear(
     )
 
 
-def orthonormal(design: Floats) -> tuple[Floats, Floats]:
+def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
     """Return an orthonormal basis of the columns of a design.
 
     Parameters
@@ -150,7 +152,7 @@ def orthonormal(design: Floats) -> tuple[Floats, Floats]:
     return np.ascontiguousarray(columns.T), np.linalg.inv(triangle) / scale[:, None]
 
 
-def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
+def _half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
     """Return half widths that contain 95 % of the mixture of t-distributions.
 
     By Newton's method: the coverage is concave in the half width, so it does not overshoot.

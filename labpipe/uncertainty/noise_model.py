@@ -19,8 +19,11 @@ from scipy import fft
 from scipy.special import chdtri
 
 from labpipe.records.arrays import Flags, Floats, Ints, Singles
-from labpipe.uncertainty.autocorrelation import Noise as _Posterior
-from labpipe.uncertainty.autocorrelation import StretchLikelihood, autoregressive_spectra
+from labpipe.uncertainty.autocorrelation import (
+    SpectrumLikelihood,
+    SpectrumPosterior,
+    compute_autoregressive_spectra,
+)
 
 _PIECES_PER_BRANCH = 12
 """Pieces of the longest branch: with 8, the curve counts as noise, and intervals are 3 to 5 times
@@ -69,7 +72,7 @@ class _Processes:
 
     def spectra(self, angle: Floats) -> Floats:
         """Return the power at angles per sample (k,), 1 at zero: shape (g, k)."""
-        slow = autoregressive_spectra(self.factor, angle)
+        slow = compute_autoregressive_spectra(self.factor, angle)
         flickers = self.steep > 0.0
         power = -0.5 * self.steep[flickers, None]
         slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** power
@@ -121,7 +124,7 @@ def _processes(longest: int, count: int) -> _Processes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+class NoiseModel:
     """Probable processes of the noise of a signal.
 
     Parameters
@@ -219,7 +222,7 @@ def estimate_noise(
     *,
     copies: int = 1,
     has_steps: bool = False,
-) -> Noise:
+) -> NoiseModel:
     """Estimate the noise of a signal from short pieces of its branches, and from whole rests.
 
     Parameters
@@ -242,9 +245,9 @@ def estimate_noise(
     Notes
     -----
     A record whose longest branch has at most 150 samples is cut where polynomials follow it best
-    (`polynomial_pieces`), so that a knee does not count as noise. Of a longer one a polynomial of
-    degree five is removed from each piece of a twelfth; its residuals are modelled in the slowest
-    48 half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
+    (`cut_into_polynomials`), so that a knee does not count as noise. From each twelfth of a longer
+    branch, a polynomial of degree five is removed; the residuals are modelled in the slowest 48
+    half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
     approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
     likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
     autoregressive noise with and without white noise below, of its mirror image, and of flicker
@@ -295,8 +298,8 @@ def estimate_noise(
     is_level = power <= _CORNER_VARIANCE_RATIO * np.median(power)
     is_alike = is_level.copy()
     for _ in range(max_rounds):
-        seen = StretchLikelihood.of_waves(spectra, waves[is_alike], columns)
-        best = spectra[np.argmax(_Posterior.of([seen], processes.prior).chances)]
+        seen = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
+        best = spectra[np.argmax(SpectrumPosterior.combine([seen], processes.prior).chances)]
         whitened = _whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
         odd = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
@@ -315,21 +318,21 @@ def estimate_noise(
 
 
 def _probable_noise(
-    parts: Sequence[StretchLikelihood],
+    parts: Sequence[SpectrumLikelihood],
     prior: Floats,
     samples: tuple[int, int],
     fast: tuple[Floats, Floats],
     more: float = 1.0,
-) -> Noise:
+) -> NoiseModel:
     """Return the probability of each process, with `more` variance; improbable ones have none.
 
     samples : of the longest branch, and of all; fast : angles and power of fast waves
     """
-    posterior = _Posterior.of(parts, prior)
+    posterior = SpectrumPosterior.combine(parts, prior)
     chances = posterior.chances
     chances[chances < 1e-4 * chances.max()] = 0.0
     squares = posterior.variances * posterior.freedom * more
-    return Noise(chances / chances.sum(), squares, posterior.freedom, *samples, *fast)
+    return NoiseModel(chances / chances.sum(), squares, posterior.freedom, *samples, *fast)
 
 
 def _seen_in_pieces(processes: _Processes, width: int) -> Flags:
@@ -355,13 +358,13 @@ def _seen_in_pieces(processes: _Processes, width: int) -> Flags:
 
 def _short_record_noise(
     branches: Sequence[Floats], rests: Sequence[tuple[Floats, Floats]], longest: int, count: int
-) -> Noise:
+) -> NoiseModel:
     """Estimate the noise from residuals of polynomials through the branches."""
     parts = [
         (branch[start:stop], _legendre(stop - start, degree + 1))
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
-        for start, stop, degree in polynomial_pieces(branch)
+        for start, stop, degree in cut_into_polynomials(branch)
         if stop - start > degree + 1
     ]
     span = max(map(_range_of, branches), default=0.0)
@@ -376,13 +379,13 @@ def _short_record_noise(
     return _probable_noise(likelihoods, prior, (longest, count), (none, none))
 
 
-def _part_likelihood(processes: _Processes, part: Floats, basis: Floats) -> StretchLikelihood:
+def _part_likelihood(processes: _Processes, part: Floats, basis: Floats) -> SpectrumLikelihood:
     """Return the likelihood of samples with a basis (samples, columns) of what is not noise."""
     terms = min(_HALF_WAVES, len(part))
     waves = fft.dct(part - basis @ (basis.T @ part), norm="ortho")[None, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
     spectra = processes.spectra(np.pi * np.arange(terms) / len(part))
-    return StretchLikelihood.of_waves(spectra, waves, columns)
+    return SpectrumLikelihood.from_cosines(spectra, waves, columns)
 
 
 def _rest_middles(
@@ -416,9 +419,9 @@ def _without_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
     return (values - curve)[is_finite], np.zeros(int(is_finite.sum()))
 
 
-def _no_noise(longest: int) -> Noise:
+def _no_noise(longest: int) -> NoiseModel:
     none = np.zeros(0)
-    return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
+    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
 
 
 def _polynomials(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
@@ -491,7 +494,7 @@ class Piece(NamedTuple):
     degree: int
 
 
-def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
+def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
     """Cut a short record into at most three pieces for polynomials.
 
     Parameters
@@ -509,7 +512,7 @@ def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
     --------
     >>> knee = np.minimum(np.arange(40.0), 20.0)
     >>> noise = np.random.default_rng(1).normal(0.0, 0.1, 40)
-    >>> [piece.degree for piece in polynomial_pieces(knee + noise)]
+    >>> [piece.degree for piece in cut_into_polynomials(knee + noise)]
     [1, 1]
     """
     return _cached_pieces(np.ascontiguousarray(values, dtype=np.float64).tobytes())
@@ -599,7 +602,7 @@ MODES = 3
 """They contain 93 % of the variance of a random walk."""
 
 
-def drift_modes(times: Floats, by: float) -> list[Floats]:
+def compute_drift_modes(times: Floats, by: float) -> list[Floats]:
     """Return the modes of a zero drift, each for its own standard normal draw.
 
     The modes of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi)

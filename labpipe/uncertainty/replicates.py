@@ -25,9 +25,9 @@ from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.noise_model import (
     MIN_NOISE_SAMPLES,
     SHORT_RECORD_SAMPLES,
-    Noise,
+    NoiseModel,
+    cut_into_polynomials,
     estimate_noise,
-    polynomial_pieces,
 )
 
 N_REPLICATES = 400
@@ -49,7 +49,7 @@ class Input:
     Parameters
     ----------
     cause : such as ``gain of the load cell``
-    moved : returns a trace with the input changed by a number of standard uncertainties
+    perturb : returns a trace with the input changed by a number of standard uncertainties
     law : its distribution
     moves_curve : whether it changes the curve, so that windows are chosen again
     draws : shape (replicates,), in standard uncertainties, if the input was drawn before
@@ -58,7 +58,7 @@ class Input:
     """
 
     cause: str
-    moved: Callable[[Trace, float], Trace]
+    perturb: Callable[[Trace, float], Trace]
     law: Law = "normal"
     moves_curve: bool = True
     draws: Floats | None = None
@@ -67,7 +67,7 @@ class Input:
 
     @property
     def deviation(self) -> float:
-        """Return the standard deviation of its draws, in the unit of `moved`."""
+        """Return the standard deviation of its draws, in the unit of `perturb`."""
         return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.law, 1.0)
 
 
@@ -98,7 +98,7 @@ class Replicates:
     force: Floats
     inputs: tuple[Input, ...]
     seed: bytes
-    noises: Mapping[str, Noise]
+    noises: Mapping[str, NoiseModel]
     curves: Curves = field(init=False, default_factory=dict)
 
     def traces(self) -> Iterator[Trace]:
@@ -108,7 +108,7 @@ class Replicates:
             displacement, force = self.displacement[rows], self.force[rows]
             yield replace(self.smooth, displacement=displacement, force=force)
 
-    def draws(self, quantity: Input) -> Floats:
+    def draw_input(self, quantity: Input) -> Floats:
         """Return the draws of an input, in standard uncertainties, shape (replicates,).
 
         Parameters
@@ -117,7 +117,7 @@ class Replicates:
         """
         if quantity.draws is not None:
             return quantity.draws
-        rng, count = random_stream(self.seed, quantity.stream or quantity.cause), len(self.force)
+        rng, count = make_generator(self.seed, quantity.stream or quantity.cause), len(self.force)
         # Stratified: one draw in each of as many equal parts.
         chance = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
         if quantity.law == "normal":
@@ -137,7 +137,7 @@ class Replicates:
         noise = np.nanstd(getattr(self, name)[:_BATCH_REPLICATES] - smooth)
         return bool(noise > 1e-4 * (np.nanmax(smooth) - np.nanmin(smooth)))
 
-    def displaced(self, by: float, *inputs: Input) -> Replicates:
+    def shift_displacement(self, by: float, *inputs: Input) -> Replicates:
         """Return the curves with another zero of displacement.
 
         Parameters
@@ -155,7 +155,7 @@ class Replicates:
         )
 
 
-def random_stream(seed: bytes, name: str) -> np.random.Generator:
+def make_generator(seed: bytes, name: str) -> np.random.Generator:
     """Make the random generator of a name, the same for the same record.
 
     Parameters
@@ -167,7 +167,7 @@ def random_stream(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
-def spline_intervals_of(trace: Trace) -> int:
+def count_spline_intervals(trace: Trace) -> int:
     """Return the spline intervals per piece of a record.
 
     Parameters
@@ -178,7 +178,7 @@ def spline_intervals_of(trace: Trace) -> int:
     return 40 if len(trace.branches) > 1 else 12
 
 
-def smooth_curve(
+def fit_smooth_curve(
     time: Floats,
     values: Floats,
     cuts: Sequence[int],
@@ -236,7 +236,7 @@ def smooth_curve(
 def _polynomials(x: Floats, y: Floats) -> Floats:
     """Fit polynomials to the pieces of a short record."""
     polynomials = np.empty(len(y))
-    for start, stop, degree in polynomial_pieces(y):
+    for start, stop, degree in cut_into_polynomials(y):
         piece = slice(start, stop)
         polynomials[piece] = np.polynomial.Polynomial.fit(x[piece], y[piece], degree)(x[piece])
     return polynomials
@@ -319,20 +319,22 @@ def draw_replicates(
     -------
     The replicates, the same for the same seed.
     """
-    parts = spline_intervals_of(unfiltered)
+    parts = count_spline_intervals(unfiltered)
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
+        curve = fit_smooth_curve(
+            time, values, cuts, parts, broken=failed, branches=unfiltered.branches
+        )
         noise = _record_noise(
             values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
         )
         record_noise = (
             None
             if noise.is_zero
-            else noise.draw(len(time), N_REPLICATES, random_stream(seed, name))
+            else noise.draw(len(time), N_REPLICATES, make_generator(seed, name))
         )
         drawn.append(_noisy_and_filtered(curve, record_noise, act))
         noises[name] = noise
@@ -362,7 +364,7 @@ def _noisy_and_filtered(curve: Floats, noise: Singles | None, act: Filter) -> Fl
 
 def _record_noise(
     values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int], *, has_steps: bool
-) -> Noise:
+) -> NoiseModel:
     """Estimate the noise of a record from its branches up to the failure, or from all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
     pieces = _pieces(cuts, last)

@@ -20,7 +20,7 @@ from labpipe.api.one_test import Test, inspect
 from labpipe.errors import ProcessingError, ReadError, UsageError
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Specimen, TestResult
-from labpipe.store.summaries import summary
+from labpipe.store.summaries import build_summary
 from tests.builders.measured_bending import some_bending
 from tests.builders.small_tests import Lab, Run
 from tests.store.builders_result import build_result
@@ -41,7 +41,7 @@ def test_what_a_test_says_of_itself(test: Test, result: TestResult) -> None:
     assert (test.name, test.protocol, test.operator) == ("A2-085-1", "wire-cantilever", "lab")
     assert (test.date, test.instruments, test.folder) == (date(2026, 3, 4), (), None)
     assert test.specimen.dimensions == {"length": 0.085}
-    assert test.summary == summary(result)
+    assert test.summary == build_summary(result)
     assert test.figures == result.figures
     assert repr(test) == "<labpipe test A2-085-1 (wire-cantilever): 1 ok, 1 doubtful, 1 failed>"
     assert test._repr_html_().startswith("<div>")

@@ -183,7 +183,7 @@ def build_difference() -> Difference:
         tests=1,
         interval=Interval(-0.31, -0.25),
         verdict=Verdict.DIFFERENT,
-        why="p = 0.001",
+        verdict_reason="p = 0.001",
         fields={"type": ("twist-tube-10", "twist-tube-7")},
     )
 

@@ -12,7 +12,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.recording import MarkerTracks
 from labpipe.uncertainty.extractors import Reading, Trace
-from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Filter, Input, Replicates, draw_replicates
 
 STIFFNESS = 100.0
@@ -100,7 +100,7 @@ def measured(
 ) -> tuple[Measured, ...]:
     """Numbers that are read from a curve the same way whatever it is."""
     reading = Reading(numbers, len(trace.time) if n is None else n)
-    level = measure(replicates_of(trace, *inputs, **more), lambda _: reading)
+    level = measure_numbers(replicates_of(trace, *inputs, **more), lambda _: reading)
     assert isinstance(level, tuple), level
     return level
 

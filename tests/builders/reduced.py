@@ -16,7 +16,7 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
 from labpipe.records.signals import Clocks, Filter, Signal, Signals
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.signal.filters import in_pieces
+from labpipe.signal.filters import filter_pieces
 
 PROTOCOL = """\
 version: 1
@@ -117,15 +117,15 @@ def recorded(
         ("displacement", "one", "m", filters_of_displacement, time, displacement),
     ):
         raw = Signal(stamps, values, unit, clock)
-        signals = signals.with_new(name, raw)
+        signals = signals.add_signal(name, raw)
         if made:
             cuts = np.searchsorted(stamps, ends, side="right").tolist()
             stride = int(np.prod([size for _, size in made]))
-            done = in_pieces(values, cuts, made)
+            done = filter_pieces(values, cuts, made)
             filtered = replace(raw, time=stamps[::stride], values=done)
             signals = signals.with_filtered(name, filtered, *made)
     way = signals.filtered["displacement"]
-    pull = clocks.sampled(signals.filtered["force"], way.time)
+    pull = clocks.interpolate(signals.filtered["force"], way.time)
     number = np.zeros(len(way.time), dtype=np.int64)
     corrected = way.values - compliance * pull if compliance else way.values
     curve = Curve(way.time, corrected, pull, number, number + 1, branches)

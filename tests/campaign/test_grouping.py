@@ -94,20 +94,20 @@ HALF_LAP = bundle_of("19 B2", conduit="corrugated-tube")
 
 def test_questions_come_first_and_count_from_less_to_more() -> None:
     found = bundle_campaign(conduit_cases()).differences
-    asked = [finding.question for finding in found]
+    asked = [finding.single_field for finding in found]
     assert list(dict.fromkeys(asked)) == ["wire", "number", "taping", "conduit", ""]
-    assert {finding.family for finding in found if not finding.question} == {""}
-    assert {finding.verdict for finding in found if not finding.question} == {Verdict.NOT_ASKED}
+    assert {finding.family for finding in found if not finding.single_field} == {""}
+    assert {finding.verdict for finding in found if not finding.single_field} == {Verdict.NOT_ASKED}
     first = [finding for finding in found if finding.family == QUESTIONS]
     assert {each.name for each in first} == {MAIN[0]}
     assert {finding.name for finding in found if finding.family == OTHERS} == {MAIN[1]}
     assert {each.tests for each in first} == {len(first)}
     assert asked == sorted(asked, key=list(dict.fromkeys(asked)).index)
-    taping = [finding.fields["taping"] for finding in found if finding.question == "taping"]
+    taping = [finding.fields["taping"] for finding in found if finding.single_field == "taping"]
     assert set(taping) == {("none", "coarse"), ("none", "half-lap"), ("coarse", "half-lap")}
-    (number,) = {finding.fields["number"] for finding in found if finding.question == "number"}
+    (number,) = {finding.fields["number"] for finding in found if finding.single_field == "number"}
     assert number == ("12", "19")
-    assert all(finding.difference.mean > 0 for finding in found if finding.question == "number")
+    assert all(finding.difference.mean > 0 for finding in found if finding.single_field == "number")
 
 
 def test_half_lap_against_none_that_are_equal_within_two_percent() -> None:
@@ -120,7 +120,7 @@ def test_half_lap_against_none_that_are_equal_within_two_percent() -> None:
         (stiffness, _) = bundle_campaign(samples).differences
         assert stiffness.fields == {"taping": ("none", "half-lap")}
         assert stiffness.verdict is Verdict.EQUIVALENT
-        assert "within 10 %: p = " in stiffness.why
+        assert "within 10 %: p = " in stiffness.verdict_reason
         assert stiffness.p_equivalent < 0.05
 
 
@@ -140,7 +140,7 @@ def test_tests_that_were_processed_otherwise_are_told() -> None:
     wishes = {PROTOCOL: Groups(main=MAIN)}
     differences = find_differences(grouped(samples), wishes, settings, by=("type",))
     message = "; the tests were processed with different settings: results.kink.to differ"
-    assert differences.listed[0].words.endswith(message)
+    assert differences.listed[0].verdict_text.endswith(message)
 
 
 @pytest.fixture(scope="module")

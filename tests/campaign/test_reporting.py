@@ -22,11 +22,12 @@ from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
 from labpipe.protocol.load import known_protocols, load_protocol
-from labpipe.protocol.schema import Section, SpecimenBlock
+from labpipe.protocol.schema import SpecimenBlock
+from labpipe.protocol.source import Section
 from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import Letterhead
-from labpipe.store.read import Drawable, read_result
+from labpipe.store.read import ReportedTest, read_result
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
 
@@ -145,7 +146,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     none, first, _ = by_cure.groups
     assert first.fields["cured"] == "24 h"
     assert none.notes[0].message == "the test sheets of these samples do not say cured"
-    asked = [difference.fields for difference in by_cure.differences if difference.question]
+    asked = [difference.fields for difference in by_cure.differences if difference.single_field]
     assert asked == [{"cured": ("24 h", "48 h")}] * 2
     other = {"type": ("hose", "tube"), "cured": ("not stated", "48 h")}
     assert by_cure.differences[-1].fields == other
@@ -206,7 +207,7 @@ def read(done: Path, name: str) -> TestResult:
 
 
 def kept(result: TestResult, source: str = "") -> Sample:
-    return make_sample(Drawable(result, None, None), source=source)
+    return make_sample(ReportedTest(result, None, None), source=source)
 
 
 def test_a_sample_keeps_thinned_branches_up_to_the_failure(done: Path) -> None:

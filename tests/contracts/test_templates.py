@@ -8,10 +8,10 @@ from collections import defaultdict
 from pathlib import Path
 from string import Formatter
 
-from labpipe.messages import rooms_with_templates, templates_of
+from labpipe.messages import list_rooms, read_templates
 
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
-TAKES_A_TEMPLATE = {"about", "of", "refused", "sentence"}
+TAKES_A_TEMPLATE = {"about", "of", "refused", "format_sentence"}
 """Functions whose first argument names a template, or chooses one of several."""
 OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
 
@@ -19,8 +19,8 @@ OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
 def test_templates_and_calls_agree(repository: Path) -> None:
     templates = {
         f"{room}.{name}": template
-        for room in rooms_with_templates()
-        for name, template in templates_of(room).items()
+        for room in list_rooms()
+        for name, template in read_templates(room).items()
     }
     faults, used = [], set()
     for path in (repository / "labpipe").rglob("*.py"):
@@ -40,8 +40,8 @@ def test_templates_and_calls_agree(repository: Path) -> None:
 
 def test_templates_are_whole() -> None:
     shapes: dict[frozenset[str], list[str]] = defaultdict(list)
-    for room in rooms_with_templates():
-        for name, template in templates_of(room).items():
+    for room in list_rooms():
+        for name, template in read_templates(room).items():
             shapes[frozenset(template) - {"code", "origin", "doubts"}].append(f"{room}.{name}")
     allowed = [{"expected", "found", "remedy"}, {"severity", "meaning", "says"}]
     allowed += [{"severity", "says"}, {"says"}]

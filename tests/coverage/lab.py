@@ -65,5 +65,5 @@ def _row(result: Result, truth: float) -> dict[str, Any]:
         "lower": None if interval is None else interval.lower,
         "upper": None if interval is None else interval.upper,
         "status": str(result.status),
-        "why": result.why,
+        "why": result.reason_text,
     }

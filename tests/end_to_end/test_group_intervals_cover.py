@@ -15,9 +15,9 @@ import pytest
 from scipy.stats import binomtest
 
 from labpipe.records.arrays import Floats
-from labpipe.statistics.mean_curves import CommonCurves, mean_band
-from labpipe.statistics.means import mean_interval, nested_mean
-from labpipe.statistics.two_groups import difference_of_means
+from labpipe.statistics.mean_curves import CommonCurves, compute_band
+from labpipe.statistics.means import compute_mean, compute_nested_mean
+from labpipe.statistics.two_groups import subtract_means
 
 pytestmark = pytest.mark.slow
 RUNS = 1000
@@ -34,7 +34,7 @@ def nested_hits(counts: tuple[int, ...], share: float) -> int:
             f"s{spool}": rng.normal(rng.normal(50.0, spread), 1.0, count)
             for spool, count in enumerate(counts)
         }
-        found = nested_mean(spools).chosen.interval
+        found = compute_nested_mean(spools).chosen.interval
         assert found is not None
         hits += found.lower <= 50.0 <= found.upper
     return hits
@@ -71,7 +71,7 @@ def test_bands(kind: str, n: int) -> None:
     held = held_all = 0
     for _ in range(RUNS):
         curves = truth + rng.normal(size=(n, len(shapes))) @ shapes
-        band = mean_band(CommonCurves(PATH, curves))
+        band = compute_band(CommonCurves(PATH, curves))
         held += bool(band.lower[50] <= truth[50] <= band.upper[50])
         held_all += bool(np.all((band.lower_all <= truth) & (truth <= band.upper_all)))
     assert binomtest(held, RUNS, 0.95).pvalue > level, held
@@ -83,9 +83,9 @@ def test_bands(kind: str, n: int) -> None:
 def test_differences(counts: tuple[int, int], ratio: float) -> None:
     rng, hits = np.random.default_rng(sum(counts)), 0
     for _ in range(RUNS):
-        first = mean_interval(rng.normal(10.0, 1.0, counts[0]))
-        second = mean_interval(rng.normal(12.0, ratio, counts[1]))
-        found = difference_of_means(first, second).interval
+        first = compute_mean(rng.normal(10.0, 1.0, counts[0]))
+        second = compute_mean(rng.normal(12.0, ratio, counts[1]))
+        found = subtract_means(first, second).interval
         assert found is not None
         hits += found.lower <= 2.0 <= found.upper
     # Welch's degrees of freedom are approximate: at n = 3 the interval may cover a little more.

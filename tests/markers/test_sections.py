@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.markers.rings import (
     Sections,
-    axis_at_rest,
+    compute_ring_centres,
+    compute_section_centres,
+    compute_twist,
     find_sections,
-    ring_centres,
-    section_centres,
-    section_twist,
+    fit_rest_axis,
 )
 from labpipe.markers.three_point_axis import _linearise, fit_bent_axis, fit_span
 from labpipe.markers.track_repair import RepairedTracks
@@ -47,7 +47,7 @@ def test_a_missing_marker_does_not_move_the_centre(count: int, tolerance: float)
     markers, centre = turning_ring(count)
     markers[60:120, 1] = np.nan
     tracks = repaired(markers)
-    rings = ring_centres(tracks, {"low": tracks.names})
+    rings = compute_ring_centres(tracks, {"low": tracks.names})
     assert (rings.flags[60:120, 0] == PointFlag.FILLED).all()
     assert (rings.flags == PointFlag.FILLED).sum() == 60
     np.testing.assert_allclose(rings.positions[:, 0], centre, atol=tolerance * 3)
@@ -61,7 +61,7 @@ def test_a_centre_is_as_certain_as_its_least_certain_marker() -> None:
     flags = np.ones((FRAMES, 3), dtype=np.uint8)
     flags[5, 1], flags[6] = PointFlag.RELABELLED, [1, 2, 3]
     tracks = RepairedTracks(("a", "b", "c"), markers, flags, ())
-    rings = ring_centres(tracks, {"ring": ("a", "b", "c")})
+    rings = compute_ring_centres(tracks, {"ring": ("a", "b", "c")})
     assert rings.flags[4:8, 0].tolist() == [1, PointFlag.RELABELLED, PointFlag.FILLED, 1]
 
 
@@ -91,7 +91,7 @@ def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     made, rest = take()
     found = find_sections(made.positions, rest=rest, min_distance=0.004)
 
-    axis = axis_at_rest(found, radius=RADIUS, towards=(0.0, sign))
+    axis = fit_rest_axis(found, radius=RADIUS, towards=(0.0, sign))
 
     far = np.linalg.norm(found.at_rest[:, 1:] - axis, axis=1)
     assert np.allclose(far, RADIUS, atol=1e-6)
@@ -116,12 +116,12 @@ def test_rigid_sections_that_tilt_and_turn_have_their_centres_and_twists() -> No
     markers = centres[:, section] + moved[..., 0]
     markers[2, 1] = np.nan
     sections = Sections(markers, at_rest, section, np.arange(5), np.eye(3))
-    found, lever = section_twist(sections, slope, radius=0.01)
+    found, lever = compute_twist(sections, slope, radius=0.01)
     np.testing.assert_allclose(found[[0, 1, 3], 0], twist[[0, 1, 3]], rtol=1e-9)
     assert lever == pytest.approx([np.linalg.norm(off[:3, 1:] - off[:3, 1:].mean(0)), 0.0])
     assert np.isnan(found[:, 1]).all()
     turned = np.column_stack([twist, np.full(4, np.nan)])
-    middle = section_centres(sections, axis, slope, turned)
+    middle = compute_section_centres(sections, axis, slope, turned)
     np.testing.assert_allclose(middle, centres, atol=1e-12)
 
 
@@ -186,9 +186,9 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     found = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, bent_most=bent_most)
 
     top = int(np.argmin(np.abs(made.time - record.cameras_early - record.lasts)))
-    assert found.bent.mid_span[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
-    assert found.bent.deflection[top] == pytest.approx(STROKE, rel=5e-3)
-    assert found.bent.residual[top] < 3e-6
+    assert found.axis.mid_span[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
+    assert found.axis.deflection[top] == pytest.approx(STROKE, rel=5e-3)
+    assert found.axis.residual[top] < 3e-6
     # Markers ahead of the axis are carried sideways by the twist, which tilts y by 12 mrad.
     close = 1e-3 if facing == "side" else 2.5e-3
     assert np.abs(found.twist[top]) == pytest.approx(np.full(15, 0.05), abs=close)
@@ -209,7 +209,7 @@ def test_what_makes_no_sections() -> None:
     ring = repaired(turning_ring(3)[0])
     for members in ((), ("low:0", "high:1")):
         with pytest.raises(ValueError, match=r"ring low=\[.*\]: expected markers out of"):
-            ring_centres(ring, {"low": members})
+            compute_ring_centres(ring, {"low": members})
     made, rest = take()
     with pytest.raises(ValueError, match="2 markers seen at rest: expected at least 3"):
         find_sections(made.positions[:, :2], rest=rest, min_distance=0.004)

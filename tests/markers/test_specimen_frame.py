@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
+from labpipe.markers.specimen_frame import SpecimenFrame, find_specimen_frame
 from labpipe.records.arrays import Floats
 from tests.builders.plain_records import NAMES, WireTake, marker_tracks, wire_take
 
@@ -18,7 +18,7 @@ vectors = st.tuples(*3 * [st.floats(-10, 10)]).map(np.array)
 
 
 def frame_of(take: WireTake, *, limit: float = 1e-4) -> SpecimenFrame:
-    return specimen_frame(
+    return find_specimen_frame(
         take.clamp,
         take.tracks.positions,
         rest=REST,
@@ -34,7 +34,7 @@ def test_the_lab_frame_and_the_columns_do_not_matter(
     rotation = Rotation.from_rotvec(turn).as_matrix()
     markers = take.tracks.positions[:, order] @ rotation.T + shift
     clamp = take.clamp @ rotation.T + shift
-    frame = specimen_frame(clamp, markers, rest=REST, out_of_plane_limit=1e-4)
+    frame = find_specimen_frame(clamp, markers, rest=REST, out_of_plane_limit=1e-4)
     straight = frame_of(take)
     assert np.linalg.det(frame.rotation_lab_to_specimen) == pytest.approx(1.0)
     assert [order[column] for column in frame.order] == list(range(6))
@@ -55,7 +55,7 @@ def test_a_curved_wire_is_ordered_along_itself() -> None:
     markers = hook[order] + clamp[:, None]
     markers[:, :, 1] += lift[:, None] * hook[order, 1]
     markers[:50, 3] = np.nan  # not seen at rest
-    frame = specimen_frame(clamp, markers, rest=slice(0, 50), out_of_plane_limit=1e-4)
+    frame = find_specimen_frame(clamp, markers, rest=slice(0, 50), out_of_plane_limit=1e-4)
     assert [order[column] for column in frame.order] == list(range(9))
 
 
@@ -63,7 +63,7 @@ def test_markers_off_their_plane_are_told() -> None:
     take = wire_take()
     positions = take.tracks.positions.copy()
     positions[:, ::2, 2] += 0.002
-    frame = specimen_frame(take.clamp, positions, rest=REST, out_of_plane_limit=2e-4)
+    frame = find_specimen_frame(take.clamp, positions, rest=REST, out_of_plane_limit=2e-4)
     assert frame.notes[0].code == "out_of_plane"
     assert frame.notes[0].message == (
         f"markers leave their plane by {frame.out_of_plane * 1e3:.3f} mm (rms), limit 0.2 mm"
@@ -74,7 +74,7 @@ def test_without_a_clamp_the_end_that_moves_less_is_the_origin() -> None:
     take = wire_take()
     hanging = (take.tracks.positions - take.clamp[:, None])[:, [3, 5, 0, 2, 1, 4]]
     turn = Rotation.from_rotvec([0.4, -1.0, 2.0]).as_matrix()
-    frame = specimen_frame(None, hanging @ turn.T, rest=REST, out_of_plane_limit=1e-4)
+    frame = find_specimen_frame(None, hanging @ turn.T, rest=REST, out_of_plane_limit=1e-4)
     assert frame.order == (2, 4, 3, 0, 5, 1)
     assert np.linalg.det(frame.rotation_lab_to_specimen) == pytest.approx(1.0)
     np.testing.assert_allclose(frame.rotation_lab_to_specimen @ turn, np.eye(3), atol=5e-3)
@@ -104,4 +104,4 @@ def test_frames_that_cannot_be_found() -> None:
     ]
     for clamp, seen, message in cases:
         with pytest.raises(ValueError, match=message):
-            specimen_frame(clamp, seen, rest=REST, out_of_plane_limit=1e-4)
+            find_specimen_frame(clamp, seen, rest=REST, out_of_plane_limit=1e-4)

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.markers.curve_fits import (
     EndConditions,
-    curve_at_rest,
-    curve_basis,
+    build_curve_basis,
     fit_frames,
+    fit_rest_curve,
 )
-from labpipe.markers.specimen_shape import EXACT, Offsets, ShapeFit, deflection, fit_shape
+from labpipe.markers.specimen_shape import EXACT, Offsets, ShapeFit, compute_deflection, fit_shape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
 from tests.judges.reference_wires import (
@@ -93,7 +93,7 @@ def test_tip_of_a_bent_wire(law: str, degrees: int, terms: int, limit: float) ->
     error = np.abs(tip_error(fitted, wire)[0])
     assert error[1] < limit
     assert error[0] < 2 * limit
-    assert np.abs(deflection(fitted.shape, rest=REST)[20] - wire.y[-1]) < limit
+    assert np.abs(compute_deflection(fitted.shape, rest=REST)[20] - wire.y[-1]) < limit
 
 
 def with_gaps(wire: BentWire) -> Floats:
@@ -108,7 +108,7 @@ def test_other_offsets_make_other_tips() -> None:
     askew = Rotation.from_euler("z", 3.0, degrees=True).as_matrix()
     markers = with_gaps(bent("hardening", 58)) @ askew.T
     usual = Offsets(0.006, 0.004, CENTRE_OFFSET)
-    found = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).tip_moved
+    found = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).perturbed_tip
     longer = {
         "grip offset": replace(usual, grip=0.0062),
         "pull offset": replace(usual, pull=0.0041),
@@ -188,9 +188,9 @@ def test_shapes_that_cannot_be_fitted() -> None:
     with pytest.raises(ValueError, match=r"terms=12: expected at most 11 for 8 markers"):
         fit(markers, terms=12)
     with pytest.raises(ValueError, match="rest: expected a frame with first and last point"):
-        deflection(fit(markers).shape, rest=slice(0, 0))
+        compute_deflection(fit(markers).shape, rest=slice(0, 0))
     with pytest.raises(ValueError, match=r"terms=3: expected at least 4"):
-        curve_basis(terms=3, length=0.085, clamped=True, free_tip=True)
+        build_curve_basis(terms=3, length=0.085, clamped=True, free_tip=True)
     markers[REST, :6] = np.nan
     with pytest.raises(ValueError, match=r"markers at rest=2: expected at least 3 markers seen"):
         fit(markers)
@@ -223,8 +223,8 @@ def test_a_curve_of_the_basis_is_met_exactly() -> None:
     expected[:, 1, 2] = np.linspace(0, 1, 5) * 0.085**2
     np.testing.assert_allclose(fits.coefficients, expected, atol=1e-14)
     np.testing.assert_allclose(fits.residual, 0.0, atol=1e-14)
-    assert fits.needed == 2
-    assert fits.spare == 6
+    assert fits.min_markers == 2
+    assert fits.n_spare == 6
     assert fits.freedom.tolist() == 5 * [6]
 
 
@@ -243,7 +243,7 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
 
 def test_without_a_clamp_arc_length_starts_at_the_first_marker() -> None:
     s, markers = sagging(0.0)
-    found = curve_at_rest(
+    found = fit_rest_curve(
         markers, grip_offset=None, pull_offset=0.0, centre_offset=0.0, free_tip=False
     )
     np.testing.assert_allclose(found.arc_length, s - s[0], atol=1e-7)

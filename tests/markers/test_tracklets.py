@@ -11,8 +11,8 @@ from labpipe.markers.tracklets import (
     Tracklets,
     _distances,
     cut_tracklets,
-    frozen_samples,
-    in_sight,
+    find_frozen_samples,
+    is_in_sight,
     link_tracklets,
 )
 from labpipe.records.arrays import Floats
@@ -40,7 +40,7 @@ def test_a_blank_cuts_and_a_half_blank_is_blank() -> None:
     positions[5:7, 0] = np.nan
     positions[9, 1, 2] = np.nan
     assert cuts(positions) == [(0, 0, 5), (1, 0, 9), (0, 7, 20), (1, 10, 20)]
-    assert not in_sight(positions)[9, 1]
+    assert not is_in_sight(positions)[9, 1]
 
 
 def test_a_jump_cuts_only_if_seen_both_ways() -> None:
@@ -72,17 +72,17 @@ def test_stale_samples_are_those_after_the_first() -> None:
     positions = take.tracks.positions.copy()
     positions[40:51, 1] = positions[40, 1]
     positions[60:70, 2] = positions[60, 2]
-    stale = frozen_samples(positions, take.tracks.time, frozen=0.2)
+    stale = find_frozen_samples(positions, take.tracks.time, frozen=0.2)
     assert np.argwhere(stale).tolist() == [[frame, 1] for frame in range(41, 51)]
 
 
 def test_a_take_in_which_nothing_moves_is_not_stale() -> None:
     still = np.ones((100, 3, 3))
     time = np.arange(100) / 50
-    assert not frozen_samples(still, time, frozen=0.2).any()
+    assert not find_frozen_samples(still, time, frozen=0.2).any()
     clamp = np.arange(300.0).reshape(100, 3)
-    assert frozen_samples(still, time, frozen=0.2, reference=clamp)[1:].all()
-    assert not frozen_samples(still[:1], time[:1], frozen=0.2).any()
+    assert find_frozen_samples(still, time, frozen=0.2, reference=clamp)[1:].all()
+    assert not find_frozen_samples(still[:1], time[:1], frozen=0.2).any()
 
 
 def links(positions: Floats, *, max_gap: float = 0.2) -> Links:

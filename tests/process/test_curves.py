@@ -39,7 +39,7 @@ def test_a_column_of_noise_is_no_motion() -> None:
     noise = 2e-3 * np.random.default_rng(0).standard_normal(len(time))
     test, results = reduced(time, path + noise, force)
     assert test.curve is None
-    assert results["initial_stiffness"].why == (
+    assert results["initial_stiffness"].reason_text == (
         "no_motion: the noise of the motion is 1.97 mm, too much to distinguish strokes of "
         "min_stroke, 1 mm: is it the right channel?"
     )
@@ -96,7 +96,7 @@ def test_corrections_of_a_curve(name: str) -> None:
     np.testing.assert_allclose(curve.displacement, expected_path, atol=2e-5)
     np.testing.assert_allclose(curve.force, expected_force, atol=0.2)
     if block == GIVES:  # 11 um/N in place of 10 um/N
-        moved = test.displacement.moved[COMPLIANCE] - test.displacement.values
+        moved = test.displacement.perturbed[COMPLIANCE] - test.displacement.values
         np.testing.assert_allclose(moved, -1e-6 * PULL, atol=1e-15)
 
 

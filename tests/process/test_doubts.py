@@ -160,8 +160,8 @@ def doubts(record: PlainRecord, more: str, replaced: tuple[str, str] = ("", ""))
     holds = [note for note in test.findings.notes if note.code == "hold"]
     reasons: dict[str, list[str]] = {}
     for result in results.values():
-        if result.why:
-            reasons.setdefault(result.why, []).append(result.name)
+        if result.reason_text:
+            reasons.setdefault(result.reason_text, []).append(result.name)
     lines = [f"{note.code}: {note.message}" for note in [*notes, *holds]]
     return [*lines, *(f"{', '.join(names)}: {why}" for why, names in reasons.items())]
 

@@ -81,7 +81,7 @@ def test_travel_and_deflection(
         assert made.signals.raw[name].relative_error == 5e-4
     deflection = made.signals.filtered["deflection"]
     assert 0.0 < deflection.zero_error < 5e-5
-    assert 0.0 < np.nanmax(np.abs(deflection.moved[SHAPE] - deflection.values)) < 1e-3
+    assert 0.0 < np.nanmax(np.abs(deflection.perturbed[SHAPE] - deflection.values)) < 1e-3
     assert {"specimen_frame", "shape_fit"} <= {note.code for note in found.notes}
     assert not doubted(found.entries)
 
@@ -93,15 +93,15 @@ def test_offsets_move_the_deflection_and_not_its_zero(
     made, _ = done(tracks, protocol, offset_uncertainty=1e-4, centre_uncertainty=5e-5)
     signal, rest = made.signals.raw["deflection"], made.take.rest
     assert rest is not None
-    assert set(signal.moved) == {GRIP, PULL, CENTRE, SHAPE}
-    for moved in signal.moved.values():
+    assert set(signal.perturbed) == {GRIP, PULL, CENTRE, SHAPE}
+    for moved in signal.perturbed.values():
         assert np.nanmean(moved[rest]) == pytest.approx(0.0, abs=1e-12)
     longer, _ = done(tracks, protocol, pull_offset=words(protocol).pull_offset + 1e-4)
     np.testing.assert_allclose(
-        signal.moved[PULL], longer.signals.raw["deflection"].values, atol=1e-8
+        signal.perturbed[PULL], longer.signals.raw["deflection"].values, atol=1e-8
     )
     exact, _ = done(tracks, protocol, offset_uncertainty=0.0, centre_uncertainty=0.0)
-    assert set(exact.signals.raw["deflection"].moved) == {SHAPE}
+    assert set(exact.signals.raw["deflection"].perturbed) == {SHAPE}
 
 
 def blank(tracks: MarkerTracks) -> MarkerTracks:
@@ -266,6 +266,6 @@ FAULTS_OF_A_SET_UP: dict[str, tuple[BendingRecord, tuple[str, str] | None, str, 
 def test_faults_of_a_set_up(name: str) -> None:
     record, change, result, reason = FAULTS_OF_A_SET_UP[name]
     _, results = reduced(record, change=(change,) if change else ())
-    assert results[result].why.startswith(reason)
+    assert results[result].reason_text.startswith(reason)
     assert results[result].status is not Status.OK
     assert results["peak_force.1"].status is Status.OK

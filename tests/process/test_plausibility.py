@@ -66,7 +66,7 @@ def signals_of(motion: Floats, force: Floats | None = None) -> Signals:
         ("deflection", motion, "m"),
         ("force", 20.0 * motion if force is None else force, "N"),
     ):
-        made = made.with_new(name, Signal(TIME, values, unit, "markers"))
+        made = made.add_signal(name, Signal(TIME, values, unit, "markers"))
     return made
 
 
@@ -86,7 +86,7 @@ def of_slack(since: float, lost: float) -> Findings:
 
 
 def of_rest(name: str) -> Findings:
-    zeroed = replace(signals_of(SHARP), zeroed={name: (4.0, 6.0)})
+    zeroed = replace(signals_of(SHARP), zero_stretches={name: (4.0, 6.0)})
     motion = Motion(zeroed.raw["travel"], branches_of(SHARP), Clocks("markers"))
     return Findings() + check_rest(zeroed, motion)
 
@@ -107,8 +107,8 @@ def shape_of(length: float) -> Shape:
 def of_speed(speed: str, scale: float = 1.0) -> Findings:
     """A motion of 20 mm in 20 s, the rig set to a speed, the numbers off by a factor."""
     text = PROTOCOL % "" + f"rig: {{crosshead_speed: {speed}}}\n"
-    made = Signals().with_new("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
-    made = made.with_new("force", Signal(TIME, SHARP, "N", "frame"))
+    made = Signals().add_signal("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
+    made = made.add_signal("force", Signal(TIME, SHARP, "N", "frame"))
     parts = branches_of(scale * SHARP, 5e-3 * scale)
     protocol = parse_protocol(text, "p.yaml")
     return Findings() + check_rig(made, None, protocol, parts, is_blocked=False)
@@ -141,8 +141,8 @@ def moved(record: PlainRecord, *, force: float = 0.0, path: float = 0.0) -> Plai
 def of_signs(record: PlainRecord, reverse: str = "", fit: ClockFit | None = None) -> Findings:
     """What is found in that record as it was measured."""
     time, displacement, force = record.arrays()
-    signals = Signals().with_new("force", Signal(time, force, "N", "frame"))
-    signals = signals.with_new("displacement", Signal(time, displacement, "m", "frame"))
+    signals = Signals().add_signal("force", Signal(time, force, "N", "frame"))
+    signals = signals.add_signal("displacement", Signal(time, displacement, "m", "frame"))
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     motion = Motion(signals.raw["displacement"], branches, Clocks("frame", fit))
     return Findings() + check_signs(signals, motion, parse_protocol(PROTOCOL % reverse, "p.yaml"))
@@ -204,8 +204,8 @@ def test_kilonewtons_taken_for_newtons() -> None:
     path, force = pull()
     for scale, is_doubted in ((1.0, False), (1e-3, True)):
         _, results = pulled(path, scale * force, more=peak, results=asked)
-        assert ("implausible_peak: " in results["peak_force.1"].why) is is_doubted
-        assert "implausible_peak: " not in results["peak_displacement.1"].why
+        assert ("implausible_peak: " in results["peak_force.1"].reason_text) is is_doubted
+        assert "implausible_peak: " not in results["peak_displacement.1"].reason_text
 
 
 def test_one_line_turns_a_frame_that_counts_down() -> None:
@@ -306,7 +306,7 @@ def test_a_test_after_the_day_is_doubted(approved: Approve) -> None:
             assert not list(check_due(protocol, tested))
     for tested, is_late in ((AFTER, True), (DUE, False)):
         _, results = pulled(*pull(), more=CERTIFICATE, results=["peak-force"], tested=tested)
-        assert ("calibration_overdue: " in results["peak_force.1"].why) is is_late
+        assert ("calibration_overdue: " in results["peak_force.1"].reason_text) is is_late
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from labpipe.records.causes import TURN
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status
 from labpipe.records.signals import Signal, Signals
-from labpipe.signal.filters import Butterworth, Smoothing, in_pieces
+from labpipe.signal.filters import Butterworth, Smoothing, filter_pieces
 from tests.builders.reasons import doubted
 from tests.builders.three_point import STROKE, BendingRecord, reduced
 
@@ -50,7 +50,7 @@ class Stepped:
 
 def stepped(step: str, signal: Signal, **more: Any) -> Stepped:
     made = protocol(step, **more)
-    prepared = Prepared(Signals().with_new("force", signal))
+    prepared = Prepared(Signals().add_signal("force", signal))
     prepared, found = take_step(prepared, made.steps[0], made)
     return Stepped(prepared.signals, tuple(finding.note for finding in found))
 
@@ -75,7 +75,7 @@ def test_zero_at_the_start(more: str, values: Floats, level: float, message: str
     np.testing.assert_allclose(test.signals.filtered["force"].values, values - level, atol=1e-9)
     np.testing.assert_allclose(test.signals.raw["force"].values, values - level, atol=1e-9)
     assert test.notes[0].message.startswith(f"zero at {level:.6g} N, {message}, ")
-    assert ("line" in more) == (test.signals.zeroed == {})  # that it moves is no fault
+    assert ("line" in more) == (test.signals.zero_stretches == {})  # that it moves is no fault
 
 
 @pytest.mark.parametrize("more", ["", ", by: line", ", by: line, at: end"])
@@ -145,7 +145,7 @@ def test_low_pass_and_decimate(method: str) -> None:
     test = after(f"{{step: decimate, channel: force, factor: 4, method: {method}}}")
     signal = test.signals.filtered["force"]
     window = 5 if method == "filtered" else 1
-    expected = in_pieces(VALUES, (), [(Smoothing(window), 4)])
+    expected = filter_pieces(VALUES, (), [(Smoothing(window), 4)])
     np.testing.assert_allclose(signal.values, expected)
     np.testing.assert_array_equal(signal.time, TIME[::4])
     assert test.notes[0].message == f"every 4th sample kept ({method})"
@@ -168,8 +168,8 @@ def test_a_travel_made_from_the_speed_of_the_rig() -> None:
     assert note.severity is Severity.INFO
     assert "0.5 mm/s over 58.8 s up to the corner of the force at 61.8" in note.message
     way = test.displacement
-    np.testing.assert_allclose(way.moved[SPEED_CAUSE], 1.005 * way.values)
-    later = way.moved[TURN] - way.values
+    np.testing.assert_allclose(way.perturbed[SPEED_CAUSE], 1.005 * way.values)
+    later = way.perturbed[TURN] - way.values
     top = int(np.argmax(way.values))
     assert np.median(later[100 : top - 100]) < 0.0 < np.median(later[top + 100 :])
     assert np.ptp(later) < 1e-4

@@ -42,15 +42,15 @@ def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
     rise = np.interp(TIME, [1.0, 25.0, 49.0], [0.0, 24.0, 0.0])
     scatter = np.random.default_rng(5).normal(0.0, 1e-3, len(TIME))
     signal = Signal(TIME, 0.7 + rise + scatter, "N", clock)
-    made = Signals().with_new("displacement", Signal(TIME, 1e-3 * rise, "m", "frame"))
-    made = made.with_new("force", signal)
+    made = Signals().add_signal("displacement", Signal(TIME, 1e-3 * rise, "m", "frame"))
+    made = made.add_signal("force", signal)
     made = made.with_filtered("force", replace(signal, values=signal.values + 0.01))
-    return replace(made, zeroed={"force": stretch})
+    return replace(made, zero_stretches={"force": stretch})
 
 
 def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
     made, found = rezero_at_rest(zeroed((0.0, 2.0)), MOTION)
-    assert made.zeroed["force"] == (0.0, 1.0)
+    assert made.zero_stretches["force"] == (0.0, 1.0)
     force = made.raw["force"]
     assert abs(float(force.values[TIME <= 1.0].mean())) < 1e-12
     assert force.zero_error == pytest.approx(1e-3 / np.sqrt(51), rel=0.8)
@@ -68,7 +68,7 @@ def test_on_the_clock_of_the_signal() -> None:
     fit = ClockFit(0.5, 0.0, NOWHERE, NOWHERE, 0.0, TIME, TIME, TIME, "")
     motion = replace(MOTION, clocks=Clocks("frame", fit))
     made, _ = rezero_at_rest(zeroed((0.0, 2.0), "force"), motion)
-    assert made.zeroed["force"] == (0.0, 1.5)
+    assert made.zero_stretches["force"] == (0.0, 1.5)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_short_rests_leave_results_as_good(repository: Path) -> None:
     assert [n.where for n in made.findings.notes if n.code == "short_rest"] == ["markers", "force"]
     for name in ("peak_force.1", "peak_displacement.1", "bending_stiffness_at_3"):
         (result, usual) = short[name], whole[name]
-        assert result.status is usual.status is Status.OK, result.why
+        assert result.status is usual.status is Status.OK, result.reason_text
         assert result.value == pytest.approx(usual.value, rel=0.02)
     made, results = reduced_wire(repository, rest=0.02)
     assert ("force", "zero_not_at_rest") in {

@@ -18,11 +18,11 @@ from labpipe.records.arrays import (
     Floats,
     Ints,
     Vector,
+    as_slice,
+    divide,
+    find_run_times,
+    find_runs,
     median,
-    ratio,
-    samples_of,
-    stretches_of,
-    times_of,
 )
 from labpipe.records.curve import ClockFit, Curve, Interval, Series, Shape
 from labpipe.records.group import DrawnLaw, DrawnShapes, SampleCurve
@@ -41,9 +41,9 @@ def test_median_is_numpys(values: Floats) -> None:
 
 def test_stretches() -> None:
     flags = np.array([True, False, True, True, False, True])
-    assert stretches_of(flags) == [(0, 1), (2, 4), (5, 6)]
-    assert times_of(flags, np.arange(6.0)) == ((0.0, 0.0), (2.0, 3.0), (5.0, 5.0))
-    assert stretches_of(np.zeros(3, dtype=np.bool_)) == []
+    assert find_runs(flags) == [(0, 1), (2, 4), (5, 6)]
+    assert find_run_times(flags, np.arange(6.0)) == ((0.0, 0.0), (2.0, 3.0), (5.0, 5.0))
+    assert find_runs(np.zeros(3, dtype=np.bool_)) == []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,17 +71,17 @@ def test_arrays_of_a_record_are_read_only_and_of_their_type() -> None:
 
 
 def test_samples_that_follow_one_another_are_a_stretch() -> None:
-    assert samples_of(np.array([3, 4, 5])) == slice(3, 6)
-    assert samples_of(np.array([], dtype=np.int64)) == slice(0, 0)
-    scattered = samples_of(np.array([3, 5]))
+    assert as_slice(np.array([3, 4, 5])) == slice(3, 6)
+    assert as_slice(np.array([], dtype=np.int64)) == slice(0, 0)
+    scattered = as_slice(np.array([3, 5]))
     assert isinstance(scattered, np.ndarray)
     assert scattered.tolist() == [3, 5]
 
 
 def test_nothing_to_divide_by_is_nan() -> None:
-    found = ratio(np.array([1.0, 3.0]), np.array([[2.0], [0.0]]))
+    found = divide(np.array([1.0, 3.0]), np.array([[2.0], [0.0]]))
     np.testing.assert_array_equal(found, [[0.5, 1.5], [np.nan, np.nan]])
-    assert ratio(np.array(6.0), np.array(4.0)) == 1.5
+    assert divide(np.array(6.0), np.array(4.0)) == 1.5
 
 
 NUMBERS = st.floats(-1e6, 1e6)

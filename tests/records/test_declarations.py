@@ -15,8 +15,8 @@ from labpipe.records.declarations import (
     Quantity,
     StiffnessName,
     Zero,
-    defaults_of,
-    existing_in,
+    list_defaults,
+    list_references,
 )
 from labpipe.units import parse_quantity, si_factor
 
@@ -47,9 +47,9 @@ class Ratio:
 
 
 def test_what_a_kind_of_result_is_called_and_rests_on() -> None:
-    assert existing_in(Ratio, "stiffness") == ("of",)
-    assert existing_in(Ratio, "channel") == ("channel",)
-    assert defaults_of(Ratio) == {"of": "stiffness", "name": "ratio"}
+    assert list_references(Ratio, "stiffness") == ("of",)
+    assert list_references(Ratio, "channel") == ("channel",)
+    assert list_defaults(Ratio) == {"of": "stiffness", "name": "ratio"}
     assert Output("{of}_{name}", "1").name_in(Ratio, {"name": "x"}) == "stiffness_x"
     assert Output("{name}", "1", first=2).name_in(Ratio, {"name": 3}) == "3.2"
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.causes import contribution
+from labpipe.records.causes import make_contribution
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, add_errors
 from labpipe.records.harness_bundle import Bundle, BundleWire
@@ -18,8 +18,8 @@ from labpipe.records.quality import (
     Reason,
     Severity,
     blocking,
+    doubt_stretches,
     doubtful,
-    doubtful_stretches,
     not_available,
     warning,
 )
@@ -95,7 +95,7 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
     """Of all of it, of each, and of one long stretch where there are too many."""
     stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
-    found = doubtful_stretches("force", note, "recorder", max_stretches=2)
+    found = doubt_stretches("force", note, "recorder", max_stretches=2)
     assert found.note.severity is Severity.WARNING
     assert [doubt.during for doubt in found.doubts] == during
     assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}
@@ -116,11 +116,11 @@ def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
 
 def test_what_tests_of_a_rig_share() -> None:
     causes = ("noise", "scale of the force", "compliance of the frame", "pull offset", "span")
-    common = [contribution(cause, -0.2).is_common for cause in (*causes, "grip offset")]
+    common = [make_contribution(cause, -0.2).is_common for cause in (*causes, "grip offset")]
     assert common == [False, True, True, False, True, True]
-    assert contribution("span", -0.2) == Contribution("span", -0.2, is_common=True)
+    assert make_contribution("span", -0.2) == Contribution("span", -0.2, is_common=True)
     with pytest.raises(KeyError):
-        contribution("the moon", 0.1)
+        make_contribution("the moon", 0.1)
 
 
 MIXED = Bundle(

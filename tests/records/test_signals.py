@@ -37,7 +37,7 @@ def fit(offset: float, drift: float = 0.0, errors: tuple[float, ...] = (0.1,)) -
 
 def test_what_was_filtered_leaves_the_raw_signal() -> None:
     halved = Halved()
-    once = Signals().with_new("force", PULL).with_filtered("force", WAY, (halved, 1))
+    once = Signals().add_signal("force", PULL).with_filtered("force", WAY, (halved, 1))
     twice = once.with_filtered("force", PULL, (halved, 2)).with_filtered("force", WAY)
     assert twice.raw["force"] is PULL
     assert twice.filtered["force"] is WAY
@@ -46,23 +46,23 @@ def test_what_was_filtered_leaves_the_raw_signal() -> None:
 
 def test_a_level_is_taken_off_raw_and_filtered() -> None:
     smooth = replace(PULL, values=PULL.values + 0.5)
-    signals = Signals().with_new("force", PULL).with_filtered("force", smooth)
-    zeroed = signals.without_level("force", 1.0, 0.2)
+    signals = Signals().add_signal("force", PULL).with_filtered("force", smooth)
+    zeroed = signals.subtract_level("force", 1.0, 0.2)
     np.testing.assert_array_equal(zeroed.raw["force"].values, TIME)
     np.testing.assert_array_equal(zeroed.filtered["force"].values, TIME + 0.5)
     assert zeroed.raw["force"].zero_error == zeroed.filtered["force"].zero_error == 0.2
-    assert zeroed.taken_off == {"force": 1.0}
-    assert zeroed.without_level("force", 0.25, 0.1).taken_off == {"force": 1.25}
+    assert zeroed.subtracted_levels == {"force": 1.0}
+    assert zeroed.subtract_level("force", 0.25, 0.1).subtracted_levels == {"force": 1.25}
     np.testing.assert_array_equal(signals.raw["force"].values, TIME + 1.0)
 
 
 def test_what_is_done_to_a_signal_is_done_to_all_that_it_may_have_been() -> None:
-    signal = replace(WAY, moved={GRIP: WAY.values + 1e-3})
-    doubled = signal.changed(lambda values: 2.0 * values)
+    signal = replace(WAY, perturbed={GRIP: WAY.values + 1e-3})
+    doubled = signal.map_values(lambda values: 2.0 * values)
     np.testing.assert_allclose(doubled.values, 2e-3 * TIME)
-    np.testing.assert_allclose(doubled.moved[GRIP], 2e-3 * TIME + 2e-3)
-    zeroed = Signals().with_new("way", signal).without_level("way", 5e-4, 0.0)
-    np.testing.assert_allclose(zeroed.raw["way"].moved[GRIP], 1e-3 * TIME + 5e-4)
+    np.testing.assert_allclose(doubled.perturbed[GRIP], 2e-3 * TIME + 2e-3)
+    zeroed = Signals().add_signal("way", signal).subtract_level("way", 5e-4, 0.0)
+    np.testing.assert_allclose(zeroed.raw["way"].perturbed[GRIP], 1e-3 * TIME + 5e-4)
 
 
 @pytest.mark.parametrize("event_count", [1, 4])
@@ -75,24 +75,24 @@ def test_times_go_from_clock_to_clock_and_back(event_count: int) -> None:
         assert clocks.to_curve(time, clock) == pytest.approx(100.0)
     assert clocks.error == pytest.approx(0.1 / np.sqrt(event_count))
     nothing = replace(joined, drift_interval=Interval(np.nan, np.nan))
-    assert list(Clocks("frame", nothing).moved) == [CLOCK_OFFSET]
+    assert list(Clocks("frame", nothing).perturbed) == [CLOCK_OFFSET]
 
 
 @pytest.mark.parametrize("clocks", [Clocks(), Clocks("frame")])
 def test_one_clock_needs_no_joining(clocks: Clocks) -> None:
     for clock in ("frame", "force"):
         assert clocks.to_curve(3.0, clock) == clocks.from_curve(3.0, clock) == 3.0
-    assert (clocks.error, clocks.moved) == (0.0, {})
-    assert Clocks("frame").sampled(WAY, TIME) is WAY.values
+    assert (clocks.error, clocks.perturbed) == (0.0, {})
+    assert Clocks("frame").interpolate(WAY, TIME) is WAY.values
 
 
 def test_samples_at_times_of_the_curve() -> None:
     clocks = Clocks("frame", fit(2.5))
-    found = clocks.sampled(PULL, TIME)  # sampled at 2.5 s, 3.5 s, ... of its own clock
+    found = clocks.interpolate(PULL, TIME)  # sampled at 2.5 s, 3.5 s, ... of its own clock
     np.testing.assert_allclose(found[:7], TIME[:7] + 3.5)
     assert np.isnan(found[7:]).all()  # nothing is extrapolated
-    assert clocks.sampled(WAY, TIME) is WAY.values
-    np.testing.assert_allclose(clocks.sampled(WAY, np.array([0.5, 11.0])), [5e-4, np.nan])
+    assert clocks.interpolate(WAY, TIME) is WAY.values
+    np.testing.assert_allclose(clocks.interpolate(WAY, np.array([0.5, 11.0])), [5e-4, np.nan])
 
 
 def test_clocks_moved_by_what_is_not_known_of_them() -> None:
@@ -104,10 +104,10 @@ def test_clocks_moved_by_what_is_not_known_of_them() -> None:
     assert clocks.middle == pytest.approx((4.0 * 100.0 + 400.0) / 9.0)
     assert clocks.error == pytest.approx(0.2 / 3.0)
     assert clocks.drift_error == pytest.approx(2e-5)
-    assert list(clocks.moved) == [CLOCK_OFFSET, CLOCK_DRIFT]
+    assert list(clocks.perturbed) == [CLOCK_OFFSET, CLOCK_DRIFT]
     for at in (0.0, 100.0, 1000.0):
         usual = clocks.from_curve(at, "force")
-        later = clocks.moved[CLOCK_OFFSET].from_curve(at, "force")
-        faster = clocks.moved[CLOCK_DRIFT].from_curve(at, "force")
+        later = clocks.perturbed[CLOCK_OFFSET].from_curve(at, "force")
+        faster = clocks.perturbed[CLOCK_DRIFT].from_curve(at, "force")
         assert later - usual == pytest.approx(0.2 / 3.0)
         assert faster - usual == pytest.approx(2e-5 * (at - 800.0 / 9.0), abs=1e-12)

@@ -17,7 +17,7 @@ from labpipe.records.wire_calibration import (
     Prediction,
 )
 from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
-from labpipe.statistics.mean_curves import common_curves, mean_band
+from labpipe.statistics.mean_curves import compute_band, interpolate_curves
 from tests.builders.loading_tests import measured, rig_of, wire_of
 
 LENGTHS = (0.085, 0.12)
@@ -58,7 +58,7 @@ def predicted(name: str = "A2", length: float = 0.085) -> Prediction:
 @cache
 def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> ValidationGroup:
     tests = measured(name, (length,), samples=samples, n=90, seed=3)
-    band = mean_band(common_curves([(test.deflection, test.force) for test in tests]))
+    band = compute_band(interpolate_curves([(test.deflection, test.force) for test in tests]))
     model = predicted(name, length)
     force, lower, upper = (
         np.interp(band.displacement, GRID, curve)

@@ -16,22 +16,22 @@ from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
     MAX_ROWS,
-    bundle_figure,
+    draw_bundle,
+    draw_loop,
     draw_places,
     has_bundles,
-    loop_figure,
-    place_figures,
-    place_table,
+    list_place_figures,
+    make_place_table,
 )
 from labpipe.report.figure_page import style
-from labpipe.report.harness_figure import (
+from labpipe.report.harness_figures import (
     DrawnHarness,
     DrawnMark,
     DrawnShape,
     DrawnSweep,
-    harness_figure,
+    draw_harness,
+    draw_sweep,
     plot_view,
-    sweep_figure,
 )
 from labpipe.report.wording import Scale
 from tests.approved import Approve
@@ -85,7 +85,7 @@ HARNESS = DrawnHarness(
     marks=(
         DrawnMark("left", "clip", ARC[0], np.zeros((0, 3)), np.array([1.0, 0.0, 0.0])),
         DrawnMark("hand", "grip", ARC[-1], ARC[[0, -1]]),
-        DrawnMark("guide", "ring", ARC[5], np.zeros((0, 3)), holds=False),
+        DrawnMark("guide", "ring", ARC[5], np.zeros((0, 3)), is_holding=False),
     ),
     planes=((np.array([0.0, 0.0, -0.02]), np.array([0.0, 0.0, 1.0])),),
     allowed=0.05,
@@ -95,7 +95,7 @@ SWEEP = DrawnSweep(
     note="A note.",
     length=np.array([0.15, 0.2]),
     radius=np.array([0.03, np.nan]),
-    way=np.array([0.02, np.nan]),
+    radius_over_steps=np.array([0.02, np.nan]),
     radius_band=(np.array([0.025, np.nan]), np.array([0.04, np.nan])),
     shapes=(ARC, ARC[:0]),
     allowed=0.05,
@@ -123,7 +123,7 @@ def test_many_rows_are_several_figures() -> None:
     name = "between-slipping-and-sticking"
     for count, names in ((len(places), [f"{name}-1", f"{name}-2"]), (4, [name]), (0, [])):
         campaign = Campaign("Synthetic", tuple(groups), places=tuple(places[:count]))
-        assert [figure.name for figure in place_figures(campaign)] == names
+        assert [figure.name for figure in list_place_figures(campaign)] == names
 
 
 def test_table_of_places(approved: Approve) -> None:
@@ -135,10 +135,10 @@ def test_table_of_places(approved: Approve) -> None:
     lacking = BundlePlace(NAME, "t-2", 0.006, None, reasons=absent)
     failed = replace(bare, test="t-3", value=None, share=float("nan"), reasons=short)
     campaign = Campaign("Synthetic", GROUPS, wire_sheet="wires.xlsx")
-    table = place_table(replace(campaign, places=(ROW, bare, lacking, failed)))
+    table = make_place_table(replace(campaign, places=(ROW, bare, lacking, failed)))
     assert table is not None
     approved(table_words(table))
-    assert place_table(campaign) is None
+    assert make_place_table(campaign) is None
     assert has_bundles(campaign)
     assert not has_bundles(build_campaign())
 
@@ -148,13 +148,13 @@ def test_words(approved: Approve) -> None:
     plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), marks=(), planes=())
     with style():
         pages = {
-            "bundle": bundle_figure(MIXED),
-            "bundle of one wire": bundle_figure(ALIKE),
+            "bundle": draw_bundle(MIXED),
+            "bundle of one wire": draw_bundle(ALIKE),
             "places": draw_places([PLACE, replace(PLACE, test="", interval=None), lacking], SCALE),
-            "cycles of a bundle": loop_figure("TWB-1", FIT),
-            "harness": harness_figure(HARNESS),
-            "harness without a band": harness_figure(plain),
-            "sweep": sweep_figure(SWEEP),
-            "sweep without a band": sweep_figure(replace(SWEEP, radius_band=None)),
+            "cycles of a bundle": draw_loop("TWB-1", FIT),
+            "harness": draw_harness(HARNESS),
+            "harness without a band": draw_harness(plain),
+            "sweep": draw_sweep(SWEEP),
+            "sweep without a band": draw_sweep(replace(SWEEP, radius_band=None)),
         }
     approved(all_words(pages))

@@ -14,21 +14,21 @@ from matplotlib.figure import Figure
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import ExternalCurveComparison
 from labpipe.report.calibration_figures import (
-    calibration_card,
-    external_figure,
-    external_pages,
+    draw_bent_shapes,
+    draw_calibration,
+    draw_external_curves,
+    draw_validation,
+    group_external_curves,
     plot_profile,
     plot_residuals,
-    shapes_figure,
-    validation_figure,
 )
 from labpipe.report.calibration_summary import (
     BentShape,
     CalibrationReport,
-    parameter_row,
-    sentences,
+    describe_calibration,
+    write_parameter,
 )
-from labpipe.report.calibration_workbook import comparison_tables, tables_of
+from labpipe.report.calibration_workbook import make_external_sheets, make_sheets
 from labpipe.report.figure_page import style
 from labpipe.report.workbook_file import Sheet
 from tests.approved import Approve
@@ -108,9 +108,9 @@ def test_words_of_agreement(approved: Approve) -> None:
         "no model": (unmodelled(), external_comparison("_fe")),
     }
     pages = {
-        name: external_figure(panels)
+        name: draw_external_curves(panels)
         for name, curves in compared_curves.items()
-        for panels in external_pages(compared(*curves))
+        for panels in group_external_curves(compared(*curves))
     }
     groups = {
         "groups": report().groups,
@@ -119,7 +119,7 @@ def test_words_of_agreement(approved: Approve) -> None:
         "other bands": [group(), other, LOST],
         "no prediction": [LOST],
     }
-    fitted = {name: validation_figure(shown) for name, shown in groups.items()}
+    fitted = {name: draw_validation(shown) for name, shown in groups.items()}
     approved([*all_words(pages), *map(without_digits, all_words(fitted))])
 
 
@@ -127,12 +127,12 @@ def test_words_of_card_and_shapes(approved: Approve) -> None:
     nothing = np.zeros((0, 2))
     bare = BentShape(0.01, np.full((3, 2), np.nan), nothing, nothing)
     pages = {
-        "six shapes": shapes_figure("A2, 85 mm", shapes()["A2, 85 mm"]),
-        "markers alone": shapes_figure("A2", [bare]),
-        "no shape": shapes_figure("A2", []),
+        "six shapes": draw_bent_shapes("A2, 85 mm", shapes()["A2, 85 mm"]),
+        "markers alone": draw_bent_shapes("A2", [bare]),
+        "no shape": draw_bent_shapes("A2", []),
     }
-    card = calibration_card(usual(), predictions={0.085: predicted()})
-    prior = calibration_card(troubled())
+    card = draw_calibration(usual(), predictions={0.085: predicted()})
+    prior = draw_calibration(troubled())
     keys = [[text.get_text() for text in page.legends[0].get_texts()] for page in (card, prior)]
     headings = [axes.get_title(loc="left") for axes in card.axes[:6]]
     approved([*all_words(pages), "[card]", *headings, *keys])
@@ -148,7 +148,7 @@ def rows_of(sheet: Sheet) -> list[dict[str, Any]]:
 
 
 def rows(own: CalibrationReport, name: str) -> list[dict[str, Any]]:
-    return rows_of(next(sheet for sheet in tables_of(own) if sheet.name == name))
+    return rows_of(next(sheet for sheet in make_sheets(own) if sheet.name == name))
 
 
 def holds(row: dict[str, Any], expected: dict[str, object]) -> None:
@@ -157,7 +157,7 @@ def holds(row: dict[str, Any], expected: dict[str, object]) -> None:
 
 
 def test_two_rows_for_each_curve() -> None:
-    sheet, _ = comparison_tables([external_comparison(is_normal=True), untested(), unmodelled()])
+    sheet, _ = make_external_sheets([external_comparison(is_normal=True), untested(), unmodelled()])
     external = rows_of(sheet)
     assert [row["compared with"] for row in external] == ["tests", "model"] * 3
     first, second, third, _, _, last = external
@@ -172,7 +172,7 @@ def test_two_rows_for_each_curve() -> None:
         "points compared": 0, "RMSE (N)": None,
         "reason": "the model has no such curve: it ends earlier",
     })  # fmt: skip
-    assert comparison_tables([]) == []
+    assert make_external_sheets([]) == []
 
 
 def test_summary() -> None:
@@ -247,14 +247,14 @@ def test_a_row_for_each_solution(approved: Approve) -> None:
     assert other["rise of the objective"] == pytest.approx(calibration.solutions[1].rise)
     modulus = next(head for head in other if head.endswith("(MPa)"))
     assert other[modulus] == pytest.approx(1e-6 * calibration.solutions[1].values[1])
-    two = parameter_row(calibration.parameter("copper_scale"))
+    two = write_parameter(calibration.parameter("copper_scale"))
     assert [" to " in part for part in two[2].split(" or ")] == [True, True]
     assert two[4] == "two solutions"
-    approved(map(without_digits, sentences(calibration)))
+    approved(map(without_digits, describe_calibration(calibration)))
 
 
 def test_sheets_and_their_rows() -> None:
-    sheets = tables_of(report())
+    sheets = make_sheets(report())
     assert [sheet.name for sheet in sheets] == [
         "summary", "solutions", "fit", "identified", "agreement", "curves", "forces", "notes",
     ]  # fmt: skip

@@ -13,7 +13,7 @@ from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report.issues import Kind, find_causes, find_issues, find_notes
-from labpipe.report.page_tables import note_table
+from labpipe.report.page_tables import make_note_table
 from labpipe.statistics import groups
 from tests.builders.bundle_campaigns import bundle_sample
 from tests.builders.campaigns import build_group, build_sample, troubled_samples
@@ -126,10 +126,10 @@ def test_a_note_that_no_number_rests_on_is_no_cause() -> None:
     assert (cause.kind, len(cause.issues)) == (Kind.DOUBTFUL, 1)
     (note,) = find_notes(campaign)
     assert (note.code, note.subject, note.effect) == ("gap_left", "2 tests of A", None)
-    table = note_table(campaign)
+    table = make_note_table(campaign)
     assert table is not None
     assert [cell.text for cell in table.rows[0]] == ["No position, 30 frames.", "2", "2 tests of A"]
-    assert note_table(campaign_of()) is None
+    assert make_note_table(campaign_of()) is None
 
 
 HALF = 4.302653 * 2.645751 / sqrt(3)

@@ -15,14 +15,14 @@ from labpipe.report.budget_figures import draw_budget, draw_group_budgets
 from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
     Pair,
-    families,
-    multi_field_differences,
-    question_table,
-    question_words,
-    single_field_pairs,
+    describe_pair,
+    find_families,
+    list_multi_field_differences,
+    list_single_field_pairs,
+    make_pair_table,
 )
 from labpipe.report.figure_page import style
-from labpipe.report.group_figures import figures_of_families
+from labpipe.report.group_figures import list_family_figures
 from labpipe.statistics.groups import build_group
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
@@ -36,7 +36,7 @@ from tests.builders.campaigns import build_campaign, build_difference, six_sampl
 from tests.report.figure_words import all_words, table_words
 from tests.store.builders_result import build_result
 
-TAPING = families(bundle_campaign(conduit_cases(), alone="taping"))[0]
+TAPING = find_families(bundle_campaign(conduit_cases(), alone="taping"))[0]
 
 
 def pieces(axes: Axes) -> list[tuple[float, float, bool]]:
@@ -62,11 +62,11 @@ def group_with_budgets(count: int = 6) -> Group:
 
 
 def test_figures_of_families(approved: Approve) -> None:
-    drawn = list(figures_of_families(bundle_campaign(conduit_cases())))
-    assert list(figures_of_families(build_campaign())) == []
+    drawn = list(list_family_figures(bundle_campaign(conduit_cases())))
+    assert list(list_family_figures(build_campaign())) == []
     samples = [bundle_sample(bundle_of("7 B1"), 1), *three_of(bundle_of("7 B2"))]
     blank = [replace(sample, loading=()) for sample in three_of(bundle_of("7 B3"))]
-    (lacking,) = figures_of_families(bundle_campaign([*samples, *blank]))
+    (lacking,) = list_family_figures(bundle_campaign([*samples, *blank]))
     with style():
         pages = {"taping": drawn[3].draw(), "a curve is missing": lacking.draw()}
     words = [f"{figure.name}: {figure.caption} {figure.alt}" for figure in (*drawn, lacking)]
@@ -92,7 +92,7 @@ def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
 
 
 def test_families_hold_all_that_differ_in_one_field() -> None:
-    cases = families(bundle_campaign(conduit_cases()))
+    cases = find_families(bundle_campaign(conduit_cases()))
     assert [(family.field, family.labels) for family in cases] == [
         ("wire", ("B1", "B1 & B2", "B2")),
         ("wire", ("B1", "B2")),
@@ -106,7 +106,7 @@ def test_families_hold_all_that_differ_in_one_field() -> None:
 def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
     counts = (3, 4, 5, 6, 7, 8, 9, 12)
     samples = [sample for count in counts for sample in three_of(bundle_of(f"{count} B1"))]
-    first, second = families(bundle_campaign(samples))
+    first, second = find_families(bundle_campaign(samples))
     assert len(first.groups) == MAX_COMPARED_GROUPS
     assert first.labels == ("3", "4", "5", "6", "7", "8")
     assert second.labels == ("3", "9", "12")
@@ -118,13 +118,13 @@ def test_types_are_a_question_too_and_two_fields_at_once_are_not() -> None:
         replace(tube, specimen=replace(tube.specimen, type="hose"), source=f"{tube.source}-hose")
         for tube in tubes
     ]
-    (pair,) = single_field_pairs(bundle_campaign([*tubes, *hoses]))
-    assert question_words(pair) == "Type: tube against hose, all else equal (length 114.3 mm)"
+    (pair,) = list_single_field_pairs(bundle_campaign([*tubes, *hoses]))
+    assert describe_pair(pair) == "Type: tube against hose, all else equal (length 114.3 mm)"
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
     campaign = bundle_campaign(samples)
-    assert not single_field_pairs(campaign)
-    assert not families(campaign)
-    assert len(multi_field_differences(campaign)) == 2
+    assert not list_single_field_pairs(campaign)
+    assert not find_families(campaign)
+    assert len(list_multi_field_differences(campaign)) == 2
 
 
 def test_tables_of_questions(approved: Approve) -> None:
@@ -137,7 +137,7 @@ def test_tables_of_questions(approved: Approve) -> None:
     lone = MeanInterval(-1423.4, None, 120.0, 7, Reason("one_sample", "there is one sample"))
     without = replace(known, contrast=None, interval=None, margin=None, difference=lone)
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
-    (pair,) = single_field_pairs(bundle_campaign(samples))
+    (pair,) = list_single_field_pairs(bundle_campaign(samples))
     number, other = pair.differences
     odd = replace(number, caveats=(*number.caveats, "not made alike: this against that"))
     zero = [*three_of(bundle_of("7 B1"), scale=0.0), *three_of(bundle_of("7 B2"))]
@@ -148,8 +148,8 @@ def test_tables_of_questions(approved: Approve) -> None:
         replace(usual, differences=(replace(known, interval=Interval(-0.99, 5e8)),)),
         pair,
         replace(pair, differences=(odd, other)),
-        *single_field_pairs(bundle_campaign(zero)),
+        *list_single_field_pairs(bundle_campaign(zero)),
     ]
-    approved(line for pair in pairs for line in table_words(question_table(pair)))
-    share = question_table(pair).rows[0][1].text.partition(" ")[0]
+    approved(line for pair in pairs for line in table_words(make_pair_table(pair)))
+    share = make_pair_table(pair).rows[0][1].text.partition(" ")[0]
     assert 50.0 < float(share) < 60.0  # 1.4 / 0.9

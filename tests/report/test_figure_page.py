@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.records.arrays import Floats
-from labpipe.report.marker_figures import Rig, rig_of
-from labpipe.report.plot_thinning import extremes, simplify_line, worst
+from labpipe.report.marker_figures import Rig, read_rig
+from labpipe.report.plot_records import find_extremes, simplify_line, thin_flags
 from tests.store.builders_result import build_result
 
 
@@ -22,7 +22,7 @@ from tests.store.builders_result import build_result
     st.integers(1, 20),
 )
 def test_thinned_line_is_as_wide_and_as_broken_as_the_samples(values: Floats, bins: int) -> None:
-    kept = extremes(values, bins=bins)
+    kept = find_extremes(values, bins=bins)
     assert (np.diff(kept) > 0).all()
     if len(values):
         assert kept[0] == 0
@@ -39,11 +39,11 @@ def test_worst_flag_of_a_stretch_wins() -> None:
     flags[503, 1] = 0
     flags[504, 1] = 2
     rank = np.array([2, 0, 1], dtype=np.uint8)
-    thin = worst(flags, rank, bins=10)
+    thin = thin_flags(flags, rank, bins=10)
     assert thin[:, 0].tolist() == [1] * 10
     assert thin[:, 1].tolist() == [1] * 5 + [0] + [1] * 4
-    np.testing.assert_array_equal(worst(flags[:7], rank, bins=10), flags[:7])
-    assert worst(flags[:0], rank, bins=10).shape == (0, 2)
+    np.testing.assert_array_equal(thin_flags(flags[:7], rank, bins=10), flags[:7])
+    assert thin_flags(flags[:0], rank, bins=10).shape == (0, 2)
 
 
 def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
@@ -70,11 +70,11 @@ def test_gaps_standstill_and_noise_in_bends() -> None:
     assert len(kept) == 50
     assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(kept.tolist())
     with pytest.raises(ValueError, match="bins: expected at least 1, found 0"):
-        extremes(np.zeros(3), bins=0)
+        find_extremes(np.zeros(3), bins=0)
 
 
 def with_protocol(text: str) -> Rig:
-    return rig_of(replace(build_result(cycles=1, half_cycle=1.0), protocol_yaml=text))
+    return read_rig(replace(build_result(cycles=1, half_cycle=1.0), protocol_yaml=text))
 
 
 def test_rollers_and_span_of_a_conduit(repository: Path) -> None:

@@ -196,7 +196,7 @@ def between_rollers(result: TestResult, monkeypatch: pytest.MonkeyPatch) -> Test
     coefficients[:, 1, 2] = -coefficients[:, 1, 1]
     flags = np.full_like(result.shape.flags, PointFlag.MEASURED)
     shape = replace(result.shape, coefficients=coefficients, flags=flags)
-    monkeypatch.setattr(marker_figures, "rig_of", lambda _: SPAN)
+    monkeypatch.setattr(marker_figures, "read_rig", lambda _: SPAN)
     return replace(result, shape=shape)
 
 
@@ -221,7 +221,7 @@ def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> N
     assert (reached >= steps.levels - 1e-12).all()
     assert (reached - steps.levels < 2.6e-4).all()
     assert result.shape.time[steps.frames].max() <= result.curve.branches[0].stop_time
-    assert steps.word == "tip deflection"
+    assert steps.name == "tip deflection"
 
 
 def test_words_of_markers(result: TestResult, approved: Approve) -> None:

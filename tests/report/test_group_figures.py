@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from labpipe.records.curve import FittedLine
 from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
 from labpipe.report.figure_page import style
-from labpipe.report.group_figures import group_drawings
-from labpipe.report.group_panels import file_panels
-from labpipe.report.page_facts import stems
-from labpipe.statistics.mean_curves import without_band
+from labpipe.report.group_figures import list_group_figures
+from labpipe.report.group_plots import make_file_plots
+from labpipe.report.page_facts import make_stems
+from labpipe.statistics.mean_curves import reduce_band
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
 from tests.report.figure_words import all_words
@@ -30,18 +30,18 @@ def test_figures_that_a_group_has_data_for() -> None:
         (build_group("A", bare, scaled=False), ["curves"]),
         (build_group("A", [], scaled=False), ["curves"]),
     ):
-        assert sorted(drawing.name for drawing in group_drawings(group)) == sorted(names)
+        assert sorted(drawing.name for drawing in list_group_figures(group)) == sorted(names)
 
 
 def test_file_names() -> None:
-    assert stems(["A2 85 mm", "a2/85/mm", "\u00b5"]) == ["a2-85-mm", "a2-85-mm-2", "group"]
-    assert stems(["A" * 200])[0] == "a" * 60
+    assert make_stems(["A2 85 mm", "a2/85/mm", "\u00b5"]) == ["a2-85-mm", "a2-85-mm-2", "group"]
+    assert make_stems(["A" * 200])[0] == "a" * 60
 
 
 def test_rows_are_samples_spool_means_and_the_mean() -> None:
     group = build_group("A", troubled_samples())
     number = group.numbers[1]
-    plot = file_panels(group)["numbers"][1]
+    plot = make_file_plots(group)["numbers"][1]
     assert plot.y.names == (
         "tt-s1a", "tt-s1b", "tt-s1c", "mean of s1",
         "tt-s2a", "tt-s2b", "tt-s2c", "mean of s2", "mean",
@@ -86,10 +86,10 @@ def test_words(approved: Approve) -> None:
     number = replace(group.numbers[1], outliers=(outlier,))
     segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
     segments = build_group("A", [replace(build_sample("s1", "a"), lines=(segment,))])
-    two, three = (without_band(replace(group.band, n=count)) for count in (2, 3))
+    two, three = (reduce_band(replace(group.band, n=count)) for count in (2, 3))
     odd = {name: build_group("A", chosen) for name, chosen in samples.items()}
     drawn = {f"{name}: curves": figure("curves", chosen) for name, chosen in odd.items()}
-    drawn |= {f"six samples: {name}": figure(name, bent()) for name in file_panels(bent())}
+    drawn |= {f"six samples: {name}": figure(name, bent()) for name in make_file_plots(bent())}
     drawn |= {
         "three curves": figure("curves", replace(group, band=three)),
         "two curves": figure("curves", replace(group, band=two)),
@@ -103,4 +103,4 @@ def test_words(approved: Approve) -> None:
 
 def figure(name: str, group: Group) -> Figure:
     """Draw a figure of a group by its name."""
-    return next(drawing.draw() for drawing in group_drawings(group) if drawing.name == name)
+    return next(drawing.draw() for drawing in list_group_figures(group) if drawing.name == name)

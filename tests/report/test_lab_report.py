@@ -22,10 +22,10 @@ from labpipe.records.result import Instrument, Status
 from labpipe.report.lab_report import (
     Extras,
     Letterhead,
-    page_data,
-    page_script,
     read_logo,
+    read_page_script,
     render_page,
+    write_page_data,
     write_report,
 )
 from labpipe.report.single_test import render_test
@@ -130,7 +130,7 @@ def test_data_cannot_end_their_element() -> None:
     hostile = "</script><!-- & \u2028 \ud800 '\""
     entry = {"test": hostile, "run": "r", "decision": "reject", "because": hostile, "by": "A"}
     campaign = Campaign(hostile, (), labpipe_version="1.2", name=hostile, decisions=(entry,))
-    text = page_data(campaign, report="abc")
+    text = write_page_data(campaign, report="abc")
     assert not set("<>&") & set(text)
     assert text.isascii()
     assert json.loads(text) == {
@@ -139,7 +139,7 @@ def test_data_cannot_end_their_element() -> None:
 
 
 def test_the_script_asks_no_network_and_makes_no_markup_of_text() -> None:
-    script = page_script()
+    script = read_page_script()
     assert script.startswith('"use strict";\n(() => {')
     for word in ("</script", "innerHTML", "outerHTML", "insertAdjacentHTML", "document.write",
                  "eval(", "XMLHttpRequest", "WebSocket", "sendBeacon", "import("):  # fmt: skip

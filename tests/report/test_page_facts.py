@@ -13,19 +13,19 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Campaign, DrawnLaw, DrawnShapes, Group, Sample
 from labpipe.records.result import Instrument
-from labpipe.report.group_panels import group_panels
+from labpipe.report.group_plots import make_group_plots
 from labpipe.report.issues import find_causes
-from labpipe.report.lab_report import count_words, fill_template, open_decisions
+from labpipe.report.lab_report import describe_campaign, fill_template, find_open_decisions
 from labpipe.report.page_facts import (
     PageTests,
-    days_words,
-    group_of_rejected,
-    instrument_lines,
-    operators_words,
-    report_id,
+    compute_report_id,
+    describe_days,
+    describe_operators,
+    find_group_of_rejected,
+    list_instruments,
 )
-from labpipe.report.page_plots import FULL, Axis, Line, Plot
-from labpipe.report.page_tables import page_file, rows_of_tests
+from labpipe.report.page_tables import make_test_rows, name_page_file
+from labpipe.report.plot_records import FULL, Axis, Line, Plot
 from tests.builders.campaigns import (
     build_campaign,
     build_group,
@@ -56,9 +56,9 @@ def test_a_rejected_test_goes_where_it_fits_best() -> None:
     a = replace(build_group("A", [sample]), fields={"type": "twist-tube-10", "spool": "s0"})
     b = replace(a, name="B", fields={"type": "twist-tube-10", "spool": "s1"})
     c = replace(a, name="C", fields={"type": "other", "spool": "s1", "length": "75 mm"})
-    assert group_of_rejected(sample, Campaign("S", (a, b, c))) == "B"
-    assert group_of_rejected(sample, Campaign("S", (c,))) == ""
-    assert group_of_rejected(replace(sample, protocol="other"), Campaign("S", (a, b))) == ""
+    assert find_group_of_rejected(sample, Campaign("S", (a, b, c))) == "B"
+    assert find_group_of_rejected(sample, Campaign("S", (c,))) == ""
+    assert find_group_of_rejected(replace(sample, protocol="other"), Campaign("S", (a, b))) == ""
 
 
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
@@ -72,7 +72,7 @@ def test_an_overdue_calibration_is_said_with_its_tests() -> None:
         ([one, two, three], "calibration OVERDUE since 2026-01-01 in 1 test"),
         ([undated], "no due date stated"),
     ):
-        (line,) = instrument_lines(samples)
+        (line,) = list_instruments(samples)
         assert (line.due, line.is_overdue) == (expected, "OVERDUE" in expected)
 
 
@@ -83,36 +83,36 @@ def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
         replace(campaign, groups=(replace(group, samples=group.samples[1:]),)),
         replace(campaign, rejected={"x": "bent"}), replace(campaign, title="T"),
     ]  # fmt: skip
-    assert report_id(campaign) == report_id(Campaign("S", (group,)))
-    assert len(set(map(report_id, (campaign, *others)))) == 4
+    assert compute_report_id(campaign) == compute_report_id(Campaign("S", (group,)))
+    assert len(set(map(compute_report_id, (campaign, *others)))) == 4
 
 
 def test_decided_and_rejected() -> None:
     samples = six_samples(slips=0)
-    kept = replace(samples[0], decided="fine (me)", date=date(2026, 3, 2), operator="me")
+    kept = replace(samples[0], decision="fine (me)", date=date(2026, 3, 2), operator="me")
     out = replace(samples[1], label="c/x")
     group = build_group("A", [kept])
     campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
-    one, two = rows_of_tests(campaign, PageTests(campaign, ["a"]), {"a": "A"})
+    one, two = make_test_rows(campaign, PageTests(campaign, ["a"]), {"a": "A"})
     assert (one["decided"], one["words"], one["why"]) == ("accept", "fine (me)", "")
     shown = two["decided"], two["words"], two["why"]
     assert shown == ("reject", "bent (me)", "Rejected: bent (me)")
-    assert two["page"] == "tests/c__x.html" == page_file("c/x")
+    assert two["page"] == "tests/c__x.html" == name_page_file("c/x")
     odd = Campaign("S", (build_group("A", [replace(kept, label="a#1 50 %?")]),))
-    (row,) = rows_of_tests(odd, PageTests(odd, ["a"]), {"a": "A"})
+    (row,) = make_test_rows(odd, PageTests(odd, ["a"]), {"a": "A"})
     assert row["address"] == "tests/a%231%2050%20%25%3F.html"
 
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
-    open_ones = open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
+    open_ones = find_open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
     assert {decision.cause.heading for decision in open_ones} == {"Failed", "Doubtful", "Outlier"}
-    assert count_words(campaign, open_ones).endswith(" 3 to decide")
+    assert describe_campaign(campaign, open_ones).endswith(" 3 to decide")
     first = campaign.groups[0]
-    decided = tuple(replace(sample, decided="fine (me)") for sample in first.samples)
+    decided = tuple(replace(sample, decision="fine (me)") for sample in first.samples)
     settled = replace(campaign, groups=(replace(first, samples=decided),))
-    assert not open_decisions(find_causes(settled), PageTests(settled, ["a"]))
-    assert count_words(settled, []).endswith(" 0 to decide")
+    assert not find_open_decisions(find_causes(settled), PageTests(settled, ["a"]))
+    assert describe_campaign(settled, []).endswith(" 0 to decide")
 
 
 def test_days_and_operators_of_some_tests() -> None:
@@ -128,7 +128,7 @@ def test_days_and_operators_of_some_tests() -> None:
         ),
     )
     for samples, words in expected:
-        assert f"{days_words(samples)} by {operators_words(samples)}" == words
+        assert f"{describe_days(samples)} by {describe_operators(samples)}" == words
 
 
 X, Y = Axis("Displacement", "mm", 0.0, 10.0), Axis("Force", "N", -1.0, 9.0)
@@ -149,14 +149,14 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
     noise = np.random.default_rng(7)
     x, y = np.sort(noise.uniform(0, 10, 120)), noise.uniform(-1, 9, 120)
     y[40] = np.nan
-    first, second = points(Line("curve", x, y).steps(X, Y), X, Y)
+    first, second = points(Line("curve", x, y).write_path(X, Y), X, Y)
     np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / FULL)
     np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / FULL)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
 def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
-    shares, texts = zip(*Axis("", "", low, high).marks(6), strict=True)
+    shares, texts = zip(*Axis("", "", low, high).find_ticks(6), strict=True)
     assert 3 <= len(shares) <= 7
     assert -1e-9 <= min(shares) <= max(shares) <= 1 + 1e-9
     values = np.array([float(text.replace("\u2212", "-")) for text in texts])
@@ -181,7 +181,7 @@ def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
 
 def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
     campaign = Campaign("S", (group,), rejected_samples=rejected)
-    return {plot.kind: plot for plot in group_panels(group, "g", PageTests(campaign, ["g"]))}
+    return {plot.kind: plot for plot in make_group_plots(group, "g", PageTests(campaign, ["g"]))}
 
 
 def test_curves_are_drawn_where_they_are() -> None:

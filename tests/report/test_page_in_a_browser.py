@@ -23,7 +23,7 @@ from labpipe.campaign.reporting import page_of_test, report_tests
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.records.group import Campaign
 from labpipe.report.lab_report import render_page
-from labpipe.report.wording import printable
+from labpipe.report.wording import replace_unprintable
 from tests.builders.campaigns import (
     build_difference,
     build_group,
@@ -148,7 +148,7 @@ def page_of(folder: Path, campaign: Campaign, **how: Any) -> Path:
     """Write the page of a campaign; gives the file."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"
-    path.write_text(printable(render_page(campaign, **how)), encoding="utf-8")
+    path.write_text(replace_unprintable(render_page(campaign, **how)), encoding="utf-8")
     return path
 
 

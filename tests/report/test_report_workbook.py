@@ -21,17 +21,17 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
-from labpipe.report.page_facts import report_id
+from labpipe.report.page_facts import compute_report_id
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.wording import shown_in
+from labpipe.report.wording import find_display_unit
 from labpipe.report.workbook_file import (
     About,
     Chart,
     Line,
     NumberCell,
     Sheet,
+    make_unique_heads,
     save_book,
-    unique_heads,
 )
 from labpipe.statistics.groups import build_group as grouped
 from tests.approved import Approve
@@ -54,18 +54,18 @@ def table(book: Workbook, name: str) -> list[dict[str, Any]]:
 def test_day_operator_and_decision_of_tests_and_rejected_ones_last(tmp_path: Path) -> None:
     first, second, *_ = six_samples()
     known = replace(first, date=date(2026, 3, 2), operator="A. Lab", run="k1")
-    out = replace(second, decided="rejected: grip slid (by A. Lab, 2026-03-03)")
+    out = replace(second, decision="rejected: grip slid (by A. Lab, 2026-03-03)")
     campaign = Campaign("S", (build_group("A", [known]),), rejected={"f": "grip slid"})
     campaign = replace(campaign, rejected_samples=(out,))
     book = saved(campaign, tmp_path)
     one, other = table(book, "tests")
     assert (one["day"], one["operator"], one["key of the run"]) == ("2026-03-02", "A. Lab", "k1")
     assert (other["state"], other["group"], other["day"]) == ("rejected", None, None)
-    assert other["decision"] == out.decided
+    assert other["decision"] == out.decision
     lines = [cell.value for cell in book["read me"]["A"]]
     assert lines[1:3] == ["1 test in 1 group, 1 test rejected.", "Tested 2026-03-02; A. Lab."]
     page: Any = book["tests"]
-    assert f"report {report_id(campaign)}" in page.oddFooter.left.text
+    assert f"report {compute_report_id(campaign)}" in page.oddFooter.left.text
 
 
 def with_budget(result: Result) -> Result:
@@ -86,7 +86,7 @@ def test_budgets_of_tests_and_of_groups(tmp_path: Path) -> None:
     number = group.numbers[0]
     assert number.mean is not None
     assert number.mean.chosen.interval is not None
-    scale = shown_in(number.name, number.unit, samples[0].display)
+    scale = find_display_unit(number.name, number.unit, samples[0].display)
     half = 0.5 * (number.mean.chosen.interval.upper - number.mean.chosen.interval.lower)
     mean, median = [row for row in rows if row["number"] == rows[0]["number"]]
     assert (mean["of"], median["of"]) == ("mean of the group", "median of the tests")
@@ -125,7 +125,7 @@ def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> 
     assert book.active is page
     assert [cell.value for cell in bare[1]] == ["a", "A 2"]
     assert not bare.tables
-    heads = unique_heads(["a", "A", "", "a", "x" * 300])
+    heads = make_unique_heads(["a", "A", "", "a", "x" * 300])
     assert heads == ["a", "A 2", "column", "a 3", "x" * 250]
 
 

@@ -16,13 +16,19 @@ from matplotlib.figure import Figure
 from labpipe.errors import StoreError
 from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
-from labpipe.report.calibration_figures import calibration_drawings
+from labpipe.report.calibration_figures import list_calibration_figures
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.figure_page import new_page, style, titled
+from labpipe.report.figure_page import (
+    FigureToSave,
+    add_title,
+    encode_figure,
+    make_page,
+    save_pages,
+    style,
+)
 from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report
-from labpipe.report.saving import FigureToSave, as_address, save_pages
-from labpipe.report.wire_figures import wire_drawings
+from labpipe.report.wire_figures import list_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
@@ -33,9 +39,9 @@ RESULT = build_result(half_cycle=1.0)
 
 
 def page() -> Figure:
-    figure = new_page(width_mm=25.4, height_mm=25.4)
+    figure = make_page(width_mm=25.4, height_mm=25.4)
     figure.subplots().plot([0.0, 1.0])
-    return titled(figure, "title")
+    return add_title(figure, "title")
 
 
 def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
@@ -66,7 +72,7 @@ def test_a_figure_for_a_journal_has_serif_letters(tmp_path: Path) -> None:
 
 def test_a_figure_is_its_own_address() -> None:
     with style():
-        head, _, data = as_address(page()).partition(",")
+        head, _, data = encode_figure(page()).partition(",")
     assert head == "data:image/svg+xml;base64"
     assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
 
@@ -83,8 +89,8 @@ def test_any_name_is_drawn(tmp_path: Path, name: str) -> None:
 
 SAVE: dict[str, Callable[[Path], object]] = {
     "figures": lambda path: save_figures(build_result(half_cycle=0.2, cycles=1), path),
-    "wire figures": lambda path: save_pages(wire_drawings([wire_table("A1")]), path),
-    "calibration figures": lambda path: save_pages(calibration_drawings(report()), path),
+    "wire figures": lambda path: save_pages(list_wire_figures([wire_table("A1")]), path),
+    "calibration figures": lambda path: save_pages(list_calibration_figures(report()), path),
     "report": lambda path: write_report(Campaign("Synthetic", ()), path),
     "calibration": lambda path: save_calibration_workbook(report(), path / "a.xlsx"),
     "wires": lambda path: save_wire_workbook([wire_table("A1")], path / "a.xlsx"),

@@ -19,20 +19,20 @@ from labpipe.mechanics.wire.end_load_path import force_at
 from labpipe.records.wire import WireTable
 from labpipe.report.figure_page import style
 from labpipe.report.wire_figures import (
-    cantilever_figure,
-    comparison_figure,
-    moment_figure,
+    draw_cantilever,
+    draw_moment,
+    draw_sections,
+    draw_stiffness,
+    draw_wire_comparison,
+    make_strand_patches,
     plot_section,
-    section_figure,
-    stiffness_figure,
-    strand_patches,
 )
 from labpipe.report.wire_workbook import (
-    orientation_spread,
-    row_error,
+    choose_law_rows,
+    compute_orientation_spread,
+    compute_row_error,
+    make_summary_record,
     save_wire_workbook,
-    shown_rows,
-    summary_record,
 )
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
@@ -57,21 +57,21 @@ def scaled(table: WireTable, factor: float) -> WireTable:
 
 def test_compressed_strands_fill_their_circle_with_their_areas() -> None:
     table, areas = compressed_wire(), []
-    wedges = [patch for patch in strand_patches(table.layout) if isinstance(patch, Wedge)]
+    wedges = [patch for patch in make_strand_patches(table.layout) if isinstance(patch, Wedge)]
     for wedge in wedges:
         assert wedge.width is not None
         ring = wedge.r**2 - (wedge.r - wedge.width) ** 2
         areas.append(np.radians(wedge.theta2 - wedge.theta1) / 2.0 * ring)
     assert areas == pytest.approx([0.35 / 7] * 7, rel=1e-9)
     assert wedges[1].theta1 == pytest.approx(-30.0)
-    page = section_figure([table])
+    page = draw_sections([table])
     assert page.texts[1].get_text().startswith("Compressed strands: sectors of rings with the ar")
 
 
 def test_strands_wall_bore_and_bar_to_scale() -> None:
     table = wire_table("A3")
     layout = table.layout
-    circles = [patch for patch in strand_patches(layout) if isinstance(patch, Circle)]
+    circles = [patch for patch in make_strand_patches(layout) if isinstance(patch, Circle)]
     assert [circle.radius for circle in circles] == pytest.approx([0.12] * 19)
     centres = np.array([circle.center for circle in circles])
     np.testing.assert_allclose(centres, 1e3 * np.column_stack([layout.x, layout.y]))
@@ -95,20 +95,20 @@ def test_words(approved: Approve) -> None:
     at_rest = replace(a3, tip_deflection=np.zeros(1), tip_force=np.zeros(1))
     near = replace(a1, slip_stiffness=0.9 * a1.stick_stiffness)
     pages = {
-        "stiffness": stiffness_figure(a3),
-        "limits near each other": stiffness_figure(near),
-        "a stiff wire": stiffness_figure(stiff),
-        "no slip": stiffness_figure(replace(a1, slip_onsets=np.array([np.inf]))),
-        "warnings": stiffness_figure(troubled()),
-        "moment": moment_figure(wire_table("C4")),
-        "cantilever": cantilever_figure(a3),
-        "cantilever at rest": cantilever_figure(at_rest),
-        "no cantilever": cantilever_figure(troubled()),
-        "comparison": comparison_figure([a1, wire_table("A2"), a3]),
-        "comparison with a stiff wire": comparison_figure([a1, stiff]),
-        "sections": section_figure([a1, replace(a3, spec=mixed), stiff]),
-        "sections unlike in size": section_figure([a1, scaled(a1, 5.0)]),
-        "section without core": section_figure([replace(a1, layout=coreless)]),
+        "stiffness": draw_stiffness(a3),
+        "limits near each other": draw_stiffness(near),
+        "a stiff wire": draw_stiffness(stiff),
+        "no slip": draw_stiffness(replace(a1, slip_onsets=np.array([np.inf]))),
+        "warnings": draw_stiffness(troubled()),
+        "moment": draw_moment(wire_table("C4")),
+        "cantilever": draw_cantilever(a3),
+        "cantilever at rest": draw_cantilever(at_rest),
+        "no cantilever": draw_cantilever(troubled()),
+        "comparison": draw_wire_comparison([a1, wire_table("A2"), a3]),
+        "comparison with a stiff wire": draw_wire_comparison([a1, stiff]),
+        "sections": draw_sections([a1, replace(a3, spec=mixed), stiff]),
+        "sections unlike in size": draw_sections([a1, scaled(a1, 5.0)]),
+        "section without core": draw_sections([replace(a1, layout=coreless)]),
     }
     approved(all_words(pages))
 
@@ -166,7 +166,7 @@ def test_sheets_of_two_wires_and_a_refused_one(tmp_path: Path) -> None:
 
 def test_numbers_of_a_wire_in_the_units_of_the_headings() -> None:
     table = wire_table("C4")
-    row = summary_record(table)
+    row = make_summary_record(table)
     texts = {"strands": 37, "layers": "1 + 6 + 12 + 18", "lay angles (deg)": "12; -15; 12"}
     assert {head: row[head] for head in texts} == texts
     for head, value in {
@@ -187,24 +187,24 @@ def test_force_on_the_curve_and_none_beyond_its_end() -> None:
     assert TABLE.tip_force[3] < force_at(TABLE, middle) < TABLE.tip_force[4]
     at_end = force_at(TABLE, TABLE.tip_deflection[-1])
     assert at_end == pytest.approx(TABLE.tip_force[-1], rel=1e-12)
-    assert summary_record(TABLE)["end load at 5 mm (N)"] == force_at(TABLE, 5e-3)
+    assert make_summary_record(TABLE)["end load at 5 mm (N)"] == force_at(TABLE, 5e-3)
     short = replace(TABLE, tip_deflection=TABLE.tip_deflection[:2], tip_force=TABLE.tip_force[:2])
     assert np.isnan(force_at(short, 5e-3))
     # PHYSICS: of the friction moment, which is all but the whole moment when slip begins
-    assert orientation_spread(TABLE) == pytest.approx(11.0, abs=1.0)
+    assert compute_orientation_spread(TABLE) == pytest.approx(11.0, abs=1.0)
 
 
 @pytest.mark.parametrize("name", ["A1", "A3", "C5"])
 @pytest.mark.parametrize("most", [40, 10_000])
 def test_rows_that_are_shown_keep_the_law(name: str, most: int) -> None:
     table = wire_table(name)
-    shown = shown_rows(table, most)
+    shown = choose_law_rows(table, most)
     last = len(table.curvature) - 1
     assert len(shown) == min(most, last + 1)
     assert (shown[0], shown[-1]) == (0, last)
     assert np.all(np.diff(shown) > 0)
     even = np.linspace(0, last, len(shown)).round().astype(np.int64)
-    assert row_error(table, shown) <= min(row_error(table, even), 1.0)
+    assert compute_row_error(table, shown) <= min(compute_row_error(table, even), 1.0)
     slope = table.moment[-1] / table.curvature[-1]
     worst = np.max(np.abs(slope * table.curvature[1:] / table.moment[1:] - 1.0))
-    assert row_error(table, np.array([0, last])) == pytest.approx(100.0 * worst)
+    assert compute_row_error(table, np.array([0, last])) == pytest.approx(100.0 * worst)

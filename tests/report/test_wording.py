@@ -11,32 +11,34 @@ from hypothesis import strategies as st
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
 from labpipe.report.wording import (
-    as_label,
-    heading,
+    find_display_unit,
     is_main,
-    mean_with_interval,
-    printable,
     replace_names,
-    shown_in,
-    unit_words,
-    with_interval,
+    replace_unprintable,
+    typeset_unit,
+    write_heading,
+    write_label,
+    write_mean,
     write_number,
+    write_with_interval,
 )
 from labpipe.report.workbook_file import (
     NumberCell,
-    column_place,
-    ends_record,
-    in_column,
-    number_cell,
-    number_format,
-    percent_cell,
+    choose_number_format,
+    find_column_place,
+    format_in_column,
+    make_interval_cells,
+    make_number_cell,
+    make_percent_cell,
 )
 from labpipe.results import KINDS
 
 
 def test_only_what_cannot_be_shown_is_replaced() -> None:
-    assert printable("a\u202eb\u2066") == "a\ufffdb\ufffd"  # else all behind it reads backwards
-    assert printable("a\tb\n\x00\x9f\ud800\ufffe $x_1$ \U0001f600") == (
+    assert (
+        replace_unprintable("a\u202eb\u2066") == "a\ufffdb\ufffd"
+    )  # else all behind it reads backwards
+    assert replace_unprintable("a\tb\n\x00\x9f\ud800\ufffe $x_1$ \U0001f600") == (
         "a\tb\n\ufffd\ufffd\ufffd\ufffd $x_1$ \U0001f600"
     )
 
@@ -80,10 +82,10 @@ def test_rounding_moves_no_number_by_more_than_a_tenth_of_the_half_width(
 
 
 def test_words() -> None:
-    assert as_label("peak_force.1") == "Peak force, cycle 1"
-    assert heading("stiffness_first", "N/mm") == "Stiffness, first region (N/mm)"
-    assert heading("ratio", "1") == "Ratio"
-    assert unit_words("N*mm^2") == "N\u00b7mm\u00b2"
+    assert write_label("peak_force.1") == "Peak force, cycle 1"
+    assert write_heading("stiffness_first", "N/mm") == "Stiffness, first region (N/mm)"
+    assert write_heading("ratio", "1") == "Ratio"
+    assert typeset_unit("N*mm^2") == "N\u00b7mm\u00b2"
     names = ("stiffness", "slip_drop.1", "clock_drift")
     assert [is_main(name) for name in names] == [True, False, False]
 
@@ -93,7 +95,7 @@ def test_results_are_worded_as_their_kinds_say() -> None:
     assert len(outputs) > 25
     for output in outputs:
         assert output.label, output.name
-        assert as_label(output.name) == output.label
+        assert write_label(output.name) == output.label
 
 
 @pytest.mark.parametrize(
@@ -123,32 +125,33 @@ def test_half_of_the_interval_where_it_is_as_wide_to_both_sides(
     value: float, ends: tuple[float, float], expected: str
 ) -> None:
     interval = Interval(*ends)
-    assert with_interval(value, interval) == expected
-    assert mean_with_interval(MeanInterval(value, interval, 1e-4, 3), 1.0) == expected
+    assert write_with_interval(value, interval) == expected
+    assert write_mean(MeanInterval(value, interval, 1e-4, 3), 1.0) == expected
 
 
 def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:
-    cells = list(ends_record(0.0522841, Interval(0.046271, 0.058296), 1e3).values())
+    cells = list(make_interval_cells(0.0522841, Interval(0.046271, 0.058296), 1e3).values())
     assert [cell.form for cell in cells if isinstance(cell, NumberCell)] == ["0.0"] * 3
     values = [cell.value for cell in cells if isinstance(cell, NumberCell)]
     assert values == pytest.approx([52.2841, 46.271, 58.296])
-    turned = list(ends_record(1.0, Interval(0.9, 1.2), -1.0).values())
+    turned = list(make_interval_cells(1.0, Interval(0.9, 1.2), -1.0).values())
     assert [cell.value for cell in turned if isinstance(cell, NumberCell)] == [-1.0, -1.2, -0.9]
-    assert number_cell(74683.0, Interval(70000.0, 79000.0)) == NumberCell(74683.0, "0")
-    assert list(ends_record(1.0, None).values())[1:] == [None, None]
-    assert [number_cell(value, None) for value in (None, math.nan)] == [None, None]
-    assert [percent_cell(value) for value in (None, math.nan)] == [None, None]
-    assert percent_cell(0.382) == NumberCell(0.382, "0.0%")
+    assert make_number_cell(74683.0, Interval(70000.0, 79000.0)) == NumberCell(74683.0, "0")
+    assert list(make_interval_cells(1.0, None).values())[1:] == [None, None]
+    assert [make_number_cell(value, None) for value in (None, math.nan)] == [None, None]
+    assert [make_percent_cell(value) for value in (None, math.nan)] == [None, None]
+    assert make_percent_cell(0.382) == NumberCell(0.382, "0.0%")
 
 
 def test_a_column_has_one_last_place_but_for_small_numbers() -> None:
-    place = column_place([0.0, 12.345678, 53.2, None, "x"])
+    place = find_column_place([0.0, 12.345678, 53.2, None, "x"])
     assert place == -3
     cells: tuple[float, ...] = (53.2, 0.00123456, 3)
-    assert [in_column(cell, place).form for cell in cells] == ["0.000", "0.00000", "0"]
-    assert column_place(["a", 3, None]) is None
+    assert [format_in_column(cell, place).form for cell in cells] == ["0.000", "0.00000", "0"]
+    assert find_column_place(["a", 3, None]) is None
     forms = [
-        number_format(*number) for number in ((2.345e8, 6), (3.1e-8, -9), (7e-4, -4), (0.0, -3))
+        choose_number_format(*number)
+        for number in ((2.345e8, 6), (3.1e-8, -9), (7e-4, -4), (0.0, -3))
     ]
     assert forms == ["0.00E+00", "0.0E+00", "0.0000", "0.000"]
 
@@ -162,6 +165,6 @@ def test_display_units() -> None:
         ("clock_drift", "1", 1e6, "ppm"), ("twist", "rad", 57.2957795, "deg"),
         ("bending_stiffness", "N*m^2", 1e6, "N*mm^2"),
     ):  # fmt: skip
-        scale = shown_in(name, unit, display)
+        scale = find_display_unit(name, unit, display)
         assert scale.factor == pytest.approx(factor)
         assert scale.unit == unit_shown

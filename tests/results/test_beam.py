@@ -101,7 +101,7 @@ def test_corrections_give_the_true_value_back_and_say_their_sizes() -> None:
     assert exact.interval.lower < 0.02 < exact.interval.upper
     more = "corrections: [large-deflection, roller-radius, roller-friction]"
     result = stiffness(f"{more}, roller: {{diameter: 10 mm, friction: 0.2}}")
-    assert result.how.endswith(f"; {result.remark}")
+    assert result.full_method.endswith(f"; {result.remark}")
     parts = result.remark.partition("corrected as an elastic beam: ")[2].split(", ")
     names, sizes = zip(*(part.split()[:2] for part in parts), strict=True)
     assert names == ("large-deflection", "roller-radius", "roller-friction")

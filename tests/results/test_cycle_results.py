@@ -44,7 +44,7 @@ def test_parts_of_a_cycle_counted_in_branches() -> None:
 def evidence(time: Floats, path: Floats, force: Floats, *branches: Branch) -> ReducedTest:
     signals = Signals()
     for name, values, unit in (("force", force, "N"), ("displacement", path, "m")):
-        signals = signals.with_new(name, Signal(time, values, unit, "force"))
+        signals = signals.add_signal(name, Signal(time, values, unit, "force"))
     numbers = np.zeros(len(time), dtype=np.int64)
     curve = Curve(time, path, force, numbers, numbers + 1, branches)
     test = ReducedTest(signals, curve=curve, unfiltered=signals.raw["force"])

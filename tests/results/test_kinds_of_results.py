@@ -36,7 +36,7 @@ def number(test: ReducedTest, outcome: Outcome, *doubts: Reason, part: str = "")
 def test_a_number() -> None:
     found = number(evidence(), Estimate(10.0, 1.0, 50))
     assert (found.name, found.value, found.unit, found.n) == ("stiffness", 10.0, "N/m", 50)
-    assert (found.status, found.why, found.method) == (Status.OK, "", "by a line")
+    assert (found.status, found.reason_text, found.method) == (Status.OK, "", "by a line")
     assert found.interval is not None
     assert found.interval.lower == pytest.approx(10.0 - 1.959964, abs=1e-6)
 
@@ -60,11 +60,11 @@ def test_no_number() -> None:
     failure = Failure("gap", "4 samples are missing")
     result = number(evidence(), failure, Reason("x", "y"))
     assert (result.value, result.interval, result.status) == (None, None, Status.FAILED)
-    assert (result.why, result.method) == ("gap: 4 samples are missing", "by a line")
+    assert (result.reason_text, result.method) == ("gap: 4 samples are missing", "by a line")
     for value, error in ((float("nan"), 1.0), (1.0, float("inf"))):
         result = number(evidence(), Estimate(value, error, 3))
         assert result.status is Status.FAILED
-        assert result.why == f"not_finite: value {value}, standard error {error}"
+        assert result.reason_text == f"not_finite: value {value}, standard error {error}"
 
 
 def test_doubts_of_its_quantities() -> None:
@@ -74,9 +74,9 @@ def test_doubts_of_its_quantities() -> None:
     )
     found = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
     assert found.status is Status.DOUBTFUL
-    assert found.why == "drift: the zero drifts; slip_in_window: at 6 mm"
+    assert found.reason_text == "drift: the zero drifts; slip_in_window: at 6 mm"
     twice = evidence(doubtful("turn", "travel", "not seen", "force", "displacement"))
-    assert number(twice, Estimate(1.0, 0.1, 5)).why == "turn: not seen"
+    assert number(twice, Estimate(1.0, 0.1, 5)).reason_text == "turn: not seen"
 
 
 def test_what_stopped_the_test_comes_first() -> None:
@@ -110,10 +110,10 @@ def test_offset_and_drift_of_clocks() -> None:
     assert (drift.name, drift.value, drift.status) == ("clock_drift", 2e-5, Status.OK)
     offset, drift = of_clocks(float("nan"), float("nan"))
     assert offset.status is Status.OK
-    assert drift.why.startswith("one_event: ")
+    assert drift.reason_text.startswith("one_event: ")
     test = ReducedTest(Signals())
     for result, unit in zip(ClockResult().compute(test).results, ("s", "1"), strict=True):
-        assert (result.why, result.unit) == ("one_clock: there is only one clock", unit)
+        assert (result.reason_text, result.unit) == ("one_clock: there is only one clock", unit)
 
 
 UP, DOWN = Direction.LOADING, Direction.UNLOADING
@@ -133,7 +133,7 @@ def located(clocks: Clocks = APART) -> ReducedTest:
     time = np.arange(0.0, 100.0)
     signals = Signals()
     for name, clock in (("force", "force"), ("displacement", "markers")):
-        signals = signals.with_new(name, Signal(time, time, "N", clock))
+        signals = signals.add_signal(name, Signal(time, time, "N", clock))
     found = doubtful("frozen", "force", "stands", "force", during=(40.0, 42.0), clock="force")
     return ReducedTest(signals, clocks, findings=Findings((found,)))
 
@@ -151,7 +151,10 @@ def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
 
 def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
     test, zero = located(), {"force": (39.0, 41.0)}
-    for signals in (replace(test.signals, zeroed=zero), replace(test.signals, lined=zero)):
+    for signals in (
+        replace(test.signals, zero_stretches=zero),
+        replace(test.signals, moving_zero_stretches=zero),
+    ):
         assert replace(test, signals=signals).why_doubtful("force", (60.0, 70.0)) == FROZEN
 
 

@@ -32,7 +32,7 @@ from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
 from labpipe.results.sample_noise import SampleNoise
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
-from labpipe.uncertainty.intervals import measure
+from labpipe.uncertainty.intervals import measure_numbers
 from labpipe.uncertainty.replicates import Input, Replicates
 from tests.builders.plain_records import Numbers
 from tests.builders.reduced import DOWN, UP, recorded
@@ -174,7 +174,7 @@ def test_a_force_of_which_a_part_is_unknown_leaves_the_displacement_alone() -> N
     found = curves(test)
     assert found.smooth.displacement == pytest.approx(1e-3 * time, abs=1e-9)
     for given in found.inputs:
-        assert not np.isnan(given.moved(found.smooth, 1.0).displacement).any()
+        assert not np.isnan(given.perturb(found.smooth, 1.0).displacement).any()
 
 
 def test_a_long_record_has_the_noise_of_its_means_and_peaks_that_of_single_samples() -> None:
@@ -235,17 +235,17 @@ def test_each_repaired_slip_moves_what_follows_by_its_error() -> None:
     first, second = (finding for finding in found.inputs if finding.cause == REPAIRED_SLIPS)
     trace = found.smooth
     for given, behind in ((first, 202), (second, 502)):
-        more = given.moved(trace, 2.0).force - trace.force
+        more = given.perturb(trace, 2.0).force - trace.force
         assert more[:behind] == pytest.approx(0.0)
         assert more[behind:] == pytest.approx(2.0 * 0.5)
-    assert not np.array_equal(found.draws(first), found.draws(second))
+    assert not np.array_equal(found.draw_input(first), found.draw_input(second))
 
 
 def uncertain(name: str, scale: float, zero: float) -> ReducedTest:
     """800 samples, one signal of which is uncertain."""
     test = straight()
     changed = replace(test.signals.raw[name], relative_error=scale, zero_error=zero)
-    return replace(test, signals=test.signals.with_new(name, changed))
+    return replace(test, signals=test.signals.add_signal(name, changed))
 
 
 @pytest.mark.parametrize("compliance", [0.0, 4e-5])
@@ -255,7 +255,7 @@ def test_scale_and_zero_of_the_force(compliance: float) -> None:
     found = inputs(replace(test, compliance=compliance))
     trace = curves(replace(test, compliance=compliance)).smooth
     for cause, more in ((SCALE_OF_FORCE, 0.01 * trace.force), (ZERO_OF_FORCE, 0.3)):
-        moved = found[cause].moved(trace, -2.0)
+        moved = found[cause].perturb(trace, -2.0)
         assert moved.force - trace.force == pytest.approx(-2.0 * more, abs=1e-12)
         change = moved.displacement - trace.displacement
         assert change == pytest.approx(2.0 * compliance * more, abs=1e-15)
@@ -267,10 +267,10 @@ def test_scale_and_zero_of_the_displacement(compliance: float) -> None:
     test = uncertain("displacement", 0.01, 2e-6)
     test = replace(test, compliance=compliance)
     found, trace = inputs(test), curves(test).smooth
-    moved = found[SCALE_OF_DISPLACEMENT].moved(trace, 2.0).displacement
+    moved = found[SCALE_OF_DISPLACEMENT].perturb(trace, 2.0).displacement
     measured = trace.displacement + compliance * trace.force
     assert moved - trace.displacement == pytest.approx(0.02 * measured, abs=1e-15)
-    moved = found[ZERO_OF_DISPLACEMENT].moved(trace, -1.0).displacement
+    moved = found[ZERO_OF_DISPLACEMENT].perturb(trace, -1.0).displacement
     assert moved - trace.displacement == pytest.approx(-2e-6, abs=1e-15)
 
 
@@ -279,10 +279,10 @@ def test_what_an_offset_changes_frame_by_frame_has_no_noise(cause: str, spread: 
     """A tenth more of the displacement, seen in noise of 10 um: what cameras see is made smooth."""
     test = straight()
     signal, noise = test.displacement, RNG(5).normal(0.0, 1e-5, 800)
-    seen = replace(signal, moved={cause: 1.1 * signal.values + noise})
-    found = curves(replace(test, signals=test.signals.with_new("displacement", seen)))
+    seen = replace(signal, perturbed={cause: 1.1 * signal.values + noise})
+    found = curves(replace(test, signals=test.signals.add_signal("displacement", seen)))
     (given,) = (finding for finding in found.inputs if finding.cause == cause)
-    change = given.moved(found.smooth, 1.0).displacement - found.smooth.displacement
+    change = given.perturb(found.smooth, 1.0).displacement - found.smooth.displacement
     left = change - 0.1 * signal.values
     assert np.std(left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
 
@@ -300,10 +300,10 @@ def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     (given,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION)
     trace = curves(test).smooth
     assert given.law == "uniform"
-    more = given.moved(trace, 1.0).force - trace.force
+    more = given.perturb(trace, 1.0).force - trace.force
     assert more == pytest.approx(7.0 / 12.0**0.5)
     for level in (98.0, 101.5, 104.0):
-        numbers = measure(curves(plateau(1, level, 7.0)), lambda _: Reading(end, 200))
+        numbers = measure_numbers(curves(plateau(1, level, 7.0)), lambda _: Reading(end, 200))
         assert isinstance(numbers, tuple)
         interval = numbers[0].interval
         assert interval.lower <= level * (1.0 - 0.1**4 / 5.0) <= interval.upper
@@ -314,13 +314,13 @@ def test_other_displacements(count: int, rate: float) -> None:
     """Of an offset normal, of another shape rectangular; of a long record averaged, too."""
     test = straight(count, rate)
     signal = test.displacement
-    changed = replace(signal, moved={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
+    changed = replace(signal, perturbed={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
     test = replace(test, signals=test.signals.with_filtered("displacement", changed))
     given, trace = inputs(test), curves(test).smooth
     assert (given[GRIP].law, given[SHAPE].law) == ("normal", "uniform")
-    moved = given[GRIP].moved(trace, -3.0).displacement - trace.displacement
+    moved = given[GRIP].perturb(trace, -3.0).displacement - trace.displacement
     assert moved == pytest.approx(-3e-6, abs=1e-12)
-    moved = given[SHAPE].moved(trace, 1.0).displacement
+    moved = given[SHAPE].perturb(trace, 1.0).displacement
     assert moved == pytest.approx(1.01 * trace.displacement, abs=1e-9)
 
 
@@ -334,10 +334,10 @@ def test_clocks_shift_and_turn_the_force() -> None:
     test = recorded(time, 1e-3 * time, force, force_time=time + 1.0, clocks=Clocks("one", fit))
     found, trace = inputs(test), curves(test).smooth
     inner = slice(50, -50)
-    moved = found[CLOCK_OFFSET].moved(trace, 1.0).force - trace.force
+    moved = found[CLOCK_OFFSET].perturb(trace, 1.0).force - trace.force
     slope = np.gradient(trace.force, trace.time)
     assert moved[inner] == pytest.approx((slope * 0.02 / 2**0.5)[inner], abs=0.01)
-    moved = found[CLOCK_DRIFT].moved(trace, 1.0).force - trace.force
+    moved = found[CLOCK_DRIFT].perturb(trace, 1.0).force - trace.force
     turned = slope * 0.007 * (trace.time - 4.0)
     assert moved[inner] == pytest.approx(turned[inner], abs=0.02)
 
@@ -353,11 +353,11 @@ def test_sizes() -> None:
         finding for finding in found.inputs if finding.cause in (SPAN, SECTION)
     )
     assert [each.cause for each in (span, width, thickness)] == [SPAN, SECTION, SECTION]
-    assert span.moved(trace, 2.0).sizes["span"] == pytest.approx(0.1002)
-    assert width.moved(trace, -1.0).sizes["width"] == pytest.approx(1.99e-3)
-    assert width.moved(trace, -1.0).sizes["thickness"] == 1e-3
-    assert area.moved(trace, 1.0).sizes == trace.sizes
-    assert not np.array_equal(found.draws(width), found.draws(thickness))
+    assert span.perturb(trace, 2.0).sizes["span"] == pytest.approx(0.1002)
+    assert width.perturb(trace, -1.0).sizes["width"] == pytest.approx(1.99e-3)
+    assert width.perturb(trace, -1.0).sizes["thickness"] == 1e-3
+    assert area.perturb(trace, 1.0).sizes == trace.sizes
+    assert not np.array_equal(found.draw_input(width), found.draw_input(thickness))
 
 
 @pytest.mark.parametrize(("count", "step"), [(800, 1.0), (18_000, 1 / 3)])
@@ -366,8 +366,8 @@ def test_a_step_is_one_of_the_curve(count: int, step: float) -> None:
     test = straight(count)
     given, found = inputs(test)[STEP], curves(test)
     assert given.law == "step"
-    assert given.moved(found.smooth, 1.0).beyond == pytest.approx(step, rel=1e-3)
-    assert given.moved(found.smooth, -0.5).beyond == pytest.approx(-0.5 * step, rel=1e-3)
+    assert given.perturb(found.smooth, 1.0).steps_beyond == pytest.approx(step, rel=1e-3)
+    assert given.perturb(found.smooth, -0.5).steps_beyond == pytest.approx(-0.5 * step, rel=1e-3)
 
 
 def test_a_branch_without_force() -> None:
@@ -400,7 +400,7 @@ def straight_of_drift(share: float = SHARE, spread: float = 0.0) -> ReducedTest:
 
 def drifting(test: ReducedTest, share: float) -> ReducedTest:
     raw = replace(test.signals.raw["force"], zero_drift=share)
-    return replace(test, signals=test.signals.with_new("force", raw))
+    return replace(test, signals=test.signals.add_signal("force", raw))
 
 
 def modes(test: ReducedTest) -> list[Input]:
@@ -408,7 +408,7 @@ def modes(test: ReducedTest) -> list[Input]:
 
 
 def drift_of(test: ReducedTest, numbers: Numbers) -> float:
-    found = measure(curves(test), lambda trace: Reading(numbers, len(trace.time)))
+    found = measure_numbers(curves(test), lambda trace: Reading(numbers, len(trace.time)))
     assert isinstance(found, tuple)
     (number,) = found
     return next(abs(row.change) for row in number.budget if row.cause == DRIFT_OF_ZERO)
@@ -458,9 +458,9 @@ def test_what_a_drift_does_to_a_number(numbers: Numbers, share: float, of_a_walk
 @pytest.mark.parametrize(
     ("taken", "stretch", "place", "drifts"),
     [
-        ("zeroed", (19.0, 21.0), -1, first),
-        ("lined", (19.0, 20.0), -1, first),
-        ("lined", (0.0, 4.0), 0, top_of_drift),
+        ("zero_stretches", (19.0, 21.0), -1, first),
+        ("moving_zero_stretches", (19.0, 20.0), -1, first),
+        ("moving_zero_stretches", (0.0, 4.0), 0, top_of_drift),
     ],
 )
 def test_it_is_counted_from_where_the_zero_was_taken(
@@ -472,7 +472,7 @@ def test_it_is_counted_from_where_the_zero_was_taken(
     zeroed = replace(test, signals=signals)
     assert drift_of(zeroed, drifts) == pytest.approx(SHARE * PEAK, rel=1e-9)
     trace = curves(zeroed).smooth
-    forces = [given.moved(trace, 1.0).force[place] for given in modes(zeroed)]
+    forces = [given.perturb(trace, 1.0).force[place] for given in modes(zeroed)]
     assert forces == pytest.approx([trace.force[place]] * 3, abs=1e-9)
 
 
@@ -482,12 +482,12 @@ def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
     events, errors = np.array([0.0, 10.0]), np.full(2, 1e-3)
     fit = ClockFit(1.0, 0.0, sure, sure, 0.0, events, events + 1.0, errors, "by hand")
     raw = replace(test.signals.raw["force"], clock="force", time=test.known_curve.time + 1.0)
-    signals = replace(test.signals.with_new("force", raw), zeroed={"force": (2.5, 3.5)})
+    signals = replace(test.signals.add_signal("force", raw), zero_stretches={"force": (2.5, 3.5)})
     test = replace(test, signals=signals, clocks=Clocks("one", fit), unfiltered=raw)
     trace = curves(test).smooth
     for given in modes(test):
-        assert given.moved(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
-    total = np.sum([(g.moved(trace, 1.0).force - trace.force) ** 2 for g in modes(test)], axis=0)
+        assert given.perturb(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
+    total = np.sum([(g.perturb(trace, 1.0).force - trace.force) ** 2 for g in modes(test)], axis=0)
     assert np.sqrt(total[-1]) == pytest.approx(SHARE * float(trace.force.max()), rel=1e-3)
 
 

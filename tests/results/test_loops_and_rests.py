@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.estimates import Estimate, Failure, or_failure
+from labpipe.records.estimates import Estimate, Failure, return_failure
 from labpipe.results.cycles import (
     Unloaded,
     energy_of,
@@ -24,7 +24,7 @@ SECONDS = np.arange(0.0, 4.0, 0.02)
 def secant(path: Floats, force: Floats, part: slice = slice(None)) -> Estimate | Failure:
     inside = np.zeros(len(SECONDS), dtype=bool)
     inside[part] = True
-    return or_failure(secant_stiffness)(SECONDS, path, force, inside)
+    return return_failure(secant_stiffness)(SECONDS, path, force, inside)
 
 
 def test_stiffness_is_exact_on_a_line() -> None:
@@ -145,7 +145,7 @@ WAYS = {
 
 
 def decided(path: Floats, force: Floats, like: Unloaded | None = None) -> Unloaded:
-    found = or_failure(unloaded)(TIME, path, force, force_below=LIMIT, like=like)
+    found = return_failure(unloaded)(TIME, path, force, force_below=LIMIT, like=like)
     assert not isinstance(found, Failure), found
     return found
 
@@ -237,7 +237,7 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     for d, f, each in zip(
         path[10:], force[10:], each_row(found, path[10:], force[10:]), strict=True
     ):
-        alone = or_failure(unloaded)(TIME, d, f, force_below=LIMIT, like=found)
+        alone = return_failure(unloaded)(TIME, d, f, force_below=LIMIT, like=found)
         if isinstance(alone, Failure):
             assert np.isnan(each)
         else:
@@ -262,7 +262,7 @@ def test_a_force_that_does_not_come_back_to_zero() -> None:
         (slice(1500), FORCE[:1500], "above the limit of 0.005 N"),
         (kept, weak, "the force ends at 0.004"),
     ):
-        failure = or_failure(unloaded)(TIME[part], PATH[part], force, force_below=LIMIT)
+        failure = return_failure(unloaded)(TIME[part], PATH[part], force, force_below=LIMIT)
         assert isinstance(failure, Failure)
         assert failure.code == "force_not_zero"
         assert message in failure.message
@@ -270,14 +270,14 @@ def test_a_force_that_does_not_come_back_to_zero() -> None:
 
 def test_too_few() -> None:
     few = np.linspace(0.0, 1.0, 10)
-    found = or_failure(unloaded)(few, few, 1.0 - few, force_below=LIMIT)
+    found = return_failure(unloaded)(few, few, 1.0 - few, force_below=LIMIT)
     assert found == Failure("too_few_samples", "10 samples, 16 are needed")
     many, noise = np.linspace(0.0, 1.0, 40), np.tile([0.01, -0.01], 20)
-    found = or_failure(unloaded)(many, many, noise, force_below=LIMIT)
+    found = return_failure(unloaded)(many, many, noise, force_below=LIMIT)
     assert found == Failure("too_few_samples", "40 samples, none above 0.04322 N")
     sparse = np.arange(0.0, 60.0, 1.0)
     path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
-    found = or_failure(unloaded)(sparse, path, fallen, force_below=LIMIT)
+    found = return_failure(unloaded)(sparse, path, fallen, force_below=LIMIT)
     assert found == Failure("too_few_samples", "2 samples in the 1 s to 49.000 s")
 
 

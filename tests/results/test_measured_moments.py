@@ -110,7 +110,10 @@ def test_stiffnesses_of_the_law(repository: Path) -> None:
 def test_curvatures_that_are_not_in_the_test(repository: Path) -> None:
     """Further than the wire was bent, and below the noise."""
     results = reduced(repository, ("at: 3 1/m", "at: 40 1/m"), ("at: 1 1/m", "at: 0.01 1/m"))[1]
-    far, near = results["bending_stiffness_at_3"].why, results["bending_stiffness_at_1"].why
+    far, near = (
+        results["bending_stiffness_at_3"].reason_text,
+        results["bending_stiffness_at_1"].reason_text,
+    )
     assert far.startswith("not_reached: the first loading bends the wire to 4.")
     assert "1/m, 40 1/m is needed; " in far
     assert near.startswith("below_noise: curvatures up to 0.")
@@ -179,7 +182,7 @@ def test_a_wire_that_hung_was_bent_before(repository: Path) -> None:
     found = results["bending_stiffness_at_1"]
     assert found.status is Status.DOUBTFUL
     assert "bent_before: at rest the wire hung under a moment of 2.24 N mm, more than the 0.9" in (
-        found.why
+        found.reason_text
     )
 
 
@@ -193,7 +196,9 @@ def test_too_few_frames_have_a_cloud_but_no_law(repository: Path) -> None:
     )
     assert isinstance(test.bending, Bending)
     assert test.bending.law is None
-    assert results["bending_stiffness_at_1"].why.startswith("no_law: frames of the first loading=")
+    assert results["bending_stiffness_at_1"].reason_text.startswith(
+        "no_law: frames of the first loading="
+    )
 
 
 @pytest.mark.slow
@@ -201,7 +206,7 @@ def test_a_law_that_does_not_fit_is_doubted(repository: Path) -> None:
     _, results = reduced(repository, ("grip_offset: 6 mm", "grip_offset: 2 mm"), scenario=WHOLE)
     stiffness = results["bending_stiffness_at_1"]
     assert stiffness.status is Status.DOUBTFUL
-    assert "law_misfit: markers lie " in stiffness.why
+    assert "law_misfit: markers lie " in stiffness.reason_text
 
 
 WEIGHT, COUNT, REST, DEEP = 0.0265, 600, 100, 0.05

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.estimates import Failure, or_failure
+from labpipe.records.estimates import Failure, return_failure
 from labpipe.results.plateau import Plateau, Tangents
 from labpipe.uncertainty.extractors import Reading, Trace
 from tests.builders.plain_records import replicates_of, trace_of
@@ -170,19 +170,19 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
 
 
 def test_says_why_not() -> None:
-    short = or_failure(Tangents.of)(D[:200], SOFT[:200], length=OVER)
+    short = return_failure(Tangents.of)(D[:200], SOFT[:200], length=OVER)
     assert short == Failure("not_reached", "the branch is 9.95 mm long, twice 5 mm is needed")
-    none = or_failure(Tangents.of)(D, np.full(len(D), np.nan), length=OVER)
+    none = return_failure(Tangents.of)(D, np.full(len(D), np.nan), length=OVER)
     assert isinstance(none, Failure)
     assert none.code == "not_reached"
-    sparse = or_failure(Tangents.of)(D[::50], SOFT[::50], length=OVER)
+    sparse = return_failure(Tangents.of)(D[::50], SOFT[::50], length=OVER)
     assert sparse == Failure("too_few_samples", "3 samples in the stretch, 8 are needed")
     jump = np.concatenate([np.linspace(0.0, 0.04, 100), np.linspace(0.0499, 0.05, 100)])
-    stuck = or_failure(Tangents.of)(jump, jump, length=OVER)
+    stuck = return_failure(Tangents.of)(jump, jump, length=OVER)
     assert stuck == Failure("no_travel", "the displacement jumps over the stretch")
     for at in (0.0451, 0.0453, 0.0457, 0.0459, 0.0463):
         two = np.concatenate([np.linspace(0.0, 0.0449, 100), np.repeat([at, 0.05], 10)])
-        assert or_failure(Tangents.of)(two, two, length=OVER) == stuck
+        assert return_failure(Tangents.of)(two, two, length=OVER) == stuck
 
 
 def test_what_a_corner_hides() -> None:
@@ -212,7 +212,7 @@ def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
         return Reading(lambda _: (np.array(INITIAL if trace is made.measured else 0.0),), 9)
 
     flat = Failure("no_stiffness", "the slope at the start is 0 N/m")
-    assert or_failure(plateau._begun)(made.smooth, initial) == flat
+    assert return_failure(plateau._begun)(made.smooth, initial) == flat
     corner = plateau._corner(made, initial)
     assert np.any(corner.size != 0.0)
     assert not corner.in_noise(np.ones((2, 5))).any()

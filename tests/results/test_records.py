@@ -365,7 +365,7 @@ def page(done: ReductionOfTest) -> Iterator[str]:
     for result in done.results:
         ends = result.interval and f" {result.interval.lower:.5g} to {result.interval.upper:.5g}"
         number = "-" if result.value is None else f"{result.value:.5g}{ends} {result.unit}"
-        yield f"{result.name}: {number}, {result.n}, {result.status.value}; {result.how}"
+        yield f"{result.name}: {number}, {result.n}, {result.status.value}; {result.full_method}"
         yield from (f"  {reason.code}: {reason.message}" for reason in result.reasons)
         parts = (f"{part.cause} {part.change:.3g}" for part in result.budget)
         yield f"  {', '.join(parts) or 'no budget'}"
@@ -382,7 +382,7 @@ def test_records(name: str, approved: Approve) -> None:
     results = {result.name: result for result in done.results}
     for key, true in truth.items():
         result = results[key]
-        assert result.status is Status.OK, result.why
+        assert result.status is Status.OK, result.reason_text
         assert result.interval is not None
         assert result.value == pytest.approx(true, rel=0.02)
         half = 0.5 * (result.interval.upper - result.interval.lower)

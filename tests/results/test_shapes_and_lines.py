@@ -20,7 +20,7 @@ from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import TipTravel, _at_turn, _Frames
 from labpipe.results.slack_and_slips import counted_from_taut, slack_of
 from labpipe.uncertainty.extractors import Reading, Trace
-from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.intervals import Measured, measure_numbers
 from tests.builders.noise_rows import flicker
 from tests.builders.pulls import NOISE, pull, pulled
 
@@ -70,8 +70,8 @@ def test_a_tip_that_was_hardly_seen() -> None:
     few = np.full_like(seen.positions, np.nan)
     few[:4] = seen.positions[:4]
     found = travel(replace(seen, positions=few))
-    assert found.why == "too_few_samples: the tip is seen in 4 frames"
-    assert travel(None).why == "no_shape: the protocol fits no shape"
+    assert found.reason_text == "too_few_samples: the tip is seen in 4 frames"
+    assert travel(None).reason_text == "no_shape: the protocol fits no shape"
 
 
 @pytest.mark.slow
@@ -190,7 +190,7 @@ def test_zeros_in_the_slack_and_in_what_counts_from_it() -> None:
     # The slack of what is counted from there is none, whatever noise and zeros do.
     assert test.replicates is not None
     assert isinstance(test.slack, Measured)
-    numbers = measure(test.replicates, slack)
+    numbers = measure_numbers(test.replicates, slack)
     assert not isinstance(numbers, Failure)
     assert numbers[0].value == pytest.approx(0.0, abs=1e-9)
     assert numbers[0].error < 0.02 * shares(test.slack)["noise"]
@@ -205,7 +205,7 @@ def test_what_counts_from_a_doubtful_slack_is_doubtful(name: str, codes: list[st
     doubts = (("force", Reason("slow_noise", "it remembers")),)
     made = counted_from_taut(test.replicates, slack, replace(test.slack, doubts=doubts))
     reading = Reading(lambda trace: (getattr(trace, name)[..., 300],), 1)
-    numbers = measure(made, lambda _: reading)
+    numbers = measure_numbers(made, lambda _: reading)
     assert isinstance(numbers, tuple)
     assert [reason.code for _, reason in numbers[0].doubts] == codes
     for _, reason in numbers[0].doubts:

@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
-from labpipe.records.estimates import Failure, or_failure
+from labpipe.records.estimates import Failure, return_failure
 from labpipe.results.beam import Rollers, beam_factor, path_of_load, stiffness_ratio
 from labpipe.results.least_squares import polynomial_weights, slope_of_line, zero_of_line
 from labpipe.results.stiffness import (
@@ -89,14 +89,14 @@ def test_too_few_samples_for_a_row_are_no_number() -> None:
 
 
 def test_slope_says_why_not() -> None:
-    wanted = or_failure(window_slope)(TIME, UP, UP, UP, low=0.005, high=0.05)
+    wanted = return_failure(window_slope)(TIME, UP, UP, UP, low=0.005, high=0.05)
     message = "the branch reaches 0.03995 m, 0.05 m is needed"
     assert wanted == Failure("not_reached", message)
-    few = or_failure(window_slope)(TIME, UP, UP, UP, low=0.00501, high=0.0053)
+    few = return_failure(window_slope)(TIME, UP, UP, UP, low=0.00501, high=0.0053)
     assert few == Failure("too_few_samples", "5 samples in the stretch, 8 are needed")
-    still = or_failure(window_slope)(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
+    still = return_failure(window_slope)(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
     assert still == Failure("no_travel", "the displacement does not change over the stretch")
-    blank = or_failure(window_slope)(
+    blank = return_failure(window_slope)(
         TIME, np.full_like(UP, np.nan), UP, np.full_like(UP, np.nan), low=0, high=1
     )
     assert isinstance(blank, Failure)
@@ -157,7 +157,7 @@ def test_loading_is_read_behind_the_take_up() -> None:
     plain, lower = slope.of(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
     assert plain == pytest.approx(22.0, rel=5e-3)
     assert lower - plain == pytest.approx(3.2, rel=0.03)
-    assert isinstance(or_failure(loading_slope)(TIME, UP, -UP, length=0.005), Failure)
+    assert isinstance(return_failure(loading_slope)(TIME, UP, -UP, length=0.005), Failure)
     # Samples are those of the branch, of which the first ones may be unknown.
     late = taking_up(UP) + noise_rows("white", 1e-3, (1, len(UP)), seed=1)
     late[:, :30] = np.nan
@@ -244,7 +244,7 @@ def test_textbook() -> None:
 def test_stiffness_beside_that_of_a_straight_beam(
     rollers: Rollers, low: float, high: float, ratio: float
 ) -> None:
-    assert or_failure(stiffness_ratio)(rollers, low=low, high=high) == pytest.approx(
+    assert return_failure(stiffness_ratio)(rollers, low=low, high=high) == pytest.approx(
         ratio, abs=1e-6
     )
 
@@ -264,7 +264,7 @@ def test_what_is_beyond_an_elastic_beam() -> None:
         (0.0, 0.2, ["slips through at 61.76 mm, the stiffness goes up to 200 mm"]),
         (0.01, 0.03, ["from 10 mm to 30 mm the load on an elastic beam rises 0.2", "at least 0.5"]),
     ):
-        failure = or_failure(stiffness_ratio)(Rollers(0.1), low=low, high=high)
+        failure = return_failure(stiffness_ratio)(Rollers(0.1), low=low, high=high)
         assert isinstance(failure, Failure)
         assert failure.code == "beyond_elastica"
         assert all(message in failure.message for message in messages)
@@ -282,9 +282,11 @@ def test_says_why_not() -> None:
         (D[:0], F[:0], 900.0, "not_reached", "the force reaches 0 N, the window ends at 900 N"),
         (D[::50], F[::50], 900.0, "too_few_samples", "3 samples in the stretch, 5 are needed"),
     ):
-        assert or_failure(compliance_window)(d, f, start=300.0, stop=stop) == Failure(code, message)
+        assert return_failure(compliance_window)(d, f, start=300.0, stop=stop) == Failure(
+            code, message
+        )
     for force in (np.full(201, 900.0), np.repeat([0.0, 950.0], [100, 101])):
-        still = or_failure(compliance_window)(D, force, start=300.0, stop=900.0)
+        still = return_failure(compliance_window)(D, force, start=300.0, stop=900.0)
         assert isinstance(still, Failure)
         assert still.code == "too_few_samples"
 
@@ -292,21 +294,21 @@ def test_says_why_not() -> None:
 def test_a_window_reaches_at_most_two_percent_before_the_first_sample() -> None:
     window = LineStiffness(start=0.002, stop=0.012)
     assert window.inside(np.arange(0.00219, 0.02, 1e-3)) == slice(0, 10)
-    assert or_failure(window.inside)(np.arange(0.00221, 0.02, 1e-3)) == Failure(
+    assert return_failure(window.inside)(np.arange(0.00221, 0.02, 1e-3)) == Failure(
         "not_reached", "the branch begins at 2.21 mm, 2 mm is needed"
     )
 
 
 def test_compliance_of_many_rows() -> None:
     """Steps of 5 N: 300 N are in sample 60, 900 N in 180; missing samples are left out."""
-    window = or_failure(compliance_window)(D, F, start=300.0, stop=900.0)
+    window = return_failure(compliance_window)(D, F, start=300.0, stop=900.0)
     assert window == slice(60, 181)
     straight = 2e-7 * F
     rows = slope_of_line(F[window], np.array([straight, 3.0 * straight + 1e-4])[:, window])
     np.testing.assert_allclose(rows, [2e-7, 6e-7])
     holes = D.copy()
     holes[100] = np.nan
-    window = or_failure(compliance_window)(holes, F, start=300.0, stop=900.0)
+    window = return_failure(compliance_window)(holes, F, start=300.0, stop=900.0)
     assert isinstance(window, np.ndarray)
     assert window.tolist() == [index for index in range(60, 181) if index != 100]
 

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Failure, or_failure
+from labpipe.records.estimates import Failure, return_failure
 from labpipe.results.two_lines import Hinges, Segments, doubts_of_break, require_bend, require_kink
 
 D = np.linspace(0.002, 0.02, 181)
@@ -14,10 +14,10 @@ F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
 
 
 def test_says_why_not() -> None:
-    assert or_failure(Hinges.of)(D[:15], F[:15]) == Failure(
+    assert return_failure(Hinges.of)(D[:15], F[:15]) == Failure(
         "too_few_samples", "15 samples in the stretch, 16 are needed"
     )
-    back = or_failure(Hinges.of)(D[::-1], F[::-1])
+    back = return_failure(Hinges.of)(D[::-1], F[::-1])
     assert back == Failure("not_increasing", "the displacement goes from 0.02 m to 0.002 m")
 
 
@@ -156,11 +156,11 @@ def segments(at: ArrayLike, first: ArrayLike, second: ArrayLike) -> Segments:
 
 def bend_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
     """Where the smooth curve has the lines of the curve itself."""
-    return or_failure(require_bend)(found, found, drawn, hinges)
+    return return_failure(require_bend)(found, found, drawn, hinges)
 
 
 def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    return or_failure(require_kink)(found, found, drawn, hinges)
+    return return_failure(require_kink)(found, found, drawn, hinges)
 
 
 def test_slopes_that_change_together_are_sure_to_differ() -> None:
@@ -226,7 +226,7 @@ def test_an_interval_of_the_break_that_ends_at_an_end() -> None:
     at[3] -= 2.4e-3
     drawn, smooth = segments(at, *slopes), segments(0.0093, 5000.0, 2700.0)
     for place, is_none in ((0.0166, False), (0.0172, True)):
-        found = or_failure(require_bend)(segments(place, 5000.0, 2700.0), smooth, drawn, hinges)
+        found = return_failure(require_bend)(segments(place, 5000.0, 2700.0), smooth, drawn, hinges)
         assert (found is not None) == is_none
         assert found is None or "may be at an end" in found.message
 

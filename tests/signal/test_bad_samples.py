@@ -11,7 +11,7 @@ from labpipe.signal.bad_samples import (
     _longest_by_chance,
     bridge_spikes,
     find_spikes,
-    stuck_runs,
+    find_stuck_runs,
 )
 from tests.builders.plain_records import PlainRecord, up_and_down
 
@@ -75,8 +75,8 @@ def test_how_long_noise_of_a_converter_stays_on_one_value() -> None:
 
 def runs_of(record: PlainRecord) -> list[StuckRun]:
     """Wherever the other quantity has its zero."""
-    runs = stuck_runs(record.time, record.force, record.displacement)
-    assert stuck_runs(record.time, record.force, record.displacement + 0.05) == runs
+    runs = find_stuck_runs(record.time, record.force, record.displacement)
+    assert find_stuck_runs(record.time, record.force, record.displacement + 0.05) == runs
     return runs
 
 
@@ -117,7 +117,7 @@ def test_rests_and_coarse_resolutions_are_not_reported() -> None:
             records.append(PlainRecord(time, 1e-3 * time, np.round(shape / step) * step))
     for record in records:
         assert not runs_of(record)
-        assert not stuck_runs(record.time, record.displacement, record.force)
+        assert not find_stuck_runs(record.time, record.displacement, record.force)
 
 
 @pytest.mark.parametrize("noise", NOISE)
@@ -131,19 +131,19 @@ def test_a_frozen_force(noise: float, since: float, goes_on: float) -> None:
     assert abs(run.start - first) <= 1
     assert run.stop == last + 1
     if noise:  # which needs no other channel
-        assert stuck_runs(record.time, record.force) == [run]
+        assert find_stuck_runs(record.time, record.force) == [run]
 
 
 def test_an_empty_or_constant_channel() -> None:
     time: Floats = np.arange(50.0)
-    assert not stuck_runs(time, np.full(50, np.nan))
-    assert not stuck_runs(time, np.ones(50), time)
-    assert not stuck_runs(time[:0], time[:0])
+    assert not find_stuck_runs(time, np.full(50, np.nan))
+    assert not find_stuck_runs(time, np.ones(50), time)
+    assert not find_stuck_runs(time[:0], time[:0])
     every_other = np.where(np.arange(50) % 2 == 0, time, np.nan)
-    assert not stuck_runs(time, every_other, time)
+    assert not find_stuck_runs(time, every_other, time)
     gaps = np.sin(time)
     gaps[10:20] = np.nan
-    assert not stuck_runs(time, gaps, time)
+    assert not find_stuck_runs(time, gaps, time)
 
 
 def test_a_channel_clipped_near_its_start_and_empty_at_its_end() -> None:
@@ -151,7 +151,7 @@ def test_a_channel_clipped_near_its_start_and_empty_at_its_end() -> None:
     rise, fall = 0.1 * np.arange(6.0), 0.05 * np.arange(12.0)[::-1]
     force = np.concatenate([rise, np.full(20, 0.6), fall, np.full(5, np.nan)])
     time = np.arange(float(len(force)))
-    assert stuck_runs(time, force, 1e-3 * time) == [StuckRun(6, 26, is_clipped=True)]
+    assert find_stuck_runs(time, force, 1e-3 * time) == [StuckRun(6, 26, is_clipped=True)]
 
 
 def test_a_frozen_channel_jumps_faster_than_five_times_its_speed() -> None:
@@ -159,7 +159,7 @@ def test_a_frozen_channel_jumps_faster_than_five_times_its_speed() -> None:
     for samples, runs in ((5, []), (6, [StuckRun(50, 56, is_clipped=False)])):
         force = np.arange(100.0)
         force[50 : 50 + samples] = 50.0
-        assert stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0)) == runs
+        assert find_stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0)) == runs
 
 
 @pytest.mark.parametrize("since", [3.0, 9.0, 14.0])

@@ -14,10 +14,10 @@ from labpipe.records.arrays import Floats
 from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
-    in_pieces,
+    compute_window,
+    filter_pieces,
     moving_average,
     seconds_to_window,
-    window_length,
 )
 
 signals = arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3))
@@ -49,7 +49,7 @@ def test_nan_a_window_averages_what_is_there(values: Floats, half: int, holes: s
 def test_lengths_of_windows() -> None:
     lengths = {(0.05, 2650): 133, (5, 100): 5, (6, 100): 5, (6.9, 100): 5, (500, 12): 11}
     lengths[0.001, 9] = 1
-    assert {key: window_length(*key) for key in lengths} == lengths
+    assert {key: compute_window(*key) for key in lengths} == lengths
     assert seconds_to_window(0.1, np.arange(0, 10, 1e-4)) == 999
     assert seconds_to_window(1e-9, np.arange(0, 1, 0.1)) == 1
     assert seconds_to_window(1.0, np.zeros(1)) == 1
@@ -61,7 +61,7 @@ def test_lengths_of_windows() -> None:
         (lambda: moving_average(np.zeros(9), window=0), "window=0: expected an odd number of"),
         (lambda: moving_average(np.zeros(9), window=2), "window=2: expected an odd number of"),
         (lambda: moving_average(np.zeros(9), window=11), "window=11: expected an odd number of"),
-        (lambda: window_length(0, 5), "span=0, count=5: expected a positive span"),
+        (lambda: compute_window(0, 5), "span=0, count=5: expected a positive span"),
         (
             lambda: Butterworth(600.0, 1e3, 2)(np.zeros(100)),
             "cutoff=600.0: expected a frequency between 0 and 500.0",
@@ -111,9 +111,9 @@ def test_one_known_sample_makes_no_line() -> None:
 def test_pieces_keep_their_corner() -> None:
     tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
     act = Smoothing(21)
-    assert in_pieces(tent, [50], [(act, 1)]) == pytest.approx(tent)
-    assert in_pieces(tent, [], [(act, 1)]).max() < 46.0
-    thinned = in_pieces(tent, [50], [(Smoothing(5), 3), (Smoothing(5), 2)])
+    assert filter_pieces(tent, [50], [(act, 1)]) == pytest.approx(tent)
+    assert filter_pieces(tent, [], [(act, 1)]).max() < 46.0
+    thinned = filter_pieces(tent, [50], [(Smoothing(5), 3), (Smoothing(5), 2)])
     assert thinned == pytest.approx(tent[::6])
 
 

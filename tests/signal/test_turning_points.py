@@ -10,18 +10,18 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, Direction
 from labpipe.signal.rests_and_jumps import (
-    level_jumps,
+    count_rest_samples,
+    find_level_jumps,
+    find_rests,
     moves_at_end,
-    samples_at_rest,
-    standing_stretches,
 )
 from labpipe.signal.turning_points import (
-    branch_numbers,
+    find_sharpest_turn,
     find_strokes,
+    find_turn_near,
     goes_down,
-    sharpest_turn,
+    number_branches,
     split_branches,
-    turn_near,
 )
 
 STEP = 0.02
@@ -76,7 +76,7 @@ def test_branches_count_cycles_and_cover_every_stroke() -> None:
         Direction.UNLOADING,
     ]
     assert branches[0].stop_time == branches[1].start_time == 58.0004
-    branch, cycle = branch_numbers(len(time), branches)
+    branch, cycle = number_branches(len(time), branches)
     inside = slice(strokes[0].start, strokes[-1].stop + 1)
     assert (branch[inside] >= 0).all()
     assert (cycle[inside] >= 1).all()
@@ -111,7 +111,7 @@ def test_the_corner_and_not_the_largest_value() -> None:
     rise = np.sin(np.pi * np.clip(time, 0.0, 60.0) / 90.0)  # largest at 45 s, turns at 60 s
     force = np.where(time < 60.0, rise, rise[6000] - 0.1 * (time - 60.0))
 
-    assert sharpest_turn(time, force, width=1.0) == pytest.approx(60.0, abs=0.2)
+    assert find_sharpest_turn(time, force, width=1.0) == pytest.approx(60.0, abs=0.2)
 
 
 def test_a_record_that_ends_under_load_has_no_turn() -> None:
@@ -120,7 +120,7 @@ def test_a_record_that_ends_under_load_has_no_turn() -> None:
     force = np.clip(time - 5.0, 0.0, None) + 0.5 * np.exp(-(((time - 2.0) / 0.3) ** 2))
     force += np.random.default_rng(1).normal(0.0, 0.02, len(time))
 
-    assert sharpest_turn(time, force, width=1.0) is None
+    assert find_sharpest_turn(time, force, width=1.0) is None
 
 
 @pytest.mark.parametrize(("dwell", "seen_at"), [(0.0, 0.0), (0.2, 1.0), (1.0, 0.0), (5.0, 1.0)])
@@ -134,15 +134,20 @@ def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: floa
     force[1000:1050] = np.nan
     near = 30.0 + seen_at * dwell
 
-    turn = turn_near(time, force, near=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
+    turn = find_turn_near(time, force, near=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
     assert turn == pytest.approx(30.0, abs=0.1)
 
 
 def test_a_record_too_short_for_a_turn_with_a_wait() -> None:
     time = np.arange(0.0, 3.0, 0.01)
-    assert turn_near(time, -np.abs(time - 1.5), near=1.5, reach=1.0, width=2.0, dwell=0.0) is None
-    assert turn_near(time, np.full(300, np.nan), near=1.5, reach=1.0, width=0.2, dwell=0.1) is None
-    assert turn_near(time, time, near=1.5, reach=1.0, width=0.5, dwell=9.0) is None
+    assert (
+        find_turn_near(time, -np.abs(time - 1.5), near=1.5, reach=1.0, width=2.0, dwell=0.0) is None
+    )
+    assert (
+        find_turn_near(time, np.full(300, np.nan), near=1.5, reach=1.0, width=0.2, dwell=0.1)
+        is None
+    )
+    assert find_turn_near(time, time, near=1.5, reach=1.0, width=0.5, dwell=9.0) is None
 
 
 TIME = np.arange(0.0, 5.0, 0.02)
@@ -180,28 +185,28 @@ def stretch(rest: int, noise: float, *, count: int = 60, seed: int = 0) -> Float
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 @pytest.mark.parametrize("rest", [5, 15, 30, 50])
 def test_where_a_motion_begins(noise: float, rest: int) -> None:
-    assert samples_at_rest(stretch(rest, noise)) == pytest.approx(rest, abs=2)
-    assert samples_at_rest(-stretch(rest, noise)) == pytest.approx(rest, abs=2)
+    assert count_rest_samples(stretch(rest, noise)) == pytest.approx(rest, abs=2)
+    assert count_rest_samples(-stretch(rest, noise)) == pytest.approx(rest, abs=2)
 
 
 def test_all_rest_or_all_motion() -> None:
     for seed in range(100):
-        assert samples_at_rest(stretch(60, 1.0, seed=seed)) == 0
-        assert samples_at_rest(stretch(0, 1.0, seed=seed)) == 0
-    assert samples_at_rest(np.ones(60)) == samples_at_rest(np.ones(3)) == 0
+        assert count_rest_samples(stretch(60, 1.0, seed=seed)) == 0
+        assert count_rest_samples(stretch(0, 1.0, seed=seed)) == 0
+    assert count_rest_samples(np.ones(60)) == count_rest_samples(np.ones(3)) == 0
 
 
 def test_where_a_motion_stands() -> None:
     walk = np.interp(TIME, [0.0, 1.0, 3.0, 5.0], [0.0, 1.0, 1.0, 3.0])
-    ((start, stop),) = standing_stretches(TIME, walk, size=5, speed=1.0)
+    ((start, stop),) = find_rests(TIME, walk, size=5, speed=1.0)
     assert TIME[start] == pytest.approx(1.0, abs=0.2)
     assert TIME[stop] == pytest.approx(3.0, abs=0.2)
     shaken = path(walk, 1.0)
-    assert standing_stretches(TIME, shaken, size=5, speed=1.0) == []  # nobody can tell
-    assert standing_stretches(TIME[:8], walk[:8], size=2, speed=1.0) == []
+    assert find_rests(TIME, shaken, size=5, speed=1.0) == []  # nobody can tell
+    assert find_rests(TIME[:8], walk[:8], size=2, speed=1.0) == []
     turns = 1.0 - np.cos(np.pi * TIME / 5.0)
-    assert standing_stretches(TIME, turns, size=5, speed=1.0) == []
-    ((start, stop),) = standing_stretches(TIME, np.minimum(TIME, 1.0), size=1, speed=1.0)
+    assert find_rests(TIME, turns, size=5, speed=1.0) == []
+    ((start, stop),) = find_rests(TIME, np.minimum(TIME, 1.0), size=1, speed=1.0)
     assert start == pytest.approx(50, abs=2)
     assert stop == 250
 
@@ -212,7 +217,7 @@ RAMP = np.minimum(JUMP_TIME, 20.0 - JUMP_TIME) * 10.0
 
 @pytest.mark.parametrize("size", [10.0, -10.0, 3.0])
 def test_a_level_that_moves_from_one_sample_to_the_next(size: float) -> None:
-    ((sample, height),) = level_jumps(
+    ((sample, height),) = find_level_jumps(
         JUMP_TIME,
         RAMP + np.where(JUMP_TIME > 6.0, size, 0.0),
     )
@@ -222,12 +227,12 @@ def test_a_level_that_moves_from_one_sample_to_the_next(size: float) -> None:
 
 def test_a_hole_in_the_record_is_none() -> None:
     there = (JUMP_TIME < 5.0) | (JUMP_TIME > 7.0)
-    assert level_jumps(JUMP_TIME[there], RAMP[there]) == ()
-    assert level_jumps(JUMP_TIME, np.where(there, RAMP, np.nan)) == ()
-    assert level_jumps(JUMP_TIME[:5], RAMP[:5]) == ()
+    assert find_level_jumps(JUMP_TIME[there], RAMP[there]) == ()
+    assert find_level_jumps(JUMP_TIME, np.where(there, RAMP, np.nan)) == ()
+    assert find_level_jumps(JUMP_TIME[:5], RAMP[:5]) == ()
     at = np.arange(40.0)  # more than five times as far as the steps beside it
     for step, count in ((4.9, 0), (5.1, 1)):
-        assert len(level_jumps(at, at + (step - 1.0) * (at >= 20.0))) == count
+        assert len(find_level_jumps(at, at + (step - 1.0) * (at >= 20.0))) == count
 
 
 def test_which_way_a_signal_goes() -> None:

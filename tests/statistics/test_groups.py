@@ -12,19 +12,24 @@ import pytest
 from labpipe.records.curve import SlipDecision
 from labpipe.records.group import Group, GroupNumber, Sample, SampleCurve, Verdict
 from labpipe.records.harness_bundle import Bundle
-from labpipe.records.quality import Reason, Severity, worded
+from labpipe.records.quality import Reason, Severity, join_reasons
 from labpipe.records.result import Contribution, Result, Status
-from labpipe.statistics.group_fields import Part, differing_fields, divide
-from labpipe.statistics.group_fields import in_order as field_order
+from labpipe.statistics.group_fields import Subset, divide_samples, find_differing_fields
+from labpipe.statistics.group_fields import make_field_sort_key as field_order
 from labpipe.statistics.group_notes import (
-    grouping_notes,
-    method_notes,
-    otherwise_made,
-    sample_notes,
+    find_other_methods,
+    make_grouping_notes,
+    make_method_notes,
+    make_sample_notes,
 )
 from labpipe.statistics.groups import build_group, compare_groups
-from labpipe.statistics.means import SCATTER, add_common_causes, group_budget, nested_mean
-from labpipe.statistics.two_groups import judged
+from labpipe.statistics.means import (
+    SCATTER,
+    add_common_causes,
+    compute_nested_mean,
+    summarise_budget,
+)
+from labpipe.statistics.two_groups import judge_family
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample
 from tests.builders.campaigns import build_sample, built, make, said, samples, stiffness
@@ -58,7 +63,7 @@ def test_what_is_left_out_says_why() -> None:
     others = [replace(make("s1", at, 50.0), results=own) for at, own in enumerate(results)]
     number = built([make("s0", 1, 50.0), *others]).numbers[0]
     assert list(number.values) == ["s0-1"]
-    assert {test: worded(reasons) for test, reasons in number.left_out.items()} == {
+    assert {test: join_reasons(reasons) for test, reasons in number.left_out.items()} == {
         "s1-0": "too_few_samples: 3 samples",
         "s1-1": "other_unit: in N/mm, where the first sample is in N/m",
         "s1-2": "no_result: the test has no stiffness",
@@ -73,7 +78,7 @@ def test_groups_are_compared_in_what_both_have() -> None:
     assert found[0].difference.mean == pytest.approx(47.12 - 57.44)
     assert found[0].margin == pytest.approx(5.744)
     assert found[0].verdict is Verdict.NOT_ASKED
-    assert judged("one", found)[0].verdict is Verdict.DIFFERENT
+    assert judge_family("one", found)[0].verdict is Verdict.DIFFERENT
     every = compare_groups(first, second)
     assert [each.name for each in every] == ["stiffness", "peak_force.1"]
     assert every[0].margin is None
@@ -98,25 +103,31 @@ def wires(*lengths: float | None, **labels: Sequence[str]) -> list[Sample]:
     ]
 
 
-def divided(parts: Sequence[Part]) -> list[tuple[Mapping[str, str], list[str]]]:
+def divided(parts: Sequence[Subset]) -> list[tuple[Mapping[str, str], list[str]]]:
     return [(part.fields, [sample.test for sample in part.samples]) for part in parts]
 
 
 def test_two_lengths_are_two_parts() -> None:
     """Measured ones stay together: no two neighbours more than 5 % apart; none is another one."""
-    assert divided(divide(wires(85, 100, 85, 100.4))) == [
+    assert divided(divide_samples(wires(85, 100, 85, 100.4))) == [
         ({"length": "85 mm"}, ["t0", "t2"]),
         ({"length": "100.2 mm"}, ["t1", "t3"]),
     ]
-    assert [part.fields["length"] for part in divide(wires(85, None))] == ["85 mm", "not stated"]
+    assert [part.fields["length"] for part in divide_samples(wires(85, None))] == [
+        "85 mm",
+        "not stated",
+    ]
     lengths = [(96, 104, 100), (96, 104), (100, 104.9), (100, 105.1)]
-    assert [len(divide(wires(*length))) for length in lengths] == [1, 2, 1, 2]
+    assert [len(divide_samples(wires(*length))) for length in lengths] == [1, 2, 1, 2]
 
 
 def test_a_label_divides_unless_it_names_each_test() -> None:
     aged = wires(85, 85, 85, aged=["0 h", "500 h", "0 h"])
-    assert divided(divide(aged)) == [({"aged": "0 h"}, ["t0", "t2"]), ({"aged": "500 h"}, ["t1"])]
-    assert len(divide(wires(85, 85, 85, serial=["a", "b", "c"]))) == 1
+    assert divided(divide_samples(aged)) == [
+        ({"aged": "0 h"}, ["t0", "t2"]),
+        ({"aged": "500 h"}, ["t1"]),
+    ]
+    assert len(divide_samples(wires(85, 85, 85, serial=["a", "b", "c"]))) == 1
 
 
 def group(*samples: Sample) -> Group:
@@ -142,21 +153,21 @@ def test_what_follows_from_another_field_is_no_difference() -> None:
         (seven, tube, {"conduit": ("none", "twist-tube")}),
         (tube, wider, {"conduit_bore": ("10 mm", "12 mm")}),
     ):
-        assert differing_fields(of(first), of(second)) == fields
+        assert find_differing_fields(of(first), of(second)) == fields
 
 
 def test_types_spools_and_dimensions_that_differ() -> None:
     """The type counts where there is no bundle; dimensions differ by more than a percent."""
     plain = of(None)
-    assert "type" in differing_fields(plain, of(bundle_of("7 B1")))
+    assert "type" in find_differing_fields(plain, of(bundle_of("7 B1")))
     other = group(bundle_sample(None, 3, spool="other"))
-    assert differing_fields(plain, other) == {}
-    assert differing_fields(plain, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
+    assert find_differing_fields(plain, other) == {}
+    assert find_differing_fields(plain, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
     first = of(None, dimensions={"length": 0.1})
     for length, words in ((0.1005, ""), (0.12, "120 mm"), (None, "not stated")):
         second = of(None, dimensions={"length": length} if length else {})
         expected = {"length": ("100 mm", words)} if words else {}
-        assert differing_fields(first, second) == expected
+        assert find_differing_fields(first, second) == expected
 
 
 def test_notes_of_groups(approved: Approve) -> None:
@@ -197,10 +208,10 @@ def test_notes_of_groups(approved: Approve) -> None:
     slips = [build_sample("s1", "a", slips=2), build_sample("s1", "b", slips=1)]
     marked = tuple(replace(slip, decision=SlipDecision.MARKED) for slip in slips[1].slips)
     notes = [
-        *sample_notes(bundles),
-        *sample_notes([bundles[0], bundle_sample(None, 2)]),
-        *method_notes({}, [slips[0], replace(slips[1], slips=marked)]),
-        *grouping_notes(["taping"], ["s1"]),
+        *make_sample_notes(bundles),
+        *make_sample_notes([bundles[0], bundle_sample(None, 2)]),
+        *make_method_notes({}, [slips[0], replace(slips[1], slips=marked)]),
+        *make_grouping_notes(["taping"], ["s1"]),
     ]
     approved([*lines, *(f"{note.severity} {note.code}: {note.message}" for note in notes)])
 
@@ -218,7 +229,7 @@ def test_decisions_on_pooling(approved: Approve) -> None:
         {"a": [1.0, 2.0, 3.0, 4.0], "b": near},
         {"a": [1.0, 2.0, 3.0, 4.0], "b": far},
     ]
-    means = [nested_mean(spool) for spool in spools]
+    means = [compute_nested_mean(spool) for spool in spools]
     approved(f"{mean.decision} [{mean.chosen.reason or 'interval'}]" for mean in means)
 
 
@@ -230,9 +241,9 @@ def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
         for name, how in (("a", short), ("b", long), ("c", short))
     ]
     why = Reason("made_otherwise", f"made by {long}; the mean: {short}")
-    assert otherwise_made(made) == {"k": {"b": why}}
-    assert list(otherwise_made(made[1:])["k"]) == ["c"]
-    (note,) = method_notes(otherwise_made(made), made)
+    assert find_other_methods(made) == {"k": {"b": why}}
+    assert list(find_other_methods(made[1:])["k"]) == ["c"]
+    (note,) = make_method_notes(find_other_methods(made), made)
     assert (note.code, note.severity, note.where) == ("protocols_differ", Severity.WARNING, "k")
     assert note.message == f"not in the mean, as it was made otherwise: b ({why.message})"
     (number,) = build_group("A", "p", made).numbers
@@ -254,14 +265,15 @@ def measured(value: float, **changes: float) -> Result:
 def budgeted(*results: Result) -> GroupNumber:
     values = {f"T{place}": result for place, result in enumerate(results)}
     mean = add_common_causes(
-        nested_mean({"s1": [result.value or 0.0 for result in results]}), {"s1": list(results)}
+        compute_nested_mean({"s1": [result.value or 0.0 for result in results]}),
+        {"s1": list(results)},
     )
     return GroupNumber("k", "N/m", mean, values, {})
 
 
 def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
     """Shares of noise 1, 0.8, 0.9 and of the force 0, 0.2, 0.1: 0.9 and 0.1; of one alone, none."""
-    found = group_budget(
+    found = summarise_budget(
         budgeted(
             measured(1.0, noise=1.0),
             measured(2.0, noise=2.0, force=1.0),
@@ -271,16 +283,18 @@ def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
     )
     assert found.of_tests == pytest.approx({"noise": 0.9, FORCE: 0.1})
     once = budgeted(*(measured(1.0, noise=1.0, pull=by) for by in (0.0, 0.0, 1.0)))
-    assert group_budget(once).of_tests == {"noise": 1.0}
-    alone = group_budget(budgeted(measured(1.0)))
+    assert summarise_budget(once).of_tests == {"noise": 1.0}
+    alone = summarise_budget(budgeted(measured(1.0)))
     assert (alone.of_tests, alone.of_mean) == ({}, {})
-    assert group_budget(GroupNumber("k", "N/m", None, {}, {})).of_mean == {}
-    assert group_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
+    assert summarise_budget(GroupNumber("k", "N/m", None, {}, {})).of_mean == {}
+    assert summarise_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
 
 
 def test_the_mean_is_made_of_scatter_and_what_is_common() -> None:
     """1 and 3: half width 12.706; a common change of 3 adds 5.880: (5.880 / 14.001)^2 = 0.1764."""
-    found = group_budget(budgeted(measured(1.0, noise=1.0, force=3.0), measured(3.0, force=3.0)))
+    found = summarise_budget(
+        budgeted(measured(1.0, noise=1.0, force=3.0), measured(3.0, force=3.0))
+    )
     assert list(found.of_mean) == [SCATTER, FORCE]
     assert found.of_mean[FORCE] == pytest.approx(0.17637, abs=1e-5)
     assert sum(found.of_mean.values()) == pytest.approx(1.0)

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.records.arrays import Floats, block_means
+from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.statistics.mean_curves import (
     _gaps,
-    common_curves,
-    mean_band,
-    simultaneous_quantile,
+    compute_band,
+    compute_simultaneous_quantile,
+    interpolate_curves,
 )
 from tests.builders.campaigns import built, make, said, samples, stiffness
 
@@ -29,7 +29,7 @@ def line(slope: float, start: float = 0.0, stop: float = 0.02, n: int = 50) -> C
 
 
 def test_only_where_every_curve_has_data() -> None:
-    shared = common_curves([line(1e3, 0.001, 0.02), line(2e3, 0.0, 0.015, 37)])
+    shared = interpolate_curves([line(1e3, 0.001, 0.02), line(2e3, 0.0, 0.015, 37)])
     assert (shared.displacement[0], shared.displacement[-1]) == (0.001, 0.015)
     np.testing.assert_allclose(shared.force[0], 1e3 * shared.displacement, rtol=1e-12)
     np.testing.assert_allclose(shared.force[1], 2e3 * shared.displacement, rtol=1e-12)
@@ -37,18 +37,18 @@ def test_only_where_every_curve_has_data() -> None:
 
 def test_bands_of_two_and_of_three_curves() -> None:
     """Pointwise of two; curves of different slope depend on one number, with one band."""
-    band = mean_band(common_curves([line(1e3), line(1.2e3)]), members="spool means")
+    band = compute_band(interpolate_curves([line(1e3), line(1.2e3)]), members="spool means")
     np.testing.assert_allclose(band.upper - band.mean, 12.7062 * 100 * band.displacement, rtol=1e-5)
     assert np.isnan(band.upper_all).all()
     assert str(band.reason).startswith("two_curves: no simultaneous band over two spool means")
-    band = mean_band(common_curves([line(slope, 0.001) for slope in (1e3, 1.1e3, 1.3e3)]))
+    band = compute_band(interpolate_curves([line(slope, 0.001) for slope in (1e3, 1.1e3, 1.3e3)]))
     np.testing.assert_allclose(band.upper_all, band.upper, rtol=1e-4)
 
 
 def test_simultaneous_is_never_narrower_and_never_beyond_bonferroni() -> None:
     rng = np.random.default_rng(0)
-    rough = simultaneous_quantile(rng.normal(size=(5, 200)))
-    smooth = simultaneous_quantile(np.outer(rng.normal(size=5), np.linspace(1.0, 2.0, 200)))
+    rough = compute_simultaneous_quantile(rng.normal(size=(5, 200)))
+    smooth = compute_simultaneous_quantile(np.outer(rng.normal(size=5), np.linspace(1.0, 2.0, 200)))
     assert smooth == pytest.approx(2.7764, abs=1e-3)
     # t with 4 degrees of freedom that leaves 0.05 / 200 outside, two-sided
     assert rough == pytest.approx(12.27, abs=0.05)
@@ -60,9 +60,9 @@ def test_moves_scales_and_does_not_mind_the_order(
 ) -> None:
     rng = np.random.default_rng(seed)
     curves = [(line(1.0)[0], np.cumsum(rng.normal(0.5, 1.0, 50))) for _ in range(n)]
-    first = mean_band(common_curves(curves))
-    moved = mean_band(
-        common_curves([(path, scale * force + shift) for path, force in curves[::-1]])
+    first = compute_band(interpolate_curves(curves))
+    moved = compute_band(
+        interpolate_curves([(path, scale * force + shift) for path, force in curves[::-1]])
     )
     for name in ("mean", "lower", "upper", "lower_all", "upper_all"):
         expected = scale * getattr(first, name) + shift
@@ -71,11 +71,11 @@ def test_moves_scales_and_does_not_mind_the_order(
 
 
 def test_block_means() -> None:
-    assert block_means(np.arange(6.0), 3).tolist() == [0.5, 2.5, 4.5]
-    assert block_means(np.arange(7.0), 3).tolist() == [0.5, 2.5, 5.0]
-    assert block_means(np.arange(4.0), 9).tolist() == [0.0, 1.0, 2.0, 3.0]
-    assert block_means(np.zeros(0), 9).tolist() == []
-    assert np.isnan(block_means(np.array([1.0, np.nan, 2.0, 4.0]), 2)).tolist() == [True, False]
+    assert average_blocks(np.arange(6.0), 3).tolist() == [0.5, 2.5, 4.5]
+    assert average_blocks(np.arange(7.0), 3).tolist() == [0.5, 2.5, 5.0]
+    assert average_blocks(np.arange(4.0), 9).tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert average_blocks(np.zeros(0), 9).tolist() == []
+    assert np.isnan(average_blocks(np.array([1.0, np.nan, 2.0, 4.0]), 2)).tolist() == [True, False]
 
 
 def test_three_curves_have_intervals_at_three_displacements() -> None:

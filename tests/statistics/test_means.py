@@ -13,42 +13,42 @@ from scipy.stats import binomtest
 
 from labpipe.records.group import MeanInterval, NestedMean
 from labpipe.records.result import Contribution, Result
-from labpipe.statistics.groups import group_number
+from labpipe.statistics.groups import average_result
 from labpipe.statistics.means import (
     PoolingLimits,
     add_common_causes,
-    can_be_on_a_log_scale,
-    equal_spools_p,
-    mean_interval,
-    nested_mean,
-    on_log_scale,
-    smallest_p,
-    spool_scatter,
+    are_positive,
+    compute_mean,
+    compute_nested_mean,
+    compute_smallest_p,
+    compute_spools_p,
+    convert_to_log_scale,
+    estimate_spool_scatter,
 )
 from labpipe.statistics.two_groups import (
-    contrast_of,
-    difference_of_means,
-    difference_p,
-    equivalence_p,
+    compute_contrast,
+    compute_difference_p,
+    compute_equivalence_p,
+    subtract_means,
 )
 from tests.builders.bundle_campaigns import bundle_sample
 
 
 def test_no_samples_and_one_sample_say_so() -> None:
-    none, one = mean_interval([], "sample"), mean_interval([3.0], "spool")
+    none, one = compute_mean([], "sample"), compute_mean([3.0], "spool")
     assert np.isnan(none.mean)
     assert none.interval is None
     assert str(none.reason).startswith("no_samples: ")
     assert averaged({}).chosen.estimate is None
     assert (one.mean, one.interval, one.n) == (3.0, None, 1)
     assert str(one.reason).endswith("scatter of two values, there is one spool")
-    scatter = spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
+    scatter = estimate_spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
     assert np.isnan([scatter.within, scatter.between_spools, scatter.share]).all()
     assert scatter.share_upper == 1.0
 
 
 def test_spools_count_alike() -> None:
-    found = nested_mean({"a": [1.0, 1.0, 1.0, 2.0], "b": [9.0, 10.0]})
+    found = compute_nested_mean({"a": [1.0, 1.0, 1.0, 2.0], "b": [9.0, 10.0]})
     assert found.chosen.mean == pytest.approx((1.25 + 9.5) / 2)
     assert found.chosen.n == 2
     assert found.over_samples.n == 6
@@ -57,7 +57,7 @@ def test_spools_count_alike() -> None:
 def test_many_alike_spools_are_pooled() -> None:
     rng = np.random.default_rng(3)
     spools = {f"s{at}": rng.normal(5.0, 1.0, 20) for at in range(40)}
-    found = nested_mean(spools, PoolingLimits(confidence=0.95))
+    found = compute_nested_mean(spools, PoolingLimits(confidence=0.95))
     assert found.is_pooled
     assert found.chosen.n == 800
     assert str(found.decision).startswith("Pooled over 800 samples of 40 spools")
@@ -66,9 +66,9 @@ def test_many_alike_spools_are_pooled() -> None:
 def test_every_limit_can_forbid_pooling() -> None:
     spools = {"a": [1.0, 2.0, 3.0], "b": [2.5, 3.5, 4.5]}
     loose = PoolingLimits(min_p=0.0, max_spool_share=1.0)
-    assert nested_mean(spools, loose).is_pooled
-    assert not nested_mean(spools, PoolingLimits(min_p=1.0, max_spool_share=1.0)).is_pooled
-    assert not nested_mean(spools, PoolingLimits(min_p=0.0, max_spool_share=0.5)).is_pooled
+    assert compute_nested_mean(spools, loose).is_pooled
+    assert not compute_nested_mean(spools, PoolingLimits(min_p=1.0, max_spool_share=1.0)).is_pooled
+    assert not compute_nested_mean(spools, PoolingLimits(min_p=0.0, max_spool_share=0.5)).is_pooled
 
 
 @pytest.mark.parametrize("counts", [(3, 3), (2, 3)])
@@ -79,15 +79,15 @@ def test_upper_limit_of_the_share_holds(counts: tuple[int, ...], share: float) -
     hits = 0
     for _ in range(runs):
         spools = [rng.normal(rng.normal(0.0, spread), 1.0, count) for count in counts]
-        hits += spool_scatter(spools, 0.95).share_upper >= share
+        hits += estimate_spool_scatter(spools, 0.95).share_upper >= share
     assert binomtest(hits, runs, 0.95).pvalue > 0.01, hits
 
 
 def test_smallest_p_of_few_samples() -> None:
     """2 of the 20 ways to deal six samples out to two spools keep them apart."""
-    assert equal_spools_p([np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0])]) == 0.1
+    assert compute_spools_p([np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0])]) == 0.1
     chances = {(3, 3): 0.1, (2, 3): 0.2, (2, 2): 1 / 3, (2, 2, 2): 1 / 15, (9, 9): 0.001}
-    assert {counts: smallest_p(counts) for counts in chances} == pytest.approx(chances)
+    assert {counts: compute_smallest_p(counts) for counts in chances} == pytest.approx(chances)
 
 
 def ends(mean: MeanInterval) -> tuple[float, float]:
@@ -98,18 +98,18 @@ def ends(mean: MeanInterval) -> tuple[float, float]:
 
 def test_an_interval_as_a_spreadsheet_gives_it() -> None:
     """9, 10, 14: mean 11, s = 2.6458; t(2) = 4.3027, h = 6.5724; factor exp(h / 11) = 1.8176."""
-    found = on_log_scale(nested_mean({"a": [9.0, 10.0, 14.0]})).chosen
+    found = convert_to_log_scale(compute_nested_mean({"a": [9.0, 10.0, 14.0]})).chosen
     assert found.mean == 11.0
     assert ends(found) == pytest.approx((11.0 / 1.8176, 11.0 * 1.8176), rel=1e-4)
     assert found.is_log
-    assert found.half == pytest.approx(6.5724, rel=1e-4)
+    assert found.half_width == pytest.approx(6.5724, rel=1e-4)
 
 
 def test_nothing_is_put_where_there_is_no_interval_or_no_positive_middle() -> None:
-    alone = nested_mean({"a": [3.0]})
-    assert on_log_scale(alone) == alone
-    below = nested_mean({"a": [-3.0, 1.0]})
-    assert on_log_scale(below) == below
+    alone = compute_nested_mean({"a": [3.0]})
+    assert convert_to_log_scale(alone) == alone
+    below = compute_nested_mean({"a": [-3.0, 1.0]})
+    assert convert_to_log_scale(below) == below
 
 
 def test_what_a_rig_shares_is_in_it() -> None:
@@ -122,16 +122,16 @@ def test_what_a_rig_shares_is_in_it() -> None:
     half = np.hypot(stats.t.ppf(0.975, 2) * np.sqrt(7.0 / 3.0), stats.norm.ppf(0.975) * 0.5)
     on_a_log_scale = (11 / exp(half / 11), 11 * exp(half / 11))
     for is_signed, expected in ((False, on_a_log_scale), (True, (11.0 - half, 11.0 + half))):
-        number = group_number("k", samples, is_signed=is_signed)
+        number = average_result("k", samples, is_signed=is_signed)
         assert number.mean is not None
         assert ends(number.mean.chosen) == pytest.approx(expected)
 
 
 def test_a_value_that_is_not_positive_keeps_the_scale_linear() -> None:
     base = Result("k", 1.0, "N", method="m")
-    assert can_be_on_a_log_scale([base, replace(base, estimate=0.9)])
-    assert not can_be_on_a_log_scale([base, replace(base, value=0.0)])
-    assert not can_be_on_a_log_scale([replace(base, estimate=-0.1)])
+    assert are_positive([base, replace(base, estimate=0.9)])
+    assert not are_positive([base, replace(base, value=0.0)])
+    assert not are_positive([replace(base, estimate=-0.1)])
 
 
 T_1, NORMAL = 12.7062047362, 1.9599639845
@@ -148,7 +148,7 @@ def measured(value: float, *, off: float = 0.0, **changes: float) -> Result:
 
 def averaged(spools: Mapping[str, list[Result]]) -> NestedMean:
     values = {name: [each.value or 0.0 for each in own] for name, own in spools.items()}
-    return add_common_causes(nested_mean(values), spools)
+    return add_common_causes(compute_nested_mean(values), spools)
 
 
 def test_a_cause_that_all_share_is_added_in_quadrature() -> None:
@@ -163,7 +163,7 @@ def test_a_cause_that_all_share_is_added_in_quadrature() -> None:
     assert ends(mean.chosen) == pytest.approx((11.0 - half, 11.0 + half))
     assert (mean.chosen.mean, mean.chosen.estimate) == (11.0, None)
     assert mean.chosen.deviation == pytest.approx(np.sqrt(2.0))
-    assert mean.decision.because[-1].endswith("what all tests of a rig share: scale of the force")
+    assert mean.decision.grounds[-1].endswith("what all tests of a rig share: scale of the force")
     spool = [measured(10.0, force=0.4, frame=0.3), measured(12.0, force=0.4, frame=-0.1)]
     half = hypot(T_1, NORMAL * np.sqrt(0.17))
     assert ends(averaged({"a": spool}).chosen) == pytest.approx((11.0 - half, 11.0 + half))
@@ -186,9 +186,9 @@ def group(mean: float, change: float, off: float = 0.0) -> MeanInterval:
 def test_a_gain_acts_on_both_groups_alike() -> None:
     """0.3 % of 100 and of 110: the difference of 10 changes by 0.3 %, 0.03, and not by 0.45."""
     one, two = group(100.0, 0.30), group(110.0, 0.33)
-    found = difference_of_means(one, two)
+    found = subtract_means(one, two)
     assert found.common[0].change == pytest.approx(0.03)
-    plain = difference_of_means(mean_interval([99.0, 101.0]), mean_interval([109.0, 111.0]))
+    plain = subtract_means(compute_mean([99.0, 101.0]), compute_mean([109.0, 111.0]))
     half = hypot(ends(plain)[1] - 10.0, 0.03 * NORMAL)
     assert ends(found) == pytest.approx((10.0 - half, 10.0 + half))
 
@@ -197,12 +197,12 @@ def test_a_gain_acts_on_both_groups_alike() -> None:
 def test_equivalence_where_the_interval_ends(change: float) -> None:
     """At p = 5 % the margin is the end of the 90 % interval; it grows with what is shared."""
     one, two = group(100.0, 0.0), group(101.0, change)
-    contrast = contrast_of(one, two)
+    contrast = compute_contrast(one, two)
     assert contrast is not None
     degrees, error = 2.0, np.sqrt(2.0)
     half = hypot(2.9199855804 * error, 1.6448536270 * change)  # 95 % quantiles, t with 2 degrees
     for margin, p in [(1.0 + half, 0.05), (1.0 - half, 0.95)]:
-        assert equivalence_p(replace(contrast, margin=margin)) == pytest.approx(p)
-    assert equivalence_p(replace(contrast, margin=1e9)) < 1e-6
+        assert compute_equivalence_p(replace(contrast, margin=margin)) == pytest.approx(p)
+    assert compute_equivalence_p(replace(contrast, margin=1e9)) < 1e-6
     assert contrast.degrees == degrees
-    assert difference_p(replace(contrast, difference=half)) == pytest.approx(0.1)
+    assert compute_difference_p(replace(contrast, difference=half)) == pytest.approx(0.1)

@@ -13,20 +13,20 @@ from scipy.stats import binomtest
 
 from labpipe.records.group import Contrast, Difference, Group, NestedMean, Outlier, Sample, Verdict
 from labpipe.records.result import Result
-from labpipe.statistics.group_notes import too_few_for_outliers
+from labpipe.statistics.group_notes import describe_missing_samples
 from labpipe.statistics.groups import build_group
-from labpipe.statistics.means import mean_interval, nested_mean, on_log_scale
-from labpipe.statistics.outliers import find_suspects, with_outliers
+from labpipe.statistics.means import compute_mean, compute_nested_mean, convert_to_log_scale
+from labpipe.statistics.outliers import find_suspects, mark_outliers
 from labpipe.statistics.two_groups import (
-    compare,
-    contrast_of,
-    difference_of_means,
-    difference_p,
-    equivalence_p,
-    half_of,
-    holm,
-    judged,
-    samples_needed,
+    compare_means,
+    compute_contrast,
+    compute_difference_p,
+    compute_equivalence_p,
+    compute_half_width,
+    correct_p_values,
+    count_needed_samples,
+    judge_family,
+    subtract_means,
 )
 from tests.builders.bundle_campaigns import bundle_sample
 
@@ -37,36 +37,36 @@ NEAR = [10.02, 10.38, 9.83, 10.08]
 def linear(first: list[float], second: list[float], margin: float | None = None) -> Contrast:
     """Margin in the unit of the values."""
     share = None if margin is None else margin / float(np.mean(first))
-    found = contrast_of(mean_interval(first), mean_interval(second), share)
+    found = compute_contrast(compute_mean(first), compute_mean(second), share)
     assert found is not None
     return found
 
 
 def positive(values: list[float]) -> NestedMean:
-    return on_log_scale(nested_mean({"a": values}))
+    return convert_to_log_scale(compute_nested_mean({"a": values}))
 
 
 def compared(first: list[float], second: list[float], margin: float | None = None) -> Difference:
-    return compare("k", "N/m", ("one", positive(first)), ("two", positive(second)), margin)
+    return compare_means("k", "N/m", ("one", positive(first)), ("two", positive(second)), margin)
 
 
 def alone(difference: Difference) -> Difference:
-    (found,) = judged("family", [difference])
+    (found,) = judge_family("family", [difference])
     return found
 
 
 def test_interval_is_that_of_welch() -> None:
-    found = difference_of_means(mean_interval(FIRST), mean_interval(SECOND))
+    found = subtract_means(compute_mean(FIRST), compute_mean(SECOND))
     expected = stats.ttest_ind(SECOND, FIRST, equal_var=False)
     ends = expected.confidence_interval()
     assert found.interval is not None
     assert found.interval.lower == pytest.approx(ends.low, rel=1e-12)
     assert found.interval.upper == pytest.approx(ends.high, rel=1e-12)
     assert found.n == 7
-    single = difference_of_means(mean_interval(FIRST), mean_interval([1.0], "sample"))
+    single = subtract_means(compute_mean(FIRST), compute_mean([1.0], "sample"))
     assert single.interval is None
     assert str(single.reason).startswith("one_sample: ")
-    assert difference_p(linear(FIRST, SECOND)) == pytest.approx(expected.pvalue, rel=1e-9)
+    assert compute_difference_p(linear(FIRST, SECOND)) == pytest.approx(expected.pvalue, rel=1e-9)
 
 
 @pytest.mark.parametrize("margin", [0.5, 1.5, 3.0])
@@ -74,9 +74,9 @@ def test_equivalence_is_two_tests_of_scipy(margin: float) -> None:
     shifted = np.array(SECOND)
     below = stats.ttest_ind(shifted + margin, FIRST, equal_var=False, alternative="greater")
     above = stats.ttest_ind(shifted - margin, FIRST, equal_var=False, alternative="less")
-    found = equivalence_p(linear(FIRST, SECOND, margin))
+    found = compute_equivalence_p(linear(FIRST, SECOND, margin))
     assert found == pytest.approx(max(below.pvalue, above.pvalue), rel=1e-9)
-    assert np.isnan(equivalence_p(linear(FIRST, SECOND)))
+    assert np.isnan(compute_equivalence_p(linear(FIRST, SECOND)))
 
 
 def test_a_ratio_by_hand() -> None:
@@ -101,9 +101,12 @@ def test_a_ratio_by_hand() -> None:
 
 def test_nothing_scatters() -> None:
     same = [1.0, 1.0], [2.0, 2.0]
-    assert (half_of(linear(*same)), difference_p(linear(*same))) == (0.0, 0.0)
-    assert (equivalence_p(linear(*same, 2.0)), equivalence_p(linear(*same, 0.5))) == (0.0, 1.0)
-    assert difference_p(linear([1.0, 1.0], [1.0, 1.0])) == 1.0
+    assert (compute_half_width(linear(*same)), compute_difference_p(linear(*same))) == (0.0, 0.0)
+    assert (
+        compute_equivalence_p(linear(*same, 2.0)),
+        compute_equivalence_p(linear(*same, 0.5)),
+    ) == (0.0, 1.0)
+    assert compute_difference_p(linear([1.0, 1.0], [1.0, 1.0])) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -123,7 +126,7 @@ def test_verdicts_of_one_comparison(
 ) -> None:
     difference = alone(compared(FIRST, second, margin))
     assert difference.verdict is verdict
-    assert message in difference.words
+    assert message in difference.verdict_text
 
 
 def test_many_comparisons_are_corrected() -> None:
@@ -131,15 +134,15 @@ def test_many_comparisons_are_corrected() -> None:
     one = compared(FIRST, SECOND)
     assert one.p == pytest.approx(0.0253, abs=0.0001)
     assert one.verdict is Verdict.NOT_ASKED
-    family = judged("family", [one, *[compared(FIRST, NEAR)] * 9])
+    family = judge_family("family", [one, *[compared(FIRST, NEAR)] * 9])
     assert family[0].verdict is Verdict.CANNOT_TELL
     assert (family[0].tests, family[0].family) == (10, "family")
     assert family[0].interval is not None
     assert family[0].interval.level == pytest.approx(0.995)
     assert family[0].interval.lower < 0.0 < family[0].interval.upper
-    sure = judged("family", [compared(FIRST, [20.0, 21.0, 20.5])] * 10)
+    sure = judge_family("family", [compared(FIRST, [20.0, 21.0, 20.5])] * 10)
     assert {each.verdict for each in sure} == {Verdict.DIFFERENT}
-    assert sure[0].why.endswith(", corrected for 10 comparisons")
+    assert sure[0].verdict_reason.endswith(", corrected for 10 comparisons")
 
 
 def test_how_many_samples_would_tell() -> None:
@@ -147,17 +150,17 @@ def test_how_many_samples_would_tell() -> None:
     contrast = Contrast(0.0, (0.03 / 3**0.5,) * 2, (3, 3), margin=log1p(0.1), is_log=True)
     assert float(stats.t.ppf(0.975, 8)) * 0.03 * (2 / 5) ** 0.5 < log1p(0.1) / 2
     assert float(stats.t.ppf(0.975, 6)) * 0.03 * (2 / 4) ** 0.5 > log1p(0.1) / 2
-    assert samples_needed(contrast) == 5
-    assert samples_needed(contrast, 0.05 / 28) == 11  # t(20) of 0.05 / 28: 3.60
-    assert samples_needed(Contrast(0.0, (1.0, 1.0), (3, 3), margin=0.1)) is None
-    assert samples_needed(Contrast(0.0, (1.0, 1.0), (3, 3))) is None
+    assert count_needed_samples(contrast) == 5
+    assert count_needed_samples(contrast, 0.05 / 28) == 11  # t(20) of 0.05 / 28: 3.60
+    assert count_needed_samples(Contrast(0.0, (1.0, 1.0), (3, 3), margin=0.1)) is None
+    assert count_needed_samples(Contrast(0.0, (1.0, 1.0), (3, 3))) is None
 
 
 @pytest.mark.parametrize(("sigmas", "chance"), [(5.0, 2.0 * stats.norm.sf(5.0)), (9.0, 0.0)])
 def test_beyond_eight_standard_errors_there_is_no_chance(sigmas: float, chance: float) -> None:
     """Of a doubt of 1000 that dwarfs the scatter."""
     contrast = Contrast(1000.0 * sigmas, errors=(1.0, 1.0), counts=(8, 8), shared=1000.0)
-    assert difference_p(contrast) == pytest.approx(chance, rel=0.01, abs=0.0)
+    assert compute_difference_p(contrast) == pytest.approx(chance, rel=0.01, abs=0.0)
 
 
 def test_an_example_by_hand() -> None:
@@ -165,22 +168,22 @@ def test_an_example_by_hand() -> None:
 
     What has no test does not count.
     """
-    *found, none = holm([0.03, 0.01, 0.2, 0.015, nan])
+    *found, none = correct_p_values([0.03, 0.01, 0.2, 0.015, nan])
     assert [finding.p for finding in found] == pytest.approx([0.06, 0.04, 0.2, 0.045])
     assert [finding.divisor for finding in found] == [2, 4, 2, 3]
     assert {finding.tests for finding in [*found, none]} == {4}
     assert isnan(none.p)
-    first, last = holm([0.02, 0.03])
+    first, last = correct_p_values([0.02, 0.03])
     assert (first.p, last.p) == (0.04, 0.04)
-    assert holm([]) == []
-    assert holm([nan])[0].divisor == 1
+    assert correct_p_values([]) == []
+    assert correct_p_values([nan])[0].divisor == 1
 
 
-def mark_outliers(
+def outliers_of(
     values: Mapping[str, float], spools: Mapping[str, str], *, level: float = 0.05
 ) -> tuple[Outlier, ...]:
     """Of one number alone."""
-    return find_suspects(values, spools).below(level)
+    return find_suspects(values, spools).select_outliers(level)
 
 
 def one_spool(values: list[float]) -> tuple[dict[str, float], dict[str, str]]:
@@ -195,7 +198,7 @@ def test_grubbs_of_a_table() -> None:
     for far in np.linspace(1.0, 10.0, 2000):
         values = np.append(base, far)
         ratio = (far - values.mean()) / values.std(ddof=1)
-        found = mark_outliers(*one_spool(values.tolist()), level=1.1)
+        found = outliers_of(*one_spool(values.tolist()), level=1.1)
         chances[float(ratio)] = found[0].p
     at = min(chances, key=lambda ratio: abs(ratio - 1.715))
     assert chances[at] == pytest.approx(0.05, abs=0.002)
@@ -203,9 +206,9 @@ def test_grubbs_of_a_table() -> None:
 
 def test_spools_that_differ_hold_no_outliers() -> None:
     values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9}
-    assert not mark_outliers(values, {name: name[0] for name in values})
+    assert not outliers_of(values, {name: name[0] for name in values})
     values["b3"] = 5.0
-    (found,) = mark_outliers(values, {name: name[0] for name in values})
+    (found,) = outliers_of(values, {name: name[0] for name in values})
     assert found.method == "Grubbs' test within spools"
 
 
@@ -213,7 +216,7 @@ def test_spools_that_differ_hold_no_outliers() -> None:
 def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
     pair = {"c1": 4.0 + shift, "c2": 9.0 + shift}
     values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9, **pair}
-    found = mark_outliers(values, {name: name[0] for name in values})
+    found = outliers_of(values, {name: name[0] for name in values})
     assert {finding.sample for finding in found} == {"c1", "c2"}
     assert found[0].p == found[1].p
     assert {finding.method for finding in found} == {
@@ -225,10 +228,10 @@ def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
 def test_what_has_no_outliers() -> None:
     """Too few samples, equal values and NaN; of an exact fit the one that is off is one."""
     for values in ([1.0, 100.0], [], [2.0] * 4, [1.0, 2.0, 3.0, nan]):
-        assert not mark_outliers(*one_spool(values))
-    assert [mark.sample for mark in mark_outliers(*one_spool([2.0] * 4 + [3.0]))] == ["t4"]
-    assert too_few_for_outliers(["a", "a", "a"]) == ""
-    assert too_few_for_outliers(["a", "a", "b"]).startswith(
+        assert not outliers_of(*one_spool(values))
+    assert [mark.sample for mark in outliers_of(*one_spool([2.0] * 4 + [3.0]))] == ["t4"]
+    assert describe_missing_samples(["a", "a", "a"]) == ""
+    assert describe_missing_samples(["a", "a", "b"]).startswith(
         "too_few_samples: 3 samples of 2 spools"
     )
 
@@ -240,7 +243,7 @@ def test_false_marks_are_as_rare_as_said(counts: tuple[int, ...]) -> None:
     spools = {name: name.partition("-")[0] for name in names}
     for _ in range(runs):
         marked += bool(
-            mark_outliers(dict(zip(names, rng.normal(size=len(names)), strict=True)), spools)
+            outliers_of(dict(zip(names, rng.normal(size=len(names)), strict=True)), spools)
         )
     # Bonferroni's bound: at most 5 %.
     assert binomtest(marked, runs, 0.05, alternative="greater").pvalue > 0.01, marked
@@ -271,15 +274,15 @@ def marks(groups: list[Group]) -> list[tuple[str, str]]:
 def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
     """p of 1, 1.1, 0.9, 1.05, 1.7 is 0.02: below 5 % alone, and not among ten numbers."""
     odd, plain = [1.0, 1.1, 0.9, 1.05, 1.7], [1.0, 1.4, 0.7, 1.2, 0.9]
-    (suspect,) = find_suspects(*one_spool(odd)).below(0.05)
+    (suspect,) = find_suspects(*one_spool(odd)).select_outliers(0.05)
     assert 0.01 < suspect.p < 0.04
-    alone = with_outliers([group_of("A", {"k": odd})])
+    alone = mark_outliers([group_of("A", {"k": odd})])
     assert marks(alone) == [("k", "A-4")]
     is_set = [replace(number, is_set_by_rig=True) for number in alone[0].numbers]
     unmarked = [replace(number, outliers=()) for number in is_set]
-    assert not marks(with_outliers([replace(alone[0], numbers=tuple(unmarked))]))
+    assert not marks(mark_outliers([replace(alone[0], numbers=tuple(unmarked))]))
     more = {"k": odd, **{f"n{at}": plain for at in range(9)}}
-    assert not marks(with_outliers([group_of("A", more)]))
+    assert not marks(mark_outliers([group_of("A", more)]))
     surer = {**more, "k": [1.0, 1.1, 0.9, 1.05, 9.0]}
-    found = with_outliers([group_of("A", surer)])
+    found = mark_outliers([group_of("A", surer)])
     assert marks(found) == [("k", "A-4")]

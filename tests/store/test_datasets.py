@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from labpipe.store.datasets import Target, fletcher32, same_content
+from labpipe.store.datasets import Target, fletcher32, has_same_content
 from labpipe.store.hdf5_objects import (
     COMPRESSION_LEVEL,
     get_number,
@@ -22,7 +22,7 @@ from labpipe.store.hdf5_objects import (
     make_dataset,
     open_dataset,
 )
-from labpipe.store.layout import Field, link_name
+from labpipe.store.layout import DatasetSpec, make_link_name
 
 
 def _hdf5_checksum(data: bytes, path: Path) -> int:
@@ -51,23 +51,23 @@ def test_any_array_comes_back(
     path = tmp_path_factory.getbasetemp() / "array.h5"
     axes = tuple("abc"[: array.ndim])
     with h5py.File(path, "w") as root, ThreadPoolExecutor(2) as pool:
-        Target(root, pool).array("x", array, Field(axes, "m"))
+        Target(root, pool).write_array("x", array, DatasetSpec(axes, "m"))
     with h5py.File(path) as root:
         assert root["x"][()].tobytes() == array.tobytes()
         assert root["x"].attrs["axes"] == ", ".join(axes)
-        assert same_content(root["x"], array)
+        assert has_same_content(root["x"], array)
 
 
 def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
     array = np.random.default_rng(0).normal(size=(30_011, 8, 3))
     with h5py.File(tmp_path / "a.h5", "w") as root, ThreadPoolExecutor(2) as pool:
-        dataset = Target(root, pool).array("x", array, Field(("a", "b", "c"), "m"))
+        dataset = Target(root, pool).write_array("x", array, DatasetSpec(("a", "b", "c"), "m"))
         assert dataset.id.get_num_chunks() > 20
         np.testing.assert_array_equal(dataset[()], array)
         other = array.copy()
         other[-1, -1, -1] += 1e-9
-        assert not same_content(dataset, other)
-        assert not same_content(dataset, array[:-1])
+        assert not has_same_content(dataset, other)
+        assert not has_same_content(dataset, array[:-1])
 
 
 @pytest.mark.parametrize("values", [np.zeros((5, 3)), np.arange(4), np.zeros((0, 2), np.uint8)])
@@ -115,6 +115,6 @@ def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
 def test_link_names_are_free_and_plain(names: list[str]) -> None:
     taken: list[str] = ["time"]
     for name in names:
-        taken.append(link_name(name, taken))
+        taken.append(make_link_name(name, taken))
     assert len(set(taken)) == len(taken)
     assert not any("/" in name or " " in name or name in {"", "."} for name in taken)

@@ -18,9 +18,9 @@ from labpipe.errors import StoreError
 from labpipe.records.curve import SlipDecision
 from labpipe.store.read import (
     RawTest,
-    read_drawable,
     read_outcome,
     read_raw,
+    read_reported,
     read_result,
     read_stages,
 )
@@ -71,7 +71,7 @@ def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
     path, frames = tmp_path / "result.h5", np.array([0, 3, 5])
     whole = replace(build_result(half_cycle=1.0), bending=some_bending())
     write_result(whole, path)
-    drawable = read_drawable(path, lambda _, time: (frames, time[frames]))
+    drawable = read_reported(path, lambda _, time: (frames, time[frames]))
     assert differences(read_outcome(path), drawable.result) == []
     assert drawable.shapes is not None
     assert whole.shape is not None

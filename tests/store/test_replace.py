@@ -16,9 +16,9 @@ from labpipe.errors import StoreError
 from labpipe.store import replace as lock
 from labpipe.store.replace import (
     LOCK_FILE,
+    exists_or_is_staged,
     finish_cut_off,
     is_cut_off,
-    is_there,
     locked,
     replacing_together,
     storing,
@@ -169,7 +169,7 @@ def test_a_process_killed_at_any_step_leaves_all_old_or_all_new(tmp_path: Path) 
             found["old" if seen(folder) == old else "new"] += 1
             continue
         found["cut off"] += 1
-        assert is_there(folder / "r.h5")
+        assert exists_or_is_staged(folder / "r.h5")
         again = number % 7 + 1
         while killed(folder, again, "finish"):  # and who finishes it may be killed, too
             again += 3
@@ -186,8 +186,8 @@ def test_who_writes_next_finishes_it(tmp_path: Path) -> None:
     (commit / "files" / "r.h5").write_text("new")
     (commit / "gone").write_text("a")
     (tmp_path / "a").write_text("old")
-    assert is_there(tmp_path / "r.h5")
-    assert not is_there(tmp_path / "s.h5")
+    assert exists_or_is_staged(tmp_path / "r.h5")
+    assert not exists_or_is_staged(tmp_path / "s.h5")
     with pytest.raises(ZeroDivisionError), replacing_together(tmp_path) as stage:
         write_and_leave(stage / "r.h5", ZeroDivisionError)
     assert contents(tmp_path) == {"r.h5": "new"}

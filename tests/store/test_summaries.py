@@ -16,9 +16,9 @@ from labpipe.store.replace import locked
 from labpipe.store.summaries import (
     FAILURE_FILE,
     FailedTest,
+    build_summary,
     check_summary,
-    sealed,
-    summary,
+    compute_entry_seal,
     write_failure,
     write_summary,
 )
@@ -39,11 +39,11 @@ def test_summary_is_the_documented_one(tmp_path: Path, approved: Approve) -> Non
     write_summary(result, tmp_path / "summary.json")
     text = (tmp_path / "summary.json").read_text(encoding="utf-8")
     read = json.loads(text, parse_constant=pytest.fail)
-    assert read == json.loads(json.dumps(summary(result)))
+    assert read == json.loads(json.dumps(build_summary(result)))
     assert read["run"] == result.run
     seals = [entry.pop("seal") for entry in read["results"]]
     assert seals == [one.seal for one in result.results]
-    assert seals == [sealed(entry) for entry in read["results"]]
+    assert seals == [compute_entry_seal(entry) for entry in read["results"]]
     for share in read["results"][0]["budget"]:
         share["share"] = round(share["share"], 9)
     approved(json.dumps(read | {"run": "", "labpipe": "", "made_of": {}}, indent=1))
@@ -86,7 +86,7 @@ def test_numbers_that_were_changed_are_refused(tmp_path: Path, key: str, other: 
     file.write_text(json.dumps(said), encoding="utf-8")
     with pytest.raises(StoreError, match=r"summary\.json.*peak_force\.1.*Process the test again"):
         check_summary(result, file)
-    said["results"][0]["seal"] = sealed(said["results"][0])
+    said["results"][0]["seal"] = compute_entry_seal(said["results"][0])
     file.write_text(json.dumps(said), encoding="utf-8")
     with pytest.raises(StoreError, match="the numbers of result"):
         check_summary(result, file)

@@ -65,7 +65,7 @@ def test_layout_is_the_documented_one(
         for name in LABELLED:
             lines += [f"{name}.{key} = {value}" for key, value in sorted(root[name].attrs.items())]
         assert root["raw/markers/time"] == root["raw/markers/markers/time"]
-        assert list(root["results/table"]) == sorted(layout.columns_of(layout.ResultRow))
+        assert list(root["results/table"]) == sorted(layout.list_columns(layout.ResultRow))
         for name in ("results/table", "budgets"):
             lines += [f"{name}/{key} = {column[()].tolist()}" for key, column in root[name].items()]
     approved(lines)

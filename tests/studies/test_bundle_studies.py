@@ -19,7 +19,7 @@ from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bundle_model import bundle_model
 from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.records.harness_bundle import Bundle
-from labpipe.records.quality import Reason, worded
+from labpipe.records.quality import Reason, join_reasons
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.store.write import write_result
 from labpipe.units import GRAVITY
@@ -74,7 +74,7 @@ def test_places_without_bounds_or_values(approved: Approve) -> None:
         for place in find_places(grouped(samples, *by), wires):
             bounds, value = place.low > 0.0, place.value is not None
             lines.append(f"{name}: {place.test or 'mean'}, {bounds=}, {value=}")
-            lines.append(f"    {worded(place.reasons)}")
+            lines.append(f"    {join_reasons(place.reasons)}")
     approved(lines)
 
 

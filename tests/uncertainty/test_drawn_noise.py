@@ -1,4 +1,4 @@
-"""Noise that is judged by a record and drawn anew, against noise made by plain numpy."""
+"""Noise that is estimated from a record and drawn again, against noise made by plain numpy."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from scipy import linalg, signal
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.uncertainty.noise_model import (
-    Noise,
+    NoiseModel,
     _processes,
     _whitened_squares,
+    cut_into_polynomials,
     estimate_noise,
-    polynomial_pieces,
 )
-from labpipe.uncertainty.replicates import smooth_curve
+from labpipe.uncertainty.replicates import fit_smooth_curve
 
 RNG = np.random.default_rng
 
@@ -31,19 +31,19 @@ def autoregressive(factor: float, shape: Sequence[int], seed: int) -> Floats:
     return found
 
 
-def judged(values: Floats, *more: Floats) -> Noise:
+def judged(values: Floats, *more: Floats) -> NoiseModel:
     """Of records whose smooth curve is zero."""
     branches = [values, *more]
     return estimate_noise(branches, [np.zeros(len(branch)) for branch in branches])
 
 
-def known(variance: float, longest: int) -> Noise:
+def known(variance: float, longest: int) -> NoiseModel:
     """White noise of a variance that is known for sure."""
     chances = np.zeros(1 + 9 * 24)
     chances[0] = 1.0
     freedom, none = 10**9, np.zeros(0)
     squares = np.full(len(chances), variance * freedom)
-    return Noise(chances, squares, freedom, longest, longest, none, none)
+    return NoiseModel(chances, squares, freedom, longest, longest, none, none)
 
 
 def test_white_noise_has_its_variance_everywhere() -> None:
@@ -129,7 +129,7 @@ def cosines(count: int, terms: int) -> Floats:
 
 
 def judged_by_contrasts(
-    parts: Sequence[tuple[Floats, int]], noise: Noise, is_possible: Flags
+    parts: Sequence[tuple[Floats, int]], noise: NoiseModel, is_possible: Flags
 ) -> tuple[Floats, Floats, int]:
     """Chances, squares and freedom by dense matrices, of 48 half waves of each part.
 
@@ -208,7 +208,7 @@ def test_correlation_times_are_those_of_the_spectra() -> None:
     )
     none = np.zeros(0)
     times = [
-        Noise(chances, chances, 1, 2000, 8000, none, none).correlation_time
+        NoiseModel(chances, chances, 1, 2000, 8000, none, none).correlation_time
         for chances in np.eye(len(means))
     ]
     np.testing.assert_allclose(times, 0.5 / means, rtol=1e-9)
@@ -278,7 +278,7 @@ def test_a_corner_of_a_long_record_is_no_fast_noise() -> None:
     at = np.linspace(0.0, 1.0, 12_000)
     curve = 5e4 * np.minimum(at / 0.05, 1.0)
     values = curve + RNG(4).normal(0.0, 2.0, len(at))
-    smooth = smooth_curve(at, values, [], 12)
+    smooth = fit_smooth_curve(at, values, [], 12)
     noise = estimate_noise([values], [smooth])
     assert noise.draw(len(at), 50, RNG(0)).std() == pytest.approx(2.0, rel=0.1)
 
@@ -288,7 +288,7 @@ def test_noise_of_a_short_record_is_what_polynomials_leave() -> None:
     spreads = []
     for seed in range(60):
         values = np.minimum(np.linspace(0.0, 1.0, 15), 0.5) + 0.002 * RNG(seed).normal(size=15)
-        pieces = polynomial_pieces(values)
+        pieces = cut_into_polynomials(values)
         assert (pieces[0].start, pieces[-1].stop) == (0, 15)
         assert all(one.stop == other.start for one, other in pairwise(pieces))
         noise = estimate_noise([values], [values])
@@ -304,7 +304,7 @@ def test_pieces_of_a_short_record_do_not_follow_slow_noise() -> None:
         for at in range(1, 60):
             noise[at] = np.exp(-1.0 / 3.0) * noise[at - 1] + kicks[at]
         values = 10.0 * np.arange(60.0) + noise
-        lengths.append(len(polynomial_pieces(values)))
+        lengths.append(len(cut_into_polynomials(values)))
         times.append(estimate_noise([values], [values]).correlation_time)
     assert np.mean(lengths) < 2.0
     assert 1.7 < np.median(times) < 4.0

@@ -21,7 +21,7 @@ from labpipe.records.causes import (
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
 from labpipe.uncertainty.extractors import Reading, Trace
-from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Input
 from tests.builders.plain_records import measured, replicates_of, trace_of
 
@@ -41,13 +41,13 @@ def test_the_interval_is_the_spread_turned_around() -> None:
     (found,) = measured(trace_of(RNG(0).normal(size=100)), largest)
     assert found.interval.upper == found.value  # beside the draws, and inside the interval
     above = found.value - found.interval.lower
-    assert np.mean(found.off > above) == pytest.approx(0.025, abs=0.003)
+    assert np.mean(found.deviations > above) == pytest.approx(0.025, abs=0.003)
     (found,) = measured(trace_of(RNG(0).normal(size=100)), mean)
     below, above = found.value - found.interval.upper, found.value - found.interval.lower
-    assert np.mean(found.off < below) == pytest.approx(0.025, abs=0.003)
-    assert np.mean(found.off > above) == pytest.approx(0.025, abs=0.003)
-    assert found.estimate == pytest.approx(found.value - found.off.mean())
-    assert found.error == pytest.approx(np.std(found.off))
+    assert np.mean(found.deviations < below) == pytest.approx(0.025, abs=0.003)
+    assert np.mean(found.deviations > above) == pytest.approx(0.025, abs=0.003)
+    assert found.estimate == pytest.approx(found.value - found.deviations.mean())
+    assert found.error == pytest.approx(np.std(found.deviations))
     plain = found.as_estimate
     assert (plain.value, plain.error, plain.n) == (found.value, found.error, 100)
     assert plain.interval == found.interval
@@ -104,7 +104,7 @@ def test_what_moves_together_cancels() -> None:
 
     one, three, *cancelled = measured(trace_of(FORCE), both, Input(SCALE_OF_FORCE, gained))
     assert budget(three)[SCALE_OF_FORCE] == pytest.approx(3.0 * budget(one)[SCALE_OF_FORCE])
-    assert three.off == pytest.approx(3.0 * one.off)
+    assert three.deviations == pytest.approx(3.0 * one.deviations)
     assert [number.error for number in cancelled] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
@@ -120,9 +120,11 @@ def test_a_rectangular_input() -> None:
     assert budget(found) == pytest.approx({ZERO_OF_FORCE: -0.3})
 
     def end(trace: Trace) -> tuple[Floats]:
-        return (trace.force[..., -1] + 4.0 * trace.beyond,)
+        return (trace.force[..., -1] + 4.0 * trace.steps_beyond,)
 
-    later = Input(STEP, lambda trace, x: replace(trace, beyond=x), law="step", moves_curve=False)
+    later = Input(
+        STEP, lambda trace, x: replace(trace, steps_beyond=x), law="step", moves_curve=False
+    )
     (found,) = measured(trace_of(FORCE), end, later)
     assert found.interval.lower == 50.0  # the value itself
     assert found.interval.upper == pytest.approx(53.9, abs=0.02)
@@ -151,20 +153,20 @@ def test_an_input_that_changes_more_upwards() -> None:
 def test_a_number_that_is_not_in_the_curve() -> None:
     why = Failure("not_reached", "the branch ends")
     made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
-    assert measure(made, lambda _: why) is why
+    assert measure_numbers(made, lambda _: why) is why
 
     def only_measured(trace: Trace) -> Reading | Failure:
         return Reading(mean, 200) if trace is made.measured else why
 
     # The smooth curve just misses a limit: what was decided on the measured one holds for it.
-    found = measure(made, only_measured)
+    found = measure_numbers(made, only_measured)
     assert isinstance(found, tuple)
     assert found[0].interval == measured(trace_of(made.measured.force), mean)[0].interval
     # A shorter one needs another decision, on means of the measured samples.
     means = trace_of(made.smooth.force[:-1])
     shorter = replace(made, smooth=means, blocks=made.measured)
-    assert isinstance(measure(shorter, only_measured), tuple)
-    found = measure(replace(shorter, blocks=means), only_measured)
+    assert isinstance(measure_numbers(shorter, only_measured), tuple)
+    found = measure_numbers(replace(shorter, blocks=means), only_measured)
     assert isinstance(found, Failure)
     assert found.code == "no_replicate"
     assert why.message in found.message
@@ -183,7 +185,7 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
     made = replicates_of(trace_of(FORCE + RNG(3).normal(size=200)))
     force = made.force.copy()
     force[:without, 0] = 1000.0
-    found = measure(replace(made, force=force), lambda _: Reading(marked, 200))
+    found = measure_numbers(replace(made, force=force), lambda _: Reading(marked, 200))
     assert isinstance(found, Failure) == fails
     if isinstance(found, tuple):
         assert bool(found[0].doubts) == doubtful
@@ -201,7 +203,7 @@ def test_windows_are_decided_anew_where_the_curve_moves() -> None:
     trace = trace_of(np.arange(200.0))
     for moves, by in ((True, -10.0), (False, 0.0)):
         given = Input(GRIP, pushed, moves_curve=moves)
-        found = measure(replicates_of(trace, given), at)
+        found = measure_numbers(replicates_of(trace, given), at)
         assert isinstance(found, tuple)
         # Lower by 0.1 mm it is not reached: there the samples stay as they were.
         assert budget(found[0]) == pytest.approx({GRIP: 0.5 * by} if moves else {})
@@ -217,14 +219,16 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
 
     def below(trace: Trace) -> Reading:
         chosen = slice(0, int(np.sum(trace.displacement <= 4.5)))
-        return Reading(lambda each: (each.force[..., chosen].mean(axis=-1),), 5, is_cut=is_cut)
+        return Reading(
+            lambda each: (each.force[..., chosen].mean(axis=-1),), 5, ends_at_samples=is_cut
+        )
 
     trace = trace_of(2.0 * np.arange(20.0), np.arange(20.0))
     off = Input(
         ZERO_OF_DISPLACEMENT,
         lambda each, x: replace(each, displacement=each.displacement + 0.3 * x),
     )
-    found = measure(replicates_of(trace, off), below)
+    found = measure_numbers(replicates_of(trace, off), below)
     assert isinstance(found, tuple)
     assert found[0].value == 4.0
     assert found[0].estimate == pytest.approx(4.25 if is_cut else 4.0, abs=0.04)
@@ -278,7 +282,7 @@ def test_noise_as_slow_as_the_record(share: float) -> None:
     chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
     noise = replace(made.noises["force"], chances=chances)
     assert noise.correlation_time == pytest.approx(3000 * share, rel=0.01)
-    found = measure(replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000))
+    found = measure_numbers(replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000))
     assert isinstance(found, tuple)
     codes = [reason.code for _, reason in found[0].doubts]
     assert codes == (["slow_noise"] if share == 0.05 else [])
@@ -306,7 +310,7 @@ def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
 
     for level, codes in ((100.0, ["value_outside"]), (2000.0, [])):
         record = level + 0.1 * RNG(0).normal(size=1000)
-        found = measure(replicates_of(trace_of(record)), fallen)
+        found = measure_numbers(replicates_of(trace_of(record)), fallen)
         assert not isinstance(found, Failure)
         assert [reason.code for _, reason in found[0].doubts] == codes
         assert found[0].interval.lower == found[0].value

@@ -11,37 +11,39 @@ from scipy.signal import lfilter
 
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.autocorrelation import (
-    Grid,
-    Noise,
-    StretchLikelihood,
-    cubic_basis,
-    exact_covariance,
-    fast_noise,
-    limits_by_noise,
-    long_run_variance,
-    slowest_cosines,
-    smooth_stretches,
+    SpectrumGrid,
+    SpectrumLikelihood,
+    SpectrumPosterior,
+    build_cubic_basis,
+    compute_covariance,
+    cut_smooth_stretches,
+    estimate_fast_noise,
+    estimate_long_run_variance,
+    scale_limit_by_noise,
+    transform_to_cosines,
 )
-from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
+from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormalise
 
 
 def test_long_run_variance() -> None:
     """White noise has its plain one; that of AR(1) is s^2 / (1 - a)^2 = 4 as well."""
     kicks = np.random.default_rng(1).normal(size=(100, 2000))
     for rows in (2.0 * kicks, lfilter([1.0], [1.0, -0.5], kicks)):
-        variances = [long_run_variance(row, parameters=1) for row in rows]
+        variances = [estimate_long_run_variance(row, parameters=1) for row in rows]
         assert np.mean(variances) == pytest.approx(4.0, rel=0.08)
     # Residuals that alternate have next to none: half of the plain one is kept.
     alternating = np.append(np.tile([1.0, -1.0], 50), np.nan)
-    assert long_run_variance(alternating, parameters=2) == pytest.approx(0.5 * 100.0 / 98.0)
-    assert np.isnan(long_run_variance(alternating[:4], parameters=2))
+    assert estimate_long_run_variance(alternating, parameters=2) == pytest.approx(
+        0.5 * 100.0 / 98.0
+    )
+    assert np.isnan(estimate_long_run_variance(alternating[:4], parameters=2))
 
 
 def test_fast_noise_does_not_see_the_curve() -> None:
     x = np.linspace(0.0, 1.0, 5000)
     noise = np.random.default_rng(2).normal(0.0, 0.02, len(x))
-    assert fast_noise(10.0 * x**3 + noise) == pytest.approx(0.02, rel=0.03)
-    assert fast_noise(x) == pytest.approx(0.0, abs=1e-12)
+    assert estimate_fast_noise(10.0 * x**3 + noise) == pytest.approx(0.02, rel=0.03)
+    assert estimate_fast_noise(x) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_limits_follow_the_noise_of_each_record() -> None:
@@ -49,8 +51,8 @@ def test_limits_follow_the_noise_of_each_record() -> None:
     row = np.random.default_rng(6).normal(0.0, 0.1, 400)
     rows = np.array([row, -row, 2.0 * row])
     rows[1, 7] = np.nan
-    np.testing.assert_allclose(limits_by_noise(0.4, rows), [0.3, 0.3, 0.6], rtol=1e-9)
-    np.testing.assert_array_equal(limits_by_noise(0.4, np.ones((2, 40))), [0.4, 0.4])
+    np.testing.assert_allclose(scale_limit_by_noise(0.4, rows), [0.3, 0.3, 0.6], rtol=1e-9)
+    np.testing.assert_array_equal(scale_limit_by_noise(0.4, np.ones((2, 40))), [0.4, 0.4])
 
 
 def noise(seed: int, count: int, memory: float) -> Floats:
@@ -67,12 +69,14 @@ def test_slowest_cosines(count: int) -> None:
     terms = min(count, 128)
     expected = dct(rows, norm="ortho")[:, :terms]
     scale = np.abs(expected).max()
-    np.testing.assert_allclose(slowest_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale)
+    np.testing.assert_allclose(
+        transform_to_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale
+    )
 
 
 def test_probable_spectra_and_their_covariances() -> None:
     """Mirrored, white, remembering, and these on white floors; a window of twelve samples."""
-    grid, angle, lags = Grid(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
+    grid, angle, lags = SpectrumGrid(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
     times = np.geomspace(100.0 / 240.0, 20.0, 23)
     a = np.exp(-1.0 / times)[:, None]
     slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
@@ -89,13 +93,15 @@ def test_probable_spectra_and_their_covariances() -> None:
         np.concatenate([prior[::-1], [1.0], prior / 2.0, np.tile(prior / 10.0, 5)])
     )
     values = noise(3, 100, 5.0)
-    stretch = StretchLikelihood.of(cubic_basis(100), values, grid, 60)
+    stretch = SpectrumLikelihood.from_values(build_cubic_basis(100), values, grid, 60)
     np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
-    found = exact_covariance(cubic_basis(12), grid)
-    wanted = [cubic_basis(12) @ toeplitz(row) @ cubic_basis(12).T for row in covariances]
+    found = compute_covariance(build_cubic_basis(12), grid)
+    wanted = [
+        build_cubic_basis(12) @ toeplitz(row) @ build_cubic_basis(12).T for row in covariances
+    ]
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
     # Generalised least squares by dense matrices, of the cosines that are used.
-    waves = dct(np.vstack([cubic_basis(100), values]), norm="ortho")[:, :60]
+    waves = dct(np.vstack([build_cubic_basis(100), values]), norm="ortho")[:, :60]
     for number, spectrum in enumerate(stretch.spectra):
         weighted = waves / spectrum
         products = weighted @ waves.T
@@ -110,8 +116,13 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.likelihood[number] == pytest.approx(-0.5 * logs)
         assert stretch.plain_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
-    other = StretchLikelihood.of(cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60)
-    both, squares = Noise.of([stretch, other], grid.prior), stretch.squares + other.squares
+    other = SpectrumLikelihood.from_values(
+        build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60
+    )
+    both, squares = (
+        SpectrumPosterior.combine([stretch, other], grid.prior),
+        stretch.squares + other.squares,
+    )
     logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
     chances = grid.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(both.chances, chances / chances.sum(), rtol=1e-9)
@@ -123,7 +134,7 @@ def test_probable_spectra_and_their_covariances() -> None:
 def test_basis_is_orthonormal_and_spans_the_columns(count: int) -> None:
     x = np.linspace(-1.0, 1.0, count)
     design = np.column_stack([np.ones(count), 1e-3 * x, 40.0 * np.maximum(x - 0.2, 0.0)])
-    basis, to_coefficients = orthonormal(design)
+    basis, to_coefficients = orthonormalise(design)
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), rtol=0, atol=1e-14)
     wanted = np.array([2.0, -5e3, 0.3])
     np.testing.assert_allclose(to_coefficients @ (basis @ (design @ wanted)), wanted, rtol=1e-12)
@@ -139,7 +150,7 @@ def test_too_few_samples() -> None:
 @pytest.mark.parametrize(("freedom", "offset"), [(2, 2.0), (40, 0.0)])
 def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -> None:
     """Of t-distributions of the deviations 1 and 3, the second perhaps moved aside."""
-    noise = Noise(np.array([0.6, 0.4]), np.ones(2), freedom)
+    noise = SpectrumPosterior(np.array([0.6, 0.4]), np.ones(2), freedom)
     deviations, offsets = np.array([1.0, 3.0]), np.array([0.0, offset])
     (half,) = _half_widths(noise, deviations[:, None] ** 2, offsets[:, None])
     between = [stats.t.cdf((end * half - offsets) / deviations, freedom) for end in (-1.0, 1.0)]
@@ -158,11 +169,11 @@ def test_the_residual_deviation_is_that_of_the_textbook() -> None:
 
 def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
     values = 0.1 * noise(0, 820, 3.0) + 0.01 * np.arange(820.0)
-    assert len(smooth_stretches(values)) == 8
+    assert len(cut_smooth_stretches(values)) == 8
     values[500:] += 3.0
     values[650:] += 1.0 * np.arange(170.0)
     values[100] = np.nan
-    found = smooth_stretches(values)
+    found = cut_smooth_stretches(values)
     assert len(found) == 6
     assert all(len(stretch) == 100 for stretch in found)
-    assert smooth_stretches(values[:99]) == ()
+    assert cut_smooth_stretches(values[:99]) == ()

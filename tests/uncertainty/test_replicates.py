@@ -10,9 +10,15 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.extractors import Reading, Trace, combine
-from labpipe.uncertainty.noise_model import drift_modes
-from labpipe.uncertainty.replicates import N_REPLICATES, Input, Law, draw_replicates, smooth_curve
+from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers
+from labpipe.uncertainty.noise_model import compute_drift_modes
+from labpipe.uncertainty.replicates import (
+    N_REPLICATES,
+    Input,
+    Law,
+    draw_replicates,
+    fit_smooth_curve,
+)
 from tests.builders.noise_rows import flicker
 from tests.builders.plain_records import replicates_of, trace_of
 
@@ -25,9 +31,9 @@ def cubic(at: Floats) -> Floats:
 
 
 def test_a_cubic_is_its_own_smooth_curve() -> None:
-    assert smooth_curve(TIME, cubic(TIME), [], 12) == pytest.approx(cubic(TIME), abs=1e-9)
+    assert fit_smooth_curve(TIME, cubic(TIME), [], 12) == pytest.approx(cubic(TIME), abs=1e-9)
     uneven = np.sort(RNG(0).uniform(0.0, 10.0, 400))
-    assert smooth_curve(uneven, cubic(uneven), [], 12) == pytest.approx(cubic(uneven), abs=1e-9)
+    assert fit_smooth_curve(uneven, cubic(uneven), [], 12) == pytest.approx(cubic(uneven), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -37,19 +43,21 @@ def test_freedom_of_the_spline(count: int, parts: int, columns: int) -> None:
     """A projection on p columns leaves p / n of the variance; an interval has 8 samples or more."""
     time: Floats = 1000.0 + np.arange(float(count))
     rows = RNG(1).normal(size=(200, count))
-    left = np.array([smooth_curve(time, row, [], parts) for row in rows])
+    left = np.array([fit_smooth_curve(time, row, [], parts) for row in rows])
     assert np.sum(left**2) / 200 == pytest.approx(columns, rel=0.06)
 
 
 def test_a_short_piece_is_a_line() -> None:
     """By hand: (0, 1), (1, 3), (2, 2) have the line 1.5 + 0.5 t."""
     time = np.array([0.0, 1.0, 2.0])
-    assert smooth_curve(time, np.array([1.0, 3.0, 2.0]), [], 12) == pytest.approx([1.5, 2.0, 2.5])
+    assert fit_smooth_curve(time, np.array([1.0, 3.0, 2.0]), [], 12) == pytest.approx(
+        [1.5, 2.0, 2.5]
+    )
     two = np.array([4.0, 9.0])
-    assert np.array_equal(smooth_curve(time[:2], two, [], 12), two)
+    assert np.array_equal(fit_smooth_curve(time[:2], two, [], 12), two)
     values = RNG(0).normal(size=15)
     line = np.polyval(np.polyfit(TIME[:15], values, 1), TIME[:15])
-    assert smooth_curve(TIME[:15], values, [], 12) == pytest.approx(line)
+    assert fit_smooth_curve(TIME[:15], values, [], 12) == pytest.approx(line)
 
 
 def unmoved(trace: Trace, x: float) -> Trace:
@@ -64,7 +72,7 @@ def unmoved(trace: Trace, x: float) -> Trace:
 def test_draws_of_an_input(law: Law, low: float, high: float) -> None:
     """Few of a normal one are beyond 1.96, none of a rectangle."""
     given = Input("zero of the force", unmoved, law=law)
-    drawn = replicates_of(trace_of(TIME)).draws(given)
+    drawn = replicates_of(trace_of(TIME)).draw_input(given)
     mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
     assert drawn.shape == (N_REPLICATES,)
     assert low <= drawn.min() < drawn.max() <= high
@@ -109,14 +117,14 @@ def test_a_rest_without_a_course_is_its_mean() -> None:
     branches = (Branch(0, 500, 1, Direction.LOADING, 0.0, 5.0),)
     way, later = np.minimum(TIME, 5.0), np.maximum(TIME - 5.0, 0.0)
     values = way + RNG(4).normal(0.0, 0.01, 1000)
-    found = smooth_curve(TIME, values, [500], 12, branches=branches)
+    found = fit_smooth_curve(TIME, values, [500], 12, branches=branches)
     assert found[502:] == pytest.approx(np.full(498, values[500:].mean()), abs=1e-12)
     creeping = values - 0.1 * (1.0 - np.exp(-later))
-    found = smooth_curve(TIME, creeping, [500], 12, branches=branches)
+    found = fit_smooth_curve(TIME, creeping, [500], 12, branches=branches)
     truth = 5.0 - 0.1 * (1.0 - np.exp(-later[502:]))
     assert found[502:] == pytest.approx(truth, abs=8e-3)
     # Where the whole record moves it has its spline.
-    found = smooth_curve(TIME, values, [500], 12)
+    found = fit_smooth_curve(TIME, values, [500], 12)
     assert np.ptp(found[502:]) > 1e-3
 
 
@@ -128,7 +136,7 @@ def test_no_piece_runs_past_a_turn(late: float) -> None:
     """Up to a stand, and down from it: the cuts are whole samples, the corners are not."""
     corners = np.array([0.0, 199.5 + late, 399.5 + late, 599.0])
     true = np.interp(SAMPLES, corners, [0.0, 20.0, 20.0, 0.0])
-    found = smooth_curve(SAMPLES, true, [200, 400], 12)
+    found = fit_smooth_curve(SAMPLES, true, [200, 400], 12)
     assert found.max() == pytest.approx(20.0, abs=5e-3)  # a twentieth of a step
     assert np.abs(found - true).max() < 0.03
 
@@ -137,14 +145,14 @@ def test_a_break_stays() -> None:
     """The force is lost within four samples, the last ones; before them it rose by 0.1 a step."""
     time = SAMPLES[:304]
     true = np.where(time < 300.0, 0.1 * time, 29.9 - 6.0 * (time - 299.0))
-    found = smooth_curve(time, true, [300], 12, broken=300)
+    found = fit_smooth_curve(time, true, [300], 12, broken=300)
     assert found[299] == pytest.approx(29.9, abs=1e-6)
-    assert smooth_curve(time, true - 2.0 * (time >= 300.0), [300], 12)[299] < 29.5
+    assert fit_smooth_curve(time, true - 2.0 * (time >= 300.0), [300], 12)[299] < 29.5
 
 
 def test_a_jump_is_no_turn() -> None:
     true = np.where(SAMPLES < 300.0, 0.1 * SAMPLES, 1.0)
-    found = smooth_curve(SAMPLES, true, [300], 12)
+    found = fit_smooth_curve(SAMPLES, true, [300], 12)
     assert found[299:301] == pytest.approx([29.9, 1.0], abs=1e-6)
 
 
@@ -180,8 +188,8 @@ RECORD_TIME = np.linspace(0.0, 50.0, 501)
 
 def test_the_variance_is_that_of_a_walk() -> None:
     """As stated at the end, and within a tenth of a walk from a quarter of the record on."""
-    assert drift_modes(RECORD_TIME, 0.0) == []
-    waves = np.array(drift_modes(RECORD_TIME, 0.3))
+    assert compute_drift_modes(RECORD_TIME, 0.0) == []
+    waves = np.array(compute_drift_modes(RECORD_TIME, 0.3))
     spread = np.sqrt(np.sum(waves**2, axis=0))
     assert spread[-1] == pytest.approx(0.3, rel=1e-12)
     assert spread[0] == 0.0
@@ -210,15 +218,15 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     trace = replace(trace_of(np.array([1.0, 2.0, 6.0, 0.0]), way), failed_at=2)
     first, second = trace.branches[0], trace.branches[0]
     both = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
-    finer = replace(trace, branches=both).finer(2)
+    finer = replace(trace, branches=both).refine(2)
     assert finer.force.tolist() == [1.0, 1.5, 2.0, 4.0, 6.0, 3.0, 0.0]
     assert finer.time == pytest.approx(0.005 * np.arange(7))
     assert np.isnan(finer.displacement[1:4]).all()
     assert finer.displacement[[0, 4, 5, 6]].tolist() == [0.0, 2.0, 3.0, 4.0]
     assert [(branch.start, branch.stop) for branch in finer.branches] == [(0, 5), (4, 7)]
     assert finer.failed_at == 4
-    assert trace.finer(1) is trace
-    assert (trace.steps, finer.steps, finer.finer(3).steps) == (1, 2, 6)
+    assert trace.refine(1) is trace
+    assert (trace.steps, finer.steps, finer.refine(3).steps) == (1, 2, 6)
 
 
 def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:
@@ -228,24 +236,24 @@ def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:
     for sign in (1.0, -1.0):
         knee = sign * np.minimum(4.0 * fine, 9.0 + 0.5 * (fine - 2.25))
         trace = trace_of(knee[::4], 1e-3 * fine[::4])
-        finer = trace.finer(4, has_corners=True)
+        finer = trace.refine(4, has_corners=True)
         assert finer.force == pytest.approx(knee)
         assert finer.displacement == pytest.approx(1e-3 * fine)
     uneven = np.array([0.0, 1.0, 4.0, 5.0, np.nan, 7.0, 9.0])
     trace = trace_of(uneven, np.arange(7.0))
     assert np.array_equal(
-        trace.finer(2, has_corners=True).force, trace.finer(2).force, equal_nan=True
+        trace.refine(2, has_corners=True).force, trace.refine(2).force, equal_nan=True
     )
 
 
 def test_a_number_is_made_of_the_first_of_each_part() -> None:
-    found = combine(shared, largest, reach)(TRACE)
+    found = combine_numbers(shared, largest, reach)(TRACE)
     assert isinstance(found, Reading)
     assert found.n == 3
     assert found.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
     why, later = Failure("no_peak", "none"), Failure("no_reach", "none")
-    assert combine(shared, largest, lambda _: later)(TRACE) is later
-    assert combine(shared, lambda _: why, lambda _: later)(TRACE) is why
+    assert combine_numbers(shared, largest, lambda _: later)(TRACE) is later
+    assert combine_numbers(shared, lambda _: why, lambda _: later)(TRACE) is why
     force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
     way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
     many = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
@@ -261,25 +269,25 @@ def test_in_noise_each_part_is_read_as_in_noise() -> None:
             lambda each: (each.force.max(axis=-1),), 3, lambda each: (each.force[..., 0],)
         )
 
-    assert moved(TRACE).drawn(TRACE)[0] == 1.0
-    assert largest(TRACE).drawn(TRACE)[0] == 6.0
-    found = combine(shared, moved, reach)(TRACE)
+    assert moved(TRACE).replicate_numbers(TRACE)[0] == 1.0
+    assert largest(TRACE).replicate_numbers(TRACE)[0] == 6.0
+    found = combine_numbers(shared, moved, reach)(TRACE)
     assert isinstance(found, Reading)
     assert found.numbers(TRACE)[0] == 12.0
-    assert found.drawn(TRACE)[0] == 2.0
+    assert found.replicate_numbers(TRACE)[0] == 2.0
 
 
 def test_draws_that_are_given_and_displacements_from_elsewhere() -> None:
     found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
     given = Input("slack", unmoved)
-    draws = found.draws(given)
-    assert np.array_equal(draws, found.draws(given))
-    other = found.draws(replace(given, cause="scale of the force"))
+    draws = found.draw_input(given)
+    assert np.array_equal(draws, found.draw_input(given))
+    other = found.draw_input(replace(given, cause="scale of the force"))
     assert abs(np.corrcoef(draws, other)[0, 1]) < 0.2
-    assert np.array_equal(found.draws(replace(given, cause="section", stream="slack")), draws)
+    assert np.array_equal(found.draw_input(replace(given, cause="section", stream="slack")), draws)
     known = np.arange(float(N_REPLICATES))
-    assert found.draws(replace(given, draws=known)) is known
-    moved = found.displaced(-2e-3, given)
+    assert found.draw_input(replace(given, draws=known)) is known
+    moved = found.shift_displacement(-2e-3, given)
     for before, after in ((found.measured, moved.measured), (found.smooth, moved.smooth)):
         assert after.displacement == pytest.approx(before.displacement - 2e-3, abs=1e-15)
         assert np.array_equal(after.force, before.force)

@@ -19,9 +19,9 @@ from labpipe.mechanics.wire.cross_section import concentric
 from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
 from labpipe.results.least_squares import slope_of_line, zero_of_line
-from labpipe.statistics.means import mean_interval, nested_mean
+from labpipe.statistics.means import compute_mean, compute_nested_mean
 from labpipe.statistics.outliers import find_suspects
-from labpipe.statistics.two_groups import contrast_of, difference_of_means, equivalence_p
+from labpipe.statistics.two_groups import compute_contrast, compute_equivalence_p, subtract_means
 from labpipe.uncertainty.linear_fits import fit_linear
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
@@ -82,26 +82,30 @@ VALUES = """
 def test_outliers_of_rosner() -> None:
     """Three are marked; one alone is not: the other two make the scatter large."""
     named = {str(at): float(value) for at, value in enumerate(VALUES.split())}
-    suspects = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=10).below(0.05)
+    suspects = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=10).select_outliers(
+        0.05
+    )
     assert [suspect.value for suspect in suspects] == [6.01, 5.42, 5.34]
     assert {suspect.method for suspect in suspects} == {"generalised ESD test"}
     # 3.118 where 3.158 is needed
-    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=1).below(0.1)
+    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=1).select_outliers(
+        0.1
+    )
     assert alone.value == 6.01
     assert 0.05 < alone.p < 0.1
 
 
 def test_students_two_groups() -> None:
-    first = mean_interval([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
-    second = mean_interval([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
-    difference = difference_of_means(first, second)
+    first = compute_mean([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
+    second = compute_mean([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
+    difference = subtract_means(first, second)
     assert difference.mean == pytest.approx(1.58)
     assert difference.interval is not None
     assert difference.interval.lower == pytest.approx(-0.2054832, abs=5e-8)
     assert difference.interval.upper == pytest.approx(3.3654832, abs=5e-8)
-    contrast = contrast_of(first, second, 0.5 / first.mean)
+    contrast = compute_contrast(first, second, 0.5 / first.mean)
     assert contrast is not None
-    assert equivalence_p(contrast) == pytest.approx(0.89, abs=0.005)
+    assert compute_equivalence_p(contrast) == pytest.approx(0.89, abs=0.005)
 
 
 TABLE = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776, 6: 2.571, 10: 2.262, 30: 2.045}
@@ -112,7 +116,7 @@ TABLE = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776, 6: 2.571, 10: 2.262, 30: 2.045
 @pytest.mark.parametrize("n", TABLE)
 def test_interval_is_made_with_it(n: int) -> None:
     values = np.arange(n, dtype=np.float64)
-    found = mean_interval(values)
+    found = compute_mean(values)
     assert found.interval is not None
     half = 0.5 * (found.interval.upper - found.interval.lower)
     assert half == pytest.approx(TABLE[n] * np.std(values, ddof=1) / np.sqrt(n), rel=2e-4)
@@ -127,7 +131,7 @@ SECOND_REGION = {"1": [31.78, 33.98, 32.98], "2": [27.38, 28.81, 30.50]}
 
 def test_two_spools_of_three_samples() -> None:
     """Means of spools, scatter within and between, pooled and not; they are not pooled."""
-    found = nested_mean(FIRST_REGION)
+    found = compute_nested_mean(FIRST_REGION)
     assert [found.spool_means[key].mean for key in "12"] == pytest.approx([57.44, 47.12], abs=5e-3)
     assert (found.within, found.between_spools) == pytest.approx((1.05, 7.27), abs=0.005)
     pooled, over_spools = found.over_samples, found.over_spools
@@ -139,8 +143,8 @@ def test_two_spools_of_three_samples() -> None:
     assert over_spools.interval.upper - over_spools.mean == pytest.approx(65.6, abs=0.05)
     assert not found.is_pooled
     assert found.chosen == over_spools
-    assert not nested_mean(SECOND_REGION).is_pooled
-    assert nested_mean(SECOND_REGION).chosen.mean == pytest.approx(30.905, abs=0.005)
+    assert not compute_nested_mean(SECOND_REGION).is_pooled
+    assert compute_nested_mean(SECOND_REGION).chosen.mean == pytest.approx(30.905, abs=0.005)
 
 
 PRINTED = {"C1": 1.46, "C2": 2.75, "C3": 6.22, "C4": 16.96, "C5": 39.87}

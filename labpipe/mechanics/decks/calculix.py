@@ -25,7 +25,7 @@ import numpy as np
 from labpipe.mechanics.decks.deck_law import deck_losses, facts, mass_of, on_one_line, percent
 from labpipe.mechanics.law.equivalent_material import EquivalentMaterial, equivalent_material
 from labpipe.mechanics.law.plays import require
-from labpipe.records.arrays import Flags, Floats, Ints, frozen
+from labpipe.records.arrays import Flags, Floats, Ints, freeze
 from labpipe.records.wire import WireTable
 
 _RECTANGLE = 0.55  # half-width of the rectangle, as a share of the radius
@@ -104,7 +104,7 @@ def _unit_bar(n_along: int) -> tuple[Floats, Ints]:
         for x, members in zip(along, stations, strict=True)
     ]
     bricks = [_bricks(numbers[2 * i : 2 * i + 3], quads) for i in range(n_along)]
-    return frozen(np.concatenate(nodes), shape=(None, 3)), np.concatenate(bricks)
+    return freeze(np.concatenate(nodes), shape=(None, 3)), np.concatenate(bricks)
 
 
 def _bricks(numbers: Ints, quads: Ints) -> Ints:

@@ -16,7 +16,7 @@ from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.response import Band, Fields, Response, band_of, field_band, respond
 from labpipe.mechanics.rod.rotations import conjugate, multiply, rotation_vectors
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
@@ -104,7 +104,7 @@ def bands_of(
         If there is no distribution.
     """
     if not distributions:
-        raise ValueError(sentence("mechanics.rod.no_distribution"))
+        raise ValueError(format_sentence("mechanics.rod.no_distribution"))
     solves = [solve] * len(distributions) if callable(solve) else solve
     solvers = [_Solver(solve, steps) for solve, _ in zip(solves, distributions, strict=True)]
     responses = [

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 EARTH = (0.0, 0.0, -9.81)
@@ -27,11 +27,13 @@ def _rows(name: str, values: object, width: int) -> Floats:
     path = path[None] if path.ndim == 1 else path
     if path.ndim != 2 or path.shape[1] != width or not len(path):
         shape = path.shape
-        raise ValueError(sentence("mechanics.rod.path_shape", name=name, shape=shape, width=width))
+        raise ValueError(
+            format_sentence("mechanics.rod.path_shape", name=name, shape=shape, width=width)
+        )
     is_finite = np.all(np.isfinite(path), axis=1)
     if not np.all(is_finite):
         row = f"{name}, row {int(np.argmin(is_finite))}"
-        raise ValueError(sentence("mechanics.rod.not_finite", name=row))
+        raise ValueError(format_sentence("mechanics.rod.not_finite", name=row))
     path.flags.writeable = False
     return path
 
@@ -82,7 +84,7 @@ class Held:
         if self.frame is not None:
             frame = _rows("frame", self.frame, 4)
             if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > 1e-6:
-                raise ValueError(sentence("mechanics.rod.not_unit", name="frame"))
+                raise ValueError(format_sentence("mechanics.rod.not_unit", name="frame"))
             _set(self, frame=frame)
         require("release", self.release, ">= 1", holds=self.release is None or self.release >= 1)
 

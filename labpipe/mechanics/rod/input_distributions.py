@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
 from scipy.stats.qmc import Sobol
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.records.wire_calibration import PARAMETERS, Solution
 
@@ -81,7 +81,9 @@ def stated_distribution(
     """
     if not (np.isfinite(deviation) and deviation > 0.0 and freedom > 0.0):
         raise ValueError(
-            sentence("mechanics.rod.bad_deviation", name=name, deviation=deviation, freedom=freedom)
+            format_sentence(
+                "mechanics.rod.bad_deviation", name=name, deviation=deviation, freedom=freedom
+            )
         )
     chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
     uniform = (chance.permutation(draws) + 0.5) / draws

@@ -23,7 +23,7 @@ from labpipe.mechanics.rod.rotations import (
     shortest_turns,
     unit,
 )
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 
 
@@ -56,7 +56,7 @@ class Section:
 
     def __post_init__(self) -> None:
         if not self.law.first_stiffness > 0.0:
-            raise ValueError(sentence("mechanics.rod.no_stiffness"))
+            raise ValueError(format_sentence("mechanics.rod.no_stiffness"))
         require_positive("torsional_stiffness", self.torsional_stiffness)
         axial, coupling = self.axial_stiffness, self.coupling
         require("axial_stiffness", axial, "> 0", holds=axial > 0.0)
@@ -99,14 +99,16 @@ class Line(ArrayRecord):
         if n < 1 or len(self.positions) != n + 1 or len(self.rest_curvature) != n - 1:
             nodes, curvatures = len(self.positions), len(self.rest_curvature)
             raise ValueError(
-                sentence("mechanics.rod.element_numbers", n=n, nodes=nodes, curvatures=curvatures)
+                format_sentence(
+                    "mechanics.rod.element_numbers", n=n, nodes=nodes, curvatures=curvatures
+                )
             )
         for name in ("lengths", "positions", "frames", "rest_curvature"):
             if not np.all(np.isfinite(getattr(self, name))):
-                raise ValueError(sentence("mechanics.rod.not_finite", name=name))
+                raise ValueError(format_sentence("mechanics.rod.not_finite", name=name))
         require("lengths", self.lengths.tolist(), "> 0", holds=bool(np.all(self.lengths > 0.0)))
         if np.max(np.abs(np.linalg.norm(self.frames, axis=1) - 1.0)) > 1e-6:
-            raise ValueError(sentence("mechanics.rod.not_unit", name="frames"))
+            raise ValueError(format_sentence("mechanics.rod.not_unit", name="frames"))
 
     @property
     def length(self) -> float:
@@ -181,12 +183,14 @@ def line_along(
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:
-        raise ValueError(sentence("mechanics.rod.points_shape", shape=points.shape))
+        raise ValueError(format_sentence("mechanics.rod.points_shape", shape=points.shape))
     steps = np.diff(points, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     if not np.all(lengths > 0.0):
         index = int(np.argmin(lengths > 0.0))
-        raise ValueError(sentence("mechanics.rod.same_points", first=index, second=index + 1))
+        raise ValueError(
+            format_sentence("mechanics.rod.same_points", first=index, second=index + 1)
+        )
     directions = steps / lengths[:, None]
     turns = shortest_turns(directions[:-1], directions[1:])
     frames = [frame_from_axes(directions[0], np.asarray(up))]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.messages import code_of_template, sentence
+from labpipe.messages import find_code, format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 
 Status: TypeAlias = Literal["ok", "doubtful", "failed"]
@@ -92,7 +92,7 @@ class Reason:
     @property
     def code(self) -> str:
         """Return its code, one word."""
-        return code_of_template(self.template)
+        return find_code(self.template)
 
     @property
     def sentence(self) -> str:
@@ -107,7 +107,7 @@ class Reason:
         place : of a node
         """
         places = {key: place(node) for key, node in self.nodes.items()}
-        return sentence(self.template, step=self.step, **places, **self.facts)
+        return format_sentence(self.template, step=self.step, **places, **self.facts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,5 +153,7 @@ class RodPath(ArrayRecord):
             If there is none: step 0 failed.
         """
         if not self.states:
-            raise ValueError(sentence("mechanics.rod.no_state", reason=self.reasons[0].sentence))
+            raise ValueError(
+                format_sentence("mechanics.rod.no_state", reason=self.reasons[0].sentence)
+            )
         return self.states[-1]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 _FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
@@ -96,7 +96,7 @@ def frame_from_axes(direction: Floats, up: Floats) -> Floats:
     across = cross(d3, np.asarray(up, dtype=np.float64))
     if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
         given = [np.asarray(vector).tolist() for vector in (direction, up)]
-        raise ValueError(sentence("mechanics.rod.parallel", direction=given[0], up=given[1]))
+        raise ValueError(format_sentence("mechanics.rod.parallel", direction=given[0], up=given[1]))
     d3, d2 = unit(d3), unit(across)
     return _from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
 

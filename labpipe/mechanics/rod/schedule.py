@@ -30,7 +30,7 @@ from labpipe.mechanics.rod.rotations import (
     multiply,
     rotation_vectors,
 )
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 T = TypeVar("T")
@@ -88,7 +88,7 @@ class Schedule:
         node, n = getattr(boundary, name), self.n
         if not -n - 1 <= node <= n:
             which = boundary_name(self.boundaries, boundary)
-            message = sentence(
+            message = format_sentence(
                 "mechanics.rod.not_on_line", boundary=which, name=name, node=node, n=n, nodes=n + 1
             )
             raise ValueError(message)
@@ -98,7 +98,7 @@ class Schedule:
         """Return the place, in nodes, where the line passes through a ring at the start."""
         if self.n < 2:
             name = boundary_name(self.boundaries, ring)
-            raise ValueError(sentence("mechanics.rod.short_for_ring", boundary=name))
+            raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
         near = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
         return nearest_place(self.start.positions, ring.position[0], float(near))
@@ -109,7 +109,7 @@ class Schedule:
             held_twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
             if held_twice:
                 node = held_twice[0]
-                raise ValueError(sentence("mechanics.rod.held_twice", step=step, node=node))
+                raise ValueError(format_sentence("mechanics.rod.held_twice", step=step, node=node))
 
     def grips(self, step: int) -> tuple[int, ...]:
         """Return the indices of the boundaries that hold a node in a step."""
@@ -232,7 +232,7 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
             if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
                 continue
             which, rows = boundary_name(boundaries, boundary), len(path)
-            message = sentence(
+            message = format_sentence(
                 "mechanics.rod.path_rows", boundary=which, name=name, rows=rows, expected=steps + 1
             )
             raise ValueError(message)

@@ -43,7 +43,7 @@ from labpipe.mechanics.rod.walk_errors import (
     check_reach,
     check_rings,
 )
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 
@@ -455,7 +455,7 @@ def _start_state(
         return shape, np.zeros((n + 1, 2, sliders, 2)), contacts
     if start.rests.shape != (n + 1, 2, sliders, 2):
         nodes, _, n_sliders, _ = start.rests.shape
-        message = sentence(
+        message = format_sentence(
             "mechanics.rod.other_line", elements=nodes - 1, sliders=n_sliders, n=n, own=sliders
         )
         raise ValueError(message)

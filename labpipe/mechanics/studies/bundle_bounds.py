@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, UsageError, error_text
+from labpipe.errors import ProcessingError, UsageError, format_error
 from labpipe.mechanics.studies.study_json import entries
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet, wire_error
 from labpipe.mechanics.wire.bundle_friction import fit_friction
@@ -44,8 +44,8 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, bundle_figure, loop_figure
-from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, draw_bundle, draw_loop
+from labpipe.report.figure_page import FigureToSave, save_pages
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.units import GRAVITY
@@ -254,7 +254,7 @@ def model_bundle(
         the bundle fits no conduit; earlier results are then unchanged.
     """
     if arrangement not in (None, *ARRANGEMENTS):
-        message = error_text(
+        message = format_error(
             "--arrangement",
             "",
             expected=f"one of {', '.join(ARRANGEMENTS)}",
@@ -269,7 +269,7 @@ def model_bundle(
     try:
         model = _in_best_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
     except ValueError as error:
-        message = error_text(
+        message = format_error(
             what,
             "",
             expected="a bundle of wires that do not overlap and fit in its conduit",
@@ -308,7 +308,7 @@ def _read_bundle(what: str, test: TestResult | None, arrangement: str | None) ->
         name = bundle.composition.replace(" + ", " ")
         return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
     if bundle is None:
-        message = error_text(
+        message = format_error(
             path if test is None else what,
             "specimen",
             expected="a bundle",
@@ -324,7 +324,7 @@ def _read_tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
     specs = {spec.name: spec for spec in read_wire_sheet(wires)}
     missing = [wire.type for wire in bundle.wires if wire.type not in specs]
     if missing:
-        message = error_text(
+        message = format_error(
             wires,
             "",
             expected=f"a row for each wire of the bundle, {', '.join(missing)} too",
@@ -360,9 +360,9 @@ def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBun
             (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
         written = [stage / BUNDLE_FILE]
         if figures:
-            pages = [FigureToSave(FIGURE, partial(bundle_figure, modelled.model))]
+            pages = [FigureToSave(FIGURE, partial(draw_bundle, modelled.model))]
             if modelled.friction is not None:
-                loop = partial(loop_figure, modelled.name, modelled.friction)
+                loop = partial(draw_loop, modelled.name, modelled.friction)
                 pages.append(FigureToSave(LOOP_FIGURE, loop))
             written += save_pages(pages, stage / FIGURES_FOLDER, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, error_text
+from labpipe.errors import ProcessingError, format_error
 from labpipe.mechanics.studies.study_json import entries, plain
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
@@ -27,7 +27,7 @@ from labpipe.records.wire_calibration import (
     Solution,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.store.summaries import finite_or_none
+from labpipe.store.summaries import replace_non_finite
 
 SCHEMA = 2
 
@@ -55,7 +55,7 @@ def calibration_json(
         **entries(calibration, "wire", "method", *numbers, quality="notes"),
         "parameters": [_parameter_json(parameter) for parameter in calibration.parameters],
         "solutions": [_solution_json(solution) for solution in calibration.solutions],
-        "tested_curvature": finite_or_none(tested),
+        "tested_curvature": replace_non_finite(tested),
         "correlations": {"names": list(PARAMETERS), "values": plain(calibration.correlations)},
         "separability": _separability_json(calibration.separability),
         "friction_separability": None if friction is None else _separability_json(friction),
@@ -111,7 +111,7 @@ def _group_json(group: ValidationGroup) -> dict[str, object]:
         **entries(group, "wire", "length", calibrating="is_calibrated"),
         "tests": list(group.samples),
         "n": errors and errors.n,
-        "sse": errors and finite_or_none(errors.sse),
+        "sse": errors and replace_non_finite(errors.sse),
         **_errors_json(errors),
         "reasons": [] if group.reason is None else [plain(group.reason)],
         "prediction": prediction and entries(prediction, *curves),
@@ -188,7 +188,7 @@ def read_calibrated(path: Path) -> CalibratedFile:
         fault = f"something else ({type(error).__name__}: {error})"
     expected = "a calibration.json with solutions, their mixtures and the tested curvature"
     remedy = "Calibrate again with this version of labpipe: labpipe calibrate."
-    message = error_text(path, "calibration", expected=expected, found=fault, remedy=remedy)
+    message = format_error(path, "calibration", expected=expected, found=fault, remedy=remedy)
     raise ProcessingError(message)
 
 

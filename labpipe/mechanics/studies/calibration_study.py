@@ -47,10 +47,10 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     ParameterChoice,
 )
-from labpipe.report.calibration_figures import calibration_drawings
+from labpipe.report.calibration_figures import list_calibration_figures
 from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.saving import pngs_of, save_pages
+from labpipe.report.figure_page import list_pngs, save_pages
 from labpipe.store.replace import locked, replacing_together
 
 MODEL_FILE = "calibration.json"
@@ -250,7 +250,7 @@ def _write(
     """Write all files of a calibration together."""
     folder = done.folder
     report = CalibrationReport(done.calibration, done.groups, done.shapes, done.comparisons)
-    owned = pngs_of(calibration_drawings(report), FIGURES_FOLDER) if figures else []
+    owned = list_pngs(list_calibration_figures(report), FIGURES_FOLDER) if figures else []
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("tables and decks")
         model, workbook = stage / MODEL_FILE, stage / WORKBOOK_FILE
@@ -259,7 +259,7 @@ def _write(
         written = [model, workbook]
         written += write_decks([wire_table(spec) for spec in calibrated], stage)
         if figures:
-            drawings = calibration_drawings(report)
+            drawings = list_calibration_figures(report)
             written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
         return tuple(folder / path.relative_to(stage) for path in written)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, error_text, nearest
+from labpipe.errors import ReadError, UsageError, format_error, sort_by_likeness
 from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, compare_curves
@@ -50,10 +50,11 @@ def read_external_curves(
     external_curves, faults = [], []
     for comparison in settings.comparisons:
         if comparison.wire not in specs:
-            message = error_text(
+            nearest = ", ".join(sort_by_likeness(comparison.wire, list(specs)))
+            message = format_error(
                 plan or "plan",
                 f"comparison '{comparison.name}', wire",
-                expected=f"a wire of {wires} ({', '.join(nearest(comparison.wire, list(specs)))})",
+                expected=f"a wire of {wires} ({nearest})",
                 found=f"'{comparison.wire}'",
                 remedy="Name the wire that the curve is of, or add it to the sheet.",
             )
@@ -71,7 +72,7 @@ def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         expected, actual = "a file inside the folder of the plan", "a link out of it"
-        raise ReadError(error_text(path, "", expected=expected, found=actual, remedy=COPY_IT))
+        raise ReadError(format_error(path, "", expected=expected, found=actual, remedy=COPY_IT))
     across, up = comparison.deflection, comparison.force
     deflection, force = read_curve(
         path,

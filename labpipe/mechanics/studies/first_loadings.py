@@ -21,7 +21,7 @@ from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.wire_table import straight_range
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
-from labpipe.records.arrays import Floats, block_means
+from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.causes import CENTRE, GRIP, PULL, SCALE_OF_DISPLACEMENT, SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
@@ -31,7 +31,7 @@ from labpipe.records.wire import WireSpec
 from labpipe.results.beam import held_at_rest
 from labpipe.results.moment_curvature import at_rest, notes_of
 from labpipe.store.read import read_stages
-from labpipe.uncertainty.autocorrelation import long_run_variance
+from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.units import GRAVITY
 
 
@@ -122,10 +122,11 @@ def zero_error(time: Floats, values: Floats, duration: float | None) -> float:
 
     Notes
     -----
-    Long-run variance of the whole rest (`long_run_variance`) over the number of values in the part.
+    Long-run variance of the whole rest (`estimate_long_run_variance`) over the number of values in
+    the part.
     """
     valid = values[~np.isnan(values)]
-    variance = long_run_variance(valid, parameters=1)
+    variance = estimate_long_run_variance(valid, parameters=1)
     if np.isnan(variance):
         return 0.0
     lasts = float(time[-1] - time[0])
@@ -241,8 +242,8 @@ def first_loading(
         raise NotUsableError(message)
     limit = min(up_to or np.inf, DEEPEST * length)
     part = slice(branch.start, branch.stop)
-    deflection = block_means(curve.displacement[part], points)
-    force = block_means(curve.force[part], points)
+    deflection = average_blocks(curve.displacement[part], points)
+    force = average_blocks(curve.force[part], points)
     usable = np.isfinite(deflection) & np.isfinite(force)
     taken = usable & (deflection > 0.0) & (deflection <= limit)
     if taken.sum() < min_points:
@@ -452,7 +453,7 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
         raise NotUsableError(message)
     peak = next((result for result in result.results if result.name == "peak_force.1"), None)
     if peak is not None and peak.status is Status.FAILED:
-        message = f"its first loading failed: {peak.why}"
+        message = f"its first loading failed: {peak.reason_text}"
         raise NotUsableError(message)
     return curve, first[0]
 
@@ -460,7 +461,7 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
 def _doubt_notes(result: TestResult) -> list[QualityNote]:
     """Return notes on doubtful results of the first cycle that depend on the whole curve."""
     reasons = {
-        result.why
+        result.reason_text
         for result in result.results
         if result.status is Status.DOUBTFUL
         and result.name in ("peak_force.1", "peak_displacement.1", "energy.1")

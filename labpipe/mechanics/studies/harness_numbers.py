@@ -23,7 +23,7 @@ from labpipe.mechanics.rod.response import Fields, sizes
 from labpipe.mechanics.rod.rotations import unit
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_section import Material
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -310,7 +310,7 @@ def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
     if harness.allowed_bend_radius is not None:
         return BendLimit(harness.allowed_bend_radius, "stated in the file", is_assumed=False)
     diameters = 5.0
-    source = sentence(
+    source = format_sentence(
         "mechanics.studies.assumed_radius", times=diameters, diameter=1e3 * material.diameter
     )
     return BendLimit(diameters * material.diameter, source, is_assumed=True)

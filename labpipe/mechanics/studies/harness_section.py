@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, nearest
+from labpipe.errors import ReadError, UsageError, sort_by_likeness
 from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
@@ -157,7 +157,7 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
     specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
     if name in specs:
         return specs[name]
-    near = ", ".join(nearest(name, list(specs)))
+    near = ", ".join(sort_by_likeness(name, list(specs)))
     raise UsageError.about(
         "mechanics.studies.no_such_wire", where, sheet=sheet, near=near, name=name
     )

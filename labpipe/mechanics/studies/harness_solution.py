@@ -39,7 +39,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     unloading_doubt,
 )
 from labpipe.mechanics.studies.harness_section import Material
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -421,7 +421,7 @@ def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason 
     if off.get(most, 0.0) > max_cause_error:
         error, limit = off[most], max_cause_error
         faults.append(
-            sentence("mechanics.studies.cause_error", number=most, error=error, most=limit)
+            format_sentence("mechanics.studies.cause_error", number=most, error=error, most=limit)
         )
     return Reason.of(
         "mechanics.studies.causes_do_not_add", count=count, faults=" and ".join(faults)

@@ -35,22 +35,27 @@ from labpipe.mechanics.studies.harness_solution import (
     solve_sweep_length,
 )
 from labpipe.mechanics.studies.study_json import entries, plain
-from labpipe.messages import sentence
+from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Status
-from labpipe.report.harness_figure import (
+from labpipe.report.figure_page import save_pages
+from labpipe.report.harness_figures import (
     FIGURE,
     SWEEP_FIGURE,
     DrawnHarness,
     DrawnMark,
     DrawnShape,
     DrawnSweep,
-    harness_drawings,
+    list_harness_figures,
 )
-from labpipe.report.saving import save_pages
 from labpipe.store.replace import locked, replacing, replacing_together, storing
-from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, finite_or_none, result_entry
+from labpipe.store.summaries import (
+    FAILURE_FILE,
+    SUMMARY_FILE,
+    build_result_entry,
+    replace_non_finite,
+)
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
@@ -169,7 +174,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
         if figures:
             drawn = drawn_harness(solution)
             into = stage / FIGURES_FOLDER
-            written += save_pages(harness_drawings(drawn, drawn_sweep(solution)), into, png=png)
+            written += save_pages(list_harness_figures(drawn, drawn_sweep(solution)), into, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(solution, files=files)
 
@@ -233,14 +238,14 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
             "kept": bend.radius >= limit.radius,
             "doubtful": solution.is_bend_doubtful,
         },
-        "results": [result_entry(result) for result in solution.results],
+        "results": [build_result_entry(result) for result in solution.results],
         "sweep": [
             {
                 "length": run.harness.line.length,
                 **entries(run, "status"),
-                "smallest_bend_radius": finite_or_none(run.bend.radius),
+                "smallest_bend_radius": replace_non_finite(run.bend.radius),
                 **_band_ends(run),
-                "smallest_bend_radius_on_the_way": finite_or_none(run.sharpest.radius),
+                "smallest_bend_radius_on_the_way": replace_non_finite(run.sharpest.radius),
             }
             for run in solution.sweep
         ],
@@ -260,7 +265,7 @@ def _band_ends(run: FollowedHarness) -> dict[str, float | None]:
 def _bands_json(solution: FollowedHarness) -> dict[str, object]:
     """Return the kind of the bands and the share of each cause, or why there are none."""
     if solution.bands is None:
-        return {"kind": None, "reason": sentence("mechanics.studies.no_bands")}
+        return {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
     return {"kind": "pointwise 95 %", "shares": plain(solution.bands.line.states[-1].shares)}
 
 
@@ -526,7 +531,7 @@ def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
         note=_caption(solution),
         length=np.array([run.harness.line.length for run in sweep]),
         radius=np.array([run.bend.radius for run in sweep]),
-        way=np.array([run.sharpest.radius for run in sweep]),
+        radius_over_steps=np.array([run.sharpest.radius for run in sweep]),
         radius_band=_radius_band(sweep),
         shapes=tuple(
             np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.store.summaries import finite_or_none
+from labpipe.store.summaries import replace_non_finite
 
 
 def plain(value: Any) -> Any:
     """Convert records, arrays and numbers for JSON; None for a number that is not finite."""
     if isinstance(value, float):
-        return finite_or_none(value)
+        return replace_non_finite(value)
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, Mapping):
@@ -28,7 +28,7 @@ def plain(value: Any) -> Any:
 
 
 def entries(record: object, *names: str, **renamed: str) -> dict[str, Any]:
-    """Return attributes of a record for JSON, see `plain`.
+    """Return attributes of a record for JSON, see `to_json`.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import UsageError, error_text, nearest
+from labpipe.errors import UsageError, format_error, sort_by_likeness
 from labpipe.mechanics.studies.first_loadings import FirstLoading, insulation_note
 from labpipe.mechanics.studies.wire_sheets import wire_error
 from labpipe.mechanics.wire.bending_law import play_law
@@ -28,14 +28,14 @@ from labpipe.mechanics.wire.cantilever import (
 )
 from labpipe.mechanics.wire.wire_table import build, mass_per_length, straight_range
 from labpipe.protocol.plans import CalibrationPlan
-from labpipe.records.arrays import Floats, block_means
+from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import Calibration, CurveErrors, Prediction
 from labpipe.report.calibration_summary import BentShape, ValidationGroup
-from labpipe.statistics.mean_curves import common_curves, mean_band
+from labpipe.statistics.mean_curves import compute_band, interpolate_curves
 from labpipe.store.read import read_result
 from labpipe.units import GRAVITY
 
@@ -134,7 +134,7 @@ def default_sheet() -> Path:
     for name in DEFAULT_SHEETS:
         if Path(name).is_file():
             return Path(name)
-    message = error_text(
+    message = format_error(
         "--wire",
         "",
         expected=f"a wire sheet, or {' or '.join(DEFAULT_SHEETS)} in the working folder",
@@ -171,9 +171,9 @@ def wire_to_calibrate(
         place, key, expected = plan or "tests", "", "tests of one wire"
     else:
         remedy = "Name a specimen type of the tests, or give its tests, too."
-        actual = f"usable tests of {', '.join(nearest(settings.wire, tested))} alone"
+        actual = f"usable tests of {', '.join(sort_by_likeness(settings.wire, tested))} alone"
         place, key, expected = plan or "plan", "wire", f"tests of '{settings.wire}'"
-    raise UsageError(error_text(place, key, expected=expected, found=actual, remedy=remedy))
+    raise UsageError(format_error(place, key, expected=expected, found=actual, remedy=remedy))
 
 
 def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], dict[str, str]]:
@@ -194,7 +194,7 @@ def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], d
             (loading.curve.deflection.tobytes(), loading.curve.force.tobytes()), loading
         )
         if original is not loading:
-            left_out[str(loading.file)] = error_text(
+            left_out[str(loading.file)] = format_error(
                 loading.file,
                 "",
                 expected="each test once",
@@ -222,11 +222,11 @@ def require_wires(
     """
     for wire in sorted({loading.curve.wire for loading in loadings} - set(specs)):
         test = next(loading.curve.test for loading in loadings if loading.curve.wire == wire)
-        message = error_text(
+        message = format_error(
             wires,
             "column wire",
             expected=f"a row for '{wire}', the specimen type of test {test}",
-            found=f"rows for {', '.join(nearest(wire, list(specs)))}",
+            found=f"rows for {', '.join(sort_by_likeness(wire, list(specs)))}",
             remedy="Add the wire, or use the name of the tests.",
         )
         raise UsageError(message)
@@ -394,11 +394,14 @@ def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Ban
         return np.interp(deflection, prediction.deflection, prediction.force)
 
     means = [
-        (block_means(c.deflection, blocks), block_means(c.force - shape(c.deflection), blocks))
+        (
+            average_blocks(c.deflection, blocks),
+            average_blocks(c.force - shape(c.deflection), blocks),
+        )
         for c in curves
     ]
-    common = common_curves(means, [curve.test for curve in curves])
-    return mean_band(replace(common, force=common.force + shape(common.displacement)))
+    common = interpolate_curves(means, [curve.test for curve in curves])
+    return compute_band(replace(common, force=common.force + shape(common.displacement)))
 
 
 def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:

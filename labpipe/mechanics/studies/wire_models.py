@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, UsageError, error_text
+from labpipe.errors import ProcessingError, UsageError, format_error
 from labpipe.mechanics.decks import deck_paths, deck_texts, write_texts
 from labpipe.mechanics.studies.study_json import entries
 from labpipe.mechanics.studies.wire_sheets import (
@@ -25,8 +25,8 @@ from labpipe.mechanics.studies.wire_sheets import (
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.saving import pngs_of, save_pages
-from labpipe.report.wire_figures import figure_names, wire_drawings
+from labpipe.report.figure_page import list_pngs, save_pages
+from labpipe.report.wire_figures import list_figure_names, list_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
 
@@ -104,13 +104,13 @@ def model_wires(
         modelled = ModelledWires(sheet, folder, tables, refused, (), removed, read.curves)
         owned = _wire_files((*refused, *removed))
         if figures:
-            owned += pngs_of(wire_drawings(tables), FIGURES_FOLDER)
+            owned += list_pngs(list_wire_figures(tables), FIGURES_FOLDER)
         with locked(folder), replacing_together(folder, owned=owned) as stage:
             say("tables and decks")
             with storing(folder):
                 written = _write(modelled, [wire.decks for wire in modelled_wires], stage, pool)
             if figures:
-                drawings = wire_drawings(tables)
+                drawings = list_wire_figures(tables)
                 written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
             files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
@@ -172,7 +172,7 @@ def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
     try:
         yield pool
     except BrokenProcessPool as error:
-        message = error_text(
+        message = format_error(
             sheet,
             "",
             expected="processes that run to the end",
@@ -229,7 +229,7 @@ def _refuse_overwriting(sheet: Path, folder: Path) -> None:
     """Refuse to overwrite the wire sheet."""
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
-            message = error_text(
+            message = format_error(
                 sheet,
                 "",
                 expected="a folder of the results without this sheet",
@@ -253,7 +253,7 @@ def _wire_files(names: Iterable[str]) -> list[str]:
     files: list[str] = []
     for name in names:
         files += [path.as_posix() for path in deck_paths(name, Path())]
-        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in figure_names(name)]
+        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in list_figure_names(name)]
         files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
     return files
 

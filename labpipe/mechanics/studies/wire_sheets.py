@@ -15,7 +15,7 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 
-from labpipe.errors import Fault, ProcessingError, ReadError, error_text, nearest
+from labpipe.errors import Fault, ProcessingError, ReadError, format_error, sort_by_likeness
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.protocol.grammar import Block
@@ -286,7 +286,9 @@ def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     sheets = list(sheets_of(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:
-        expected = f"the name of a sheet ({', '.join(map(repr, nearest(name.text, sheets)))})"
+        expected = (
+            f"the name of a sheet ({', '.join(map(repr, sort_by_likeness(name.text, sheets)))})"
+        )
         remedy = "Add the sheet or correct its name."
         raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
     chosen = name.text if name.text in matches else matches[0]
@@ -317,7 +319,7 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
 def fault_messages(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
     """Return the messages of faults of a file."""
     return [
-        error_text(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
+        format_error(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
         for place, fault in faults
     ]
 
@@ -383,7 +385,7 @@ def wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> Pr
     """
     place, remedy = f"{spec.place}, wire {spec.name!r}", "Check its row against the wire."
     actual = f"this: {reason}"
-    message = error_text(sheet, place, expected=expected, found=actual, remedy=remedy)
+    message = format_error(sheet, place, expected=expected, found=actual, remedy=remedy)
     return ProcessingError(message)
 
 
@@ -414,7 +416,9 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
     sheets = sheets_of(path)
     if not sheets:
         actual, remedy = "a workbook without sheets", "Name the wire sheet."
-        raise ReadError(error_text(path, "", expected="a wire sheet", found=actual, remedy=remedy))
+        raise ReadError(
+            format_error(path, "", expected="a wire sheet", found=actual, remedy=remedy)
+        )
     visible = [name for name, is_shown in sheets.items() if is_shown]
     usual = [name for name in sheets if name.casefold() == "wires"]
     name = [*usual, *visible, *sheets][0]

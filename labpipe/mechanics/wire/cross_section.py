@@ -36,7 +36,7 @@ from labpipe.mechanics.wire.materials import (
     StressTable,
     strand_moment,
 )
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.arrays import Floats, Ints, freeze
 
 COPPER_DENSITY = 8960.0
 """kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
@@ -189,8 +189,8 @@ class CrossSection:
 
     def __post_init__(self) -> None:
         strands = sum(layer.count for layer in self.layers)
-        object.__setattr__(self, "x", frozen(self.x, shape=(strands,)))
-        object.__setattr__(self, "y", frozen(self.y, shape=(strands,)))
+        object.__setattr__(self, "x", freeze(self.x, shape=(strands,)))
+        object.__setattr__(self, "y", freeze(self.y, shape=(strands,)))
         index = np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
         if not np.array_equal(self.layer, index):
             message = f"layer={self.layer}: strands must be in the order of the layers"

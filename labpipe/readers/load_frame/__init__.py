@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.errors import ReadError, nearest
+from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import ReportOptions, channel_notes, find_in_parts, unique_names
 from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards
 from labpipe.readers.load_frame.column_titles import (
@@ -38,7 +38,7 @@ from labpipe.readers.load_frame.column_titles import (
     time_column,
 )
 from labpipe.readers.load_frame.tables import (
-    MIN_SAMPLES,
+    MIN_TEST_ROWS,
     Export,
     Table,
     read_sheets,
@@ -202,7 +202,7 @@ def _choose_part(tables: list[Table], part: str | None, path: object) -> list[Ta
     if chosen:
         return chosen
     names = [table.part or table.also for table in tables if table.part or table.also]
-    close = ", ".join(f"'{name}'" for name in nearest(part, names))
+    close = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
     raise ReadError.about(
         "readers.no_such_part" if close else "readers.no_parts",
         path,
@@ -252,7 +252,7 @@ def _part(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
         clock = Clock(name, time if factor == 1.0 else factor * time)
         about |= {"time": table.names[column], "unit_in_file": unit}
         notes += clock_notes(clock, is_variable=card.variable_rate)
-    if 0 < table.rows < MIN_SAMPLES:
+    if 0 < table.rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
     if table.part or table.also:
         about["part"] = table.part or table.also
@@ -347,7 +347,10 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     for name in allowed:
         if name not in cards:
-            close, place = ", ".join(nearest(name, list(cards), limit=3)), f"dialect '{name}'"
+            close, place = (
+                ", ".join(sort_by_likeness(name, list(cards), limit=3)),
+                f"dialect '{name}'",
+            )
             raise ReadError.about(
                 "readers.no_such_card", path, place, count=len(cards), nearest=close
             )

@@ -27,7 +27,7 @@ from labpipe.readers.workbooks import Sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
-MIN_SAMPLES = 10
+MIN_TEST_ROWS = 10
 """Fewer samples are not a complete test."""
 HEAD_ROWS = 60
 """Rows of a sheet in which names and units are searched."""
@@ -383,5 +383,5 @@ def _holds_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:
     """Return whether a sheet holds results: other columns than the longest, no time or few rows."""
     table, longest = tables[name], max(tables.values(), key=lambda table: table.rows)
     any_time = any(_has_time(other, card) for other in tables.values())
-    is_odd = table.rows < MIN_SAMPLES or (any_time and not _has_time(table, card))
+    is_odd = table.rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))
     return table.names != longest.names and is_odd

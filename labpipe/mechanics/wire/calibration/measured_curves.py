@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.records.arrays import Flags, Floats, frozen
+from labpipe.records.arrays import Flags, Floats, freeze
 from labpipe.records.wire_calibration import (
     CalibrationFailure,
     CurveAgreement,
@@ -58,10 +58,10 @@ class MeasuredCurve:
     self_weight: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
+        object.__setattr__(self, "deflection", freeze(self.deflection, shape=(None,)))
         shape = (len(self.deflection),)
-        object.__setattr__(self, "force", frozen(self.force, shape=shape))
-        object.__setattr__(self, "noise", frozen(np.broadcast_to(self.noise, shape), shape=shape))
+        object.__setattr__(self, "force", freeze(self.force, shape=shape))
+        object.__setattr__(self, "noise", freeze(np.broadcast_to(self.noise, shape), shape=shape))
 
     @property
     def peak(self) -> float:

@@ -14,24 +14,23 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
 from labpipe.records.result import Status
-from labpipe.report.issues import sentence
-from labpipe.report.page_facts import PageTest, PageTests, key_of
-from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, clip_range
-from labpipe.report.plot_thinning import simplify_line
+from labpipe.report.issues import write_sentence
+from labpipe.report.page_facts import PageTest, PageTests, make_key
+from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_axis, simplify_line
 from labpipe.report.wording import (
     Scale,
-    as_label,
-    count_of,
-    display_of,
-    group_scale,
+    find_display,
+    find_display_unit,
+    find_group_unit,
     is_first_cycle,
-    shown_in,
-    unit_words,
+    typeset_unit,
+    write_count,
+    write_label,
 )
 
 _BAND_POINTS = 28
 """Points with which a band or a mean is drawn."""
-COLOURS = 8
+N_COLOURS = 8
 """Colours of the page for spools and groups; they repeat after this number."""
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
 """Panels of numbers; samples with a row each, else those of a spool share a row."""
@@ -73,12 +72,12 @@ class _GroupView:
     @cached_property
     def across(self) -> Scale:
         """Display unit of displacement."""
-        return group_scale(self.group, "displacement")
+        return find_group_unit(self.group, "displacement")
 
     @cached_property
     def up(self) -> Scale:
         """Display unit of force."""
-        return group_scale(self.group, "force")
+        return find_group_unit(self.group, "force")
 
     @property
     def rejected(self) -> list[PageTest]:
@@ -87,7 +86,7 @@ class _GroupView:
 
     def number(self, sample: Sample) -> int | None:
         """Return the number of a test on the page."""
-        return None if self.tests is None else self.tests.number[key_of(sample)]
+        return None if self.tests is None else self.tests.number[make_key(sample)]
 
     @property
     def points(self) -> _Points:
@@ -103,19 +102,19 @@ class _GroupView:
         spools = {sample.specimen.spool: None for sample in samples}
         names = [sample.specimen.spool for sample in samples]
         if len(spools) == 1 and len(samples) <= _MAX_DETAILED_SAMPLES:
-            names = list(map(key_of, samples))
+            names = list(map(make_key, samples))
         numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
         return {
-            key_of(sample): f"c{numbers[name] % COLOURS}"
+            make_key(sample): f"c{numbers[name] % N_COLOURS}"
             for sample, name in zip(samples, names, strict=True)
         }
 
     def colour(self, sample: Sample) -> str:
         """Return the class of a sample's colour."""
-        return self.colours[key_of(sample)]
+        return self.colours[make_key(sample)]
 
 
-def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
+def make_group_plots(group: Group, stem: str, tests: PageTests) -> list[Plot]:
     """Return the plots of a group on the page for which it has data.
 
     Parameters
@@ -133,7 +132,7 @@ def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
     return [plot for make in makers if (plot := make(view)) is not None]
 
 
-def file_panels(group: Group) -> dict[str, list[Plot]]:
+def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     """Return the plots of a group for files, by the name of the figure.
 
     Parameters
@@ -157,7 +156,7 @@ def file_panels(group: Group) -> dict[str, list[Plot]]:
     return {name: plots for name, plots in drawn.items() if plots}
 
 
-def first_loading(sample: Sample) -> SampleCurve | None:
+def find_first_loading(sample: Sample) -> SampleCurve | None:
     """Return the loading curve of the first cycle; None for a sample without curves."""
     return next((curve for curve in sample.loading if len(curve.displacement)), None)
 
@@ -168,20 +167,22 @@ def _value(sample: Sample, name: str) -> float | None:
 
 def _curve_plot(view: _GroupView) -> Plot | None:
     group, band = view.group, view.group.band
-    if all(first_loading(sample) is None for sample in group.samples):
+    if all(find_first_loading(sample) is None for sample in group.samples):
         return None
     lines = [
-        *band_lines(band, view.across.factor, view.up.factor),
+        *make_band_lines(band, view.across.factor, view.up.factor),
         *_rejected_lines(view),
         *(line for sample in group.samples for line in _sample_lines(view, sample)),
         *_window_lines(view),
-        *mean_lines(band, view.across.factor, view.up.factor),
+        *make_mean_lines(band, view.across.factor, view.up.factor),
         *(line for sample in group.samples for line in _event_lines(view, sample)),
     ]
-    x = axis_over("Displacement", view.across.unit, [line.x for line in lines])
+    x = make_axis("Displacement", view.across.unit, [line.x for line in lines])
     y = _force_axis(view, band)
-    title = f"Force against displacement of {count_of(len(group.samples), 'sample')}: {group.name}."
-    caption = sentence(band.reason.message) if band.reason else ""
+    title = (
+        f"Force against displacement of {write_count(len(group.samples), 'sample')}: {group.name}."
+    )
+    caption = write_sentence(band.reason.message) if band.reason else ""
     keys = _keys(view, lines, f"mean of {band.n} {band.members}")
     return Plot("curves", view.stem, title, caption, x, y, lines, keys, (660, 240))
 
@@ -212,7 +213,7 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
 def _sample_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
     """Yield first loading, other branches, and the measured force if slips were repaired."""
     test, colour = view.number(sample), view.colour(sample)
-    first = first_loading(sample)
+    first = find_first_loading(sample)
     others = [
         curve
         for curve in (*sample.loading, *sample.unloading)
@@ -240,7 +241,7 @@ def _line(
 
 def _rejected_lines(view: _GroupView) -> Iterator[Line]:
     for test in view.rejected:
-        first = first_loading(test.sample)
+        first = find_first_loading(test.sample)
         if first is not None:
             points = view.points.others
             yield _line(view, "rejected", test.number, (first, first.force), points=points)
@@ -264,7 +265,7 @@ def _window_lines(view: _GroupView) -> Iterator[Line]:
 
 def _event_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
     """Yield slips and failure of a test as dots on its curve."""
-    first = first_loading(sample)
+    first = find_first_loading(sample)
     if first is None:
         return
     finite = np.isfinite(first.displacement) & np.isfinite(first.force)
@@ -287,7 +288,7 @@ def _with_gaps(*columns: Floats) -> Floats:
     return np.column_stack([*columns, np.full(len(columns[0]), np.nan)]).ravel()
 
 
-def band_lines(
+def make_band_lines(
     band: Band, across: float, up: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
     """Yield the pointwise band of a mean curve as an area and the edges of the simultaneous band.
@@ -322,14 +323,14 @@ def _band_rows(band: Band, values: Floats) -> Ints:
     )
 
 
-def mean_lines(
+def make_mean_lines(
     band: Band, across: float, up: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
     """Yield a mean curve and, for few curves, its intervals at single displacements.
 
     Parameters
     ----------
-    band, across, up, look, group : as for `band_lines`
+    band, across, up, look, group : as for `make_band_lines`
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
@@ -396,8 +397,8 @@ def _shape_plot(view: _GroupView) -> Plot | None:
     if not lines:
         return None
     unit, width = view.across.unit, _SMALL_PLOT[0]
-    x_axis = axis_over("Along the specimen", unit, [line.x for line in lines])
-    y_axis = axis_over("Deflection", unit, [line.y for line in lines], room=0.06)
+    x_axis = make_axis("Along the specimen", unit, [line.x for line in lines])
+    y_axis = make_axis("Deflection", unit, [line.y for line in lines], room=0.06)
     ratio = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
     height = min(max(round(width * ratio), min_height), max_height)
     scale = max((x_axis.high - x_axis.low) / width, (y_axis.high - y_axis.low) / height)
@@ -405,7 +406,7 @@ def _shape_plot(view: _GroupView) -> Plot | None:
     shown = np.round(steps[-view.points.shapes :], 4) + 0.0
     deflections = ", ".join(f"{way * view.across.factor:.2g}" for way in shown)
     caption = f"Markers at {deflections} {unit} of the first loading, at equal axis scale."
-    title = f"Shapes of {count_of(len(lines), 'sample')} of {view.group.name}."
+    title = f"Shapes of {write_count(len(lines), 'sample')} of {view.group.name}."
     keys = _keys(view, lines)
     return Plot("shapes", view.stem, title, caption, x_axis, y_axis, lines, keys, (width, height))
 
@@ -417,7 +418,7 @@ def _spread(axis: Axis, span: float) -> Axis:
 
 def _moment_plot(view: _GroupView) -> Plot | None:
     """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
-    across, up = group_scale(view.group, "curvature"), group_scale(view.group, "moment")
+    across, up = find_group_unit(view.group, "curvature"), find_group_unit(view.group, "moment")
     samples_with_laws = [
         (sample, sample.law) for sample in view.group.samples if sample.law is not None
     ]
@@ -432,8 +433,8 @@ def _moment_plot(view: _GroupView) -> Plot | None:
             edge = np.concatenate([law.moment_upper, law.moment_lower[::-1]]) * up.factor
             areas.append(Line(f"band {colour}", outline, edge, test, is_closed=True))
         lines.append(Line(f"curve {colour}", x, law.moment * up.factor, test))
-    x_axis = axis_over("Curvature", across.unit, [line.x for line in lines])
-    y_axis = axis_over("Bending moment", up.unit, [line.y for line in (*areas, *lines)])
+    x_axis = make_axis("Curvature", across.unit, [line.x for line in lines])
+    y_axis = make_axis("Bending moment", up.unit, [line.y for line in (*areas, *lines)])
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
     title = f"Bending moment against curvature of {view.group.name}."
@@ -448,13 +449,13 @@ def _scaled_plot(view: _GroupView) -> Plot | None:
     if band is None:
         return None
     lines = [
-        *list(band_lines(band, view.across.factor, 1.0))[:1],
+        *list(make_band_lines(band, view.across.factor, 1.0))[:1],
         *(line for sample in view.group.samples for line in _scaled_lines(view, sample)),
-        *mean_lines(band, view.across.factor, 1.0),
+        *make_mean_lines(band, view.across.factor, 1.0),
     ]
     if not lines:
         return None
-    x = axis_over("Displacement", view.across.unit, [line.x for line in lines])
+    x = make_axis("Displacement", view.across.unit, [line.x for line in lines])
     y = _force_axis(view, band, is_scaled=True)
     title = f"Force over peak force against displacement of {view.group.name}."
     caption = "Force over the peak force of the same sample: the scatter shown is not of strength."
@@ -463,7 +464,7 @@ def _scaled_plot(view: _GroupView) -> Plot | None:
 
 
 def _scaled_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
-    first, peak = first_loading(sample), _value(sample, "peak_force.1")
+    first, peak = find_first_loading(sample), _value(sample, "peak_force.1")
     if first is None or not peak:
         return
     points = view.points.scaled
@@ -484,13 +485,13 @@ def _number_plots(group: Group) -> Iterator[Plot]:
         if number.mean is not None and number.mean.over_samples.n > 1
     ][:MAX_DOT_NUMBERS]
     drawn = {number.name for number in numbers}
-    rest = "; ".join(as_label(x.name) for x in first_cycle if x.name not in drawn)
+    rest = "; ".join(write_label(x.name) for x in first_cycle if x.name not in drawn)
     for number in numbers:
-        scale = shown_in(number.name, number.unit, display_of(group))
+        scale = find_display_unit(number.name, number.unit, find_display(group))
         names: dict[str, int] = {}
         lines = list(_dot_rows(group, number, scale.factor, names))
         values = [line.x for line in lines if not line.look.startswith("interval")]
-        x = clipped_axis(as_label(number.name), scale, lines, values)
+        x = make_clipped_axis(write_label(number.name), scale, lines, values)
         y = Axis("", "", 0.5 - len(names), 0.5, tuple(names))
         looks = {line.look.partition(" ")[0] for line in lines}
         keys = [Key(look, label) for look, label in _DOT_LABELS.items() if look in looks]
@@ -508,13 +509,15 @@ _DOT_LABELS = {
 }
 
 
-def clipped_axis(name: str, scale: Scale, lines: Sequence[Line], values: Sequence[Floats]) -> Axis:
+def make_clipped_axis(
+    name: str, scale: Scale, lines: Sequence[Line], values: Sequence[Floats]
+) -> Axis:
     """Return an axis with all values, and of wide intervals as much as leaves them apart."""
     margin = 0.03
     ends = np.concatenate([line.x for line in lines])
     low, high = clip_range(np.concatenate(values), ends, 1.0)
     room = margin * ((high - low) or abs(high) or 1.0)
-    return Axis(name, unit_words(scale.unit), low - room, high + room)
+    return Axis(name, typeset_unit(scale.unit), low - room, high + room)
 
 
 class DotRow(NamedTuple):
@@ -534,7 +537,9 @@ class DotRow(NamedTuple):
     group: str = ""
 
 
-def dot_with_bar(look: str, value: float, interval: Interval | None, row: DotRow) -> Iterator[Line]:
+def make_dot_lines(
+    look: str, value: float, interval: Interval | None, row: DotRow
+) -> Iterator[Line]:
     """Yield a number as a dot and its interval as a bar.
 
     Parameters
@@ -559,7 +564,7 @@ def _dot_rows(
     is_crowded = len(group.samples) > MAX_DOT_ROWS
     for at, spool in enumerate(spools):
         tests = [sample.test for sample in group.samples if sample.specimen.spool == spool]
-        colour = f"c{at % COLOURS}"
+        colour = f"c{at % N_COLOURS}"
         for place, test in enumerate(tests):
             name = f"{len(tests)} samples of {spool}" if is_crowded else test
             shift = (place / len(tests) - 0.5) * 0.7 if is_crowded else 0.0
@@ -569,11 +574,11 @@ def _dot_rows(
         mean = number.mean.spool_means.get(spool) if number.mean is not None else None
         if len(spools) > 1 and mean is not None:
             row = DotRow(-names.setdefault(f"mean of {spool}", len(names)), factor, colour)
-            yield from dot_with_bar("dot", mean.mean, mean.interval, row)
+            yield from make_dot_lines("dot", mean.mean, mean.interval, row)
     if number.mean is not None:
         mean = number.mean.chosen
         row = DotRow(-names.setdefault("mean", len(names)), factor)
-        yield from dot_with_bar("dot", mean.mean, mean.interval, row)
+        yield from make_dot_lines("dot", mean.mean, mean.interval, row)
 
 
 def _sample_dots(number: GroupNumber, test: str, row: DotRow, *, has_bar: bool) -> Iterator[Line]:
@@ -581,6 +586,6 @@ def _sample_dots(number: GroupNumber, test: str, row: DotRow, *, has_bar: bool) 
     if result is None or result.value is None:
         return
     look = "doubtful" if result.status is Status.DOUBTFUL else "sample"
-    yield from dot_with_bar(look, result.value, result.interval if has_bar else None, row)
+    yield from make_dot_lines(look, result.value, result.interval if has_bar else None, row)
     if any(outlier.sample == test for outlier in number.outliers):
         yield Line("ring", np.array([row.factor * result.value]), np.array([row.height]))

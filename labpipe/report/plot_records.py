@@ -7,14 +7,16 @@ to 65535 and the ends of both axes, from which the page's script enlarges the pl
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import floor, inf, isfinite, log10
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Interval
 
 FULL = 65535
@@ -43,12 +45,12 @@ class Axis:
         """Return name and unit, such as ``Force (N)``."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
-    def marks(self, most: int) -> list[tuple[float, str]]:
+    def find_ticks(self, most: int) -> list[tuple[float, str]]:
         """Return places along the axis from 0 to 1, and round numbers there; at most so many.
 
         Examples
         --------
-        >>> [text for _, text in Axis("Force", "N", -0.4, 10.4).marks(6)]
+        >>> [text for _, text in Axis("Force", "N", -0.4, 10.4).find_ticks(6)]
         ['0', '2', '4', '6', '8', '10']
         """
         nice_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
@@ -86,7 +88,7 @@ class Line:
     group: str = ""
     is_closed: bool = False
 
-    def steps(self, x: Axis, y: Axis) -> str:
+    def write_path(self, x: Axis, y: Axis) -> str:
         """Write the line as its first point and whole steps, with a new start after each gap.
 
         Parameters
@@ -96,7 +98,8 @@ class Line:
         Examples
         --------
         >>> axis = Axis("", "", 0.0, 65535.0)
-        >>> Line("curve", np.array([0.0, 9.0, 10.0]), np.array([5.0, 5.0, 9.0])).steps(axis, axis)
+        >>> line = Line("curve", np.array([0.0, 9.0, 10.0]), np.array([5.0, 5.0, 9.0]))
+        >>> line.write_path(axis, axis)
         'M0 65530l9 0 1-4'
         """
         finite = np.isfinite(self.x) & np.isfinite(self.y)
@@ -169,7 +172,7 @@ class Plot:
     heading: str = ""
 
 
-def axis_over(name: str, unit: str, values: Iterable[Floats], *, room: float = 0.03) -> Axis:
+def make_axis(name: str, unit: str, values: Iterable[Floats], *, room: float = 0.03) -> Axis:
     """Return an axis that shows all values, with a margin at both ends.
 
     Parameters
@@ -220,7 +223,7 @@ class Strip(NamedTuple):
     dots: tuple[int, ...]
 
 
-def mean_strip(
+def make_strip(
     ends: tuple[float, float], interval: Interval | None, mean: float, samples: Sequence[float] = ()
 ) -> Strip:
     """Place a mean, its interval and its samples on a scale.
@@ -245,7 +248,147 @@ def mean_strip(
     return Strip(place(mean) if isfinite(mean) else None, bar, dots)
 
 
-def sparkline(x: Floats, y: Floats) -> str:
+def write_sparkline(x: Floats, y: Floats) -> str:
     """Write a small curve without axes, which fills its frame."""
-    axes = axis_over("", "", [x], room=0.0), axis_over("", "", [y], room=0.05)
-    return Line("", x, y).steps(*axes)
+    axes = make_axis("", "", [x], room=0.0), make_axis("", "", [y], room=0.05)
+    return Line("", x, y).write_path(*axes)
+
+
+_Segment: TypeAlias = tuple[float, int, int, int]
+"""Negative distance of the furthest sample; first, furthest and last sample."""
+
+
+def find_extremes(values: Floats, *, bins: int) -> Ints:
+    """Return the samples of a thinned line that keeps its extremes.
+
+    Parameters
+    ----------
+    values : shape (n,), in order of drawing
+    bins : of equal length, at least 1
+
+    Returns
+    -------
+    Sorted sample numbers: the lowest and the highest sample of each bin, which keeps the width of
+    noise, its first NaN, which keeps gaps, and the two ends. All samples if there are at most
+    four per bin.
+
+    Raises
+    ------
+    ValueError
+        If `bins` is less than 1.
+    """
+    if bins < 1:
+        message = f"bins: expected at least 1, found {bins}"
+        raise ValueError(message)
+    count = len(values)
+    if count <= 4 * bins:
+        return np.arange(count, dtype=np.int64)
+    starts = np.linspace(0, count, bins + 1).astype(np.int64)
+    bin_number = np.repeat(np.arange(bins), np.diff(starts))
+    # sorted by bin, then by value: NaN is last within each bin
+    order = np.lexsort((values, bin_number))
+    blank = np.isnan(values)
+    n_finite = np.add.reduceat(~blank, starts[:-1])
+    highest = order[starts[:-1] + np.maximum(n_finite - 1, 0)]
+    gaps = np.flatnonzero(blank)
+    first_gaps = gaps[np.unique(bin_number[gaps], return_index=True)[1]]
+    ends = [0, count - 1]
+    return np.unique(np.concatenate([order[starts[:-1]], highest, first_gaps, ends]))
+
+
+def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: float = 0.002) -> Ints:
+    """Return the samples of a simplified line that keeps its shape.
+
+    Parameters
+    ----------
+    across, values : shape (n,), in order of drawing
+    points : at most, besides the ends of gaps, which are always kept
+    tolerance : invisible distance from the line, as a share of the range of the values
+
+    Returns
+    -------
+    Sorted sample numbers: the two ends, then repeatedly the sample furthest, along the values, from
+    the line through those kept so far, until none is further than the tolerance. Corners, steps
+    and the largest excursions of noise are kept; of a gap, its ends and its first NaN.
+
+    Notes
+    -----
+    Douglas and Peucker, Cartographica 10 (1973) 112, the furthest of all segments first.
+    """
+    finite = np.flatnonzero(np.isfinite(across) & np.isfinite(values))
+    if not len(finite):
+        return np.arange(min(len(values), 1), dtype=np.int64)
+    broken = np.flatnonzero(np.diff(finite) > 1)
+    starts = np.concatenate([finite[:1], finite[broken + 1]])
+    stops = np.concatenate([finite[broken], finite[-1:]])
+    rows = {*starts.tolist(), *stops.tolist(), *(finite[broken] + 1).tolist()}
+    max_distance = tolerance * float(np.ptp(values[finite]))
+    segments = [
+        _furthest_sample(across, values, int(start), int(stop))
+        for start, stop in zip(starts, stops, strict=True)
+    ]
+    heapq.heapify(segments)
+    while segments and len(rows) < points:
+        distance, start, furthest, stop = heapq.heappop(segments)
+        if -distance <= max_distance:
+            break
+        rows.add(furthest)
+        heapq.heappush(segments, _furthest_sample(across, values, start, furthest))
+        heapq.heappush(segments, _furthest_sample(across, values, furthest, stop))
+    return np.array(sorted(rows), dtype=np.int64)
+
+
+def _furthest_sample(across: Floats, values: Floats, start: int, stop: int) -> _Segment:
+    """Return the sample between two that is furthest from the line through them."""
+    if stop - start < 2:
+        return (0.0, start, start, stop)
+    x, y = across[start : stop + 1], values[start : stop + 1]
+    width = x[-1] - x[0]
+    # a vertical part is drawn sample by sample
+    share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
+    # two ufuncs take half as long as np.clip, and this runs 100 times a curve
+    share = np.minimum(np.maximum(share, 0.0), 1.0)
+    distance = np.abs(y - y[0] - (y[-1] - y[0]) * share)
+    furthest = int(np.argmax(distance))
+    return (-float(distance[furthest]), start, start + furthest, stop)
+
+
+def thin_flags(
+    flags: NDArray[np.uint8], rank: NDArray[np.uint8], *, bins: int
+) -> NDArray[np.uint8]:
+    """Thin flags along time, keeping the worst.
+
+    Parameters
+    ----------
+    flags : shape (frames, points)
+    rank : badness of each flag, by its number
+    bins : columns, at most
+
+    Returns
+    -------
+    Shape (columns, points): the flag of highest rank within each bin of frames.
+    """
+    frames = len(flags)
+    starts = np.unique(np.linspace(0, frames, min(bins, frames), endpoint=False).astype(np.int64))
+    badness = np.maximum.reduceat(rank[flags], starts, axis=0) if frames else rank[flags]
+    by_rank = np.argsort(rank).astype(np.uint8)
+    columns: NDArray[np.uint8] = by_rank[badness]
+    return columns
+
+
+def split_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
+    """Split a line into its sure part and its doubtful part, which is drawn lighter.
+
+    Parameters
+    ----------
+    sure : shape (n,), true up to some point, and at the first
+
+    Yields
+    ------
+    The points of a part, shape (n,), and its opacity.
+    """
+    yield sure, 1.0
+    if not sure.all():
+        doubtful = ~sure
+        doubtful[int(sure.sum()) - 1] = True
+        yield doubtful, 0.35
