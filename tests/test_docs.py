@@ -24,7 +24,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.reference import kinds_of_notes
+from labpipe.protocol.reference import list_note_kinds
 from labpipe.readers import READERS
 from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
 from labpipe.records.declarations import Step
@@ -323,7 +323,7 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
 
 @pytest.mark.slow
 def test_every_quality_note_has_a_record_and_no_other() -> None:
-    records = {(kind.code, str(one)) for kind in kinds_of_notes() for one in kind.severities}
+    records = {(kind.code, str(one)) for kind in list_note_kinds() for one in kind.severities}
     in_code = {pair for node in trees() for pair in noted(node)}
     in_code |= {pair for node in trees("statistics") for pair in noted(node, usual="info")}
     in_code |= {(f"slip_{decision}", "warning") for decision in SlipDecision}

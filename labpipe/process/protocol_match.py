@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
 from labpipe.process.reading import is_empty, join_exports, name_channels
-from labpipe.protocol.load import known_protocols, load_protocol
+from labpipe.protocol.load import list_protocols, load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Source
 from labpipe.readers import read_export
@@ -58,7 +58,7 @@ class Fit:
 def all_protocols() -> list[Protocol]:
     """Load all valid protocols; `labpipe check` reports the others."""
     loaded = []
-    for path in known_protocols().values():
+    for path in list_protocols().values():
         with suppress(LabpipeError):
             loaded.append(load_protocol(path))
     return loaded
@@ -202,8 +202,11 @@ def _signs(
     Within 5 % a size supports a protocol that states it; beyond 30 % it contradicts the protocol.
     """
     match_deviation, mismatch_deviation = 0.05, 0.3
-    for name in [name for name in names if _names_protocol(name, protocol.name)][:1]:
+    if name := _first_naming(protocol.name, names):
         yield format_sentence("process.sign_namesake", name=name), _DECISIVE_WEIGHT
+    texts = (str(text) for recording in recordings for text in recording.metadata.values())
+    if _is_standard(protocol.name) and (text := _first_naming(protocol.name, texts)):
+        yield format_sentence("process.sign_standard", name=text), _DECISIVE_WEIGHT
     sizes = [("length", "mm", length or np.nan, protocol.specimen.length)]
     for recording in recordings:
         sizes += _sizes(protocol, recording)
@@ -219,10 +222,18 @@ def _signs(
             yield "", -1
 
 
-def _names_protocol(name: str, protocol: str) -> bool:
-    """Check whether the words of a protocol's name follow each other in another name."""
-    name_words = "-".join(re.findall(r"[^\W_]+", name.casefold()))
-    return f"-{protocol.casefold()}-" in f"-{name_words}-"
+def _first_naming(protocol: str, texts: Iterable[str]) -> str:
+    """Return the first text in which the words of a protocol's name follow each other, or none."""
+    for text in texts:
+        words = "-".join(re.findall(r"[^\W_]+", text.casefold()))
+        if f"-{protocol.casefold()}-" in f"-{words}-":
+            return text
+    return ""
+
+
+def _is_standard(protocol: str) -> bool:
+    """Check whether a protocol is named after a standard, such as iso-6892."""
+    return re.search(r"\d{3,}", protocol) is not None
 
 
 def _sizes(

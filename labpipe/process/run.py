@@ -30,13 +30,13 @@ from labpipe.process.sanity_checks import instruments_of
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import (
     dump_protocol,
+    find_missing_exports,
     load_test_sheet,
-    missing_exports,
     parse_protocol,
     resolve,
 )
 from labpipe.protocol.schema import FigureName, Protocol
-from labpipe.protocol.values import is_name_of_a_test
+from labpipe.protocol.values import is_test_name
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
@@ -347,7 +347,7 @@ def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protoc
     """Read a test from its sheet and exports."""
     sheet = load_test_sheet(sheet_path)
     protocol = resolve(sheet, sheet_path, follow_links=follow_links)
-    if missing := missing_exports(sheet, sheet_path):
+    if missing := find_missing_exports(sheet, sheet_path):
         raise missing
     recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
     raw = RawTest(
@@ -366,7 +366,7 @@ def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protoc
 def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """Read a test from the raw group of an earlier result."""
     raw = read_raw(result_path)
-    if not is_name_of_a_test(raw.test):
+    if not is_test_name(raw.test):
         expected, found = "the name of a test, such as A2-085-1", repr(raw.test)
         raise StoreError.about(
             "process.bad_result", result_path, "test", expected=expected, found=found

@@ -21,7 +21,7 @@ from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import MARKER_READERS, ROLES
-from labpipe.protocol.values import has_control_characters, is_name_of_a_test
+from labpipe.protocol.values import has_control_characters, is_test_name
 from labpipe.readers import recognise_export
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.records.recording import Recording
@@ -571,10 +571,10 @@ def safe_name(name: str) -> str:
     >>> safe_name("Run 4, (2)"), safe_name("A2-085-1")
     ('Run-4-2', 'A2-085-1')
     """
-    if is_name_of_a_test(name):
+    if is_test_name(name):
         return name
     plain = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
-    return plain if is_name_of_a_test(plain) else f"test-{plain}"[:100]
+    return plain if is_test_name(plain) else f"test-{plain}"[:100]
 
 
 def _printable(name: str) -> str:

@@ -17,7 +17,7 @@ from labpipe.process.sheet_inference import (
     infer_tests,
 )
 from labpipe.protocol.load import find_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME, find_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Cell, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
@@ -237,7 +237,7 @@ def _faults(
 ) -> Iterator[str]:
     """Describe the faults of one test, each with its cell or option, except open values."""
     faults = [
-        fault for fault in test_sheet_faults(data) if not set(map(str, fault.path)) & set(left_open)
+        fault for fault in find_sheet_faults(data) if not set(map(str, fault.path)) & set(left_open)
     ]
     protocol = values.get("protocol")
     path = find_protocol(protocol, beside=beside or file.parent) if protocol else None

@@ -260,7 +260,7 @@ def _uncertainties(protocol: Protocol) -> dict[str, float]:
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
-    return of_results | (stated.stated if stated is not None else {})
+    return of_results | (stated.by_key if stated is not None else {})
 
 
 def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:

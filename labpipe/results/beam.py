@@ -230,7 +230,7 @@ class BendingStiffness(OfStiffness):
         return _FORMULAS[self.support][0]
 
     @staticmethod
-    def between(entry: Mapping[str, object]) -> Iterator[Fault]:
+    def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
         """Refuse a correction without its inputs."""
         corrections = entry.get("corrections")
         names = corrections if isinstance(corrections, list | tuple) else []

@@ -38,6 +38,7 @@ from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import require_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
+from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.linear_fits import fit_linear
 
 MIN_ELASTIC_SAMPLES = 8
@@ -58,7 +59,7 @@ class ElasticWindow:
     Parameters
     ----------
     start, stop : ends of a stated window; None for the longest straight part
-    of : what a stated window is counted in: strain from the toe, or share of the largest stress
+    of : what a stated window is counted in: strain, or share of the largest stress
     straight : least square of the correlation coefficient of the longest straight part
     """
 
@@ -75,11 +76,12 @@ class Pull:
     Parameters
     ----------
     time : shape (n,), s
-    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample and is NaN where
-        the extensometer is off
+    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from where
+        slack ends, and is NaN where the extensometer is off
     slope : Pa, of the elastic line; ``slope_estimate`` has its interval
     centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
     window : samples of the elastic line
+    is_straight : whether the line was sought as the longest straight part, not in a stated window
     noise : Pa, standard deviation of single samples of the stress
     strain_noise : 1, the same of the strain
     """
@@ -92,6 +94,7 @@ class Pull:
     centre: float
     level: float
     window: slice
+    is_straight: bool
     noise: float
     strain_noise: float
 
@@ -144,6 +147,8 @@ def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     force, displacement = trace.force[part], trace.displacement[part]
     stress = sense_of_loading(force) * force / compute_area(sizes)
     first = displacement[~np.isnan(displacement)][:1].sum()
+    if isinstance(test.slack, Measured):
+        first = 0.0  # the displacement is counted from where the specimen is taut
     strain = sense_of_loading(displacement) * (displacement - first) / find_gauge_length(sizes)
     window = _straight_part(strain, stress, choice)
     x, y = _few_samples(strain[window], stress[window])
@@ -161,6 +166,7 @@ def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         centre=float(x.mean()),
         level=float(fit.coefficients[0]),
         window=window,
+        is_straight=choice.start is None,
         noise=_noise(stress),
         strain_noise=_noise(strain),
     )
@@ -188,14 +194,7 @@ def _straight_part(strain: Floats, stress: Floats, choice: ElasticWindow) -> sli
         return _longest_straight(strain, stress, choice.straight)
     if choice.of == "strength":
         return _between(stress, choice.start * largest, choice.stop * largest)
-    toe = 0.0
-    for _ in range(3):  # strain is counted from the toe, which the line decides on
-        window = _between(strain, toe + choice.start, toe + choice.stop)
-        x, y = _few_samples(strain[window], stress[window])
-        require_samples(len(x), 3, " of the elastic line")
-        slope, level = np.polyfit(x, y, 1)
-        toe = -level / slope if slope > 0.0 else 0.0
-    return window
+    return _between(strain, choice.start, choice.stop)
 
 
 def _between(values: Floats, low: float, high: float) -> slice:
@@ -361,7 +360,10 @@ def _doubts_of_line(pull: Pull, number: Number) -> Iterator[Reason]:
     """Yield doubts about an elastic line that bends, or that the curve later rises above.
 
     Both occur if an extensometer slips or jumps, or if the specimen is bent: metals do not stiffen.
+    A line in a stated window is right by definition.
     """
+    if not pull.is_straight:
+        return
     lower, upper = (number(half) for half in _with_half_lines(pull))
     value, change = number(pull), upper - lower
     limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND

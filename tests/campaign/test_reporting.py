@@ -21,7 +21,7 @@ from labpipe.campaign.reporting import (
 from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
-from labpipe.protocol.load import known_protocols, load_protocol
+from labpipe.protocol.load import list_protocols, load_protocol
 from labpipe.protocol.schema import SpecimenBlock
 from labpipe.protocol.source import Section
 from labpipe.records.group import Sample

@@ -146,7 +146,7 @@ def test_a_fault_names_its_cell_and_nothing_is_written(
     own.mkdir()
     for protocol in ("wire-cantilever", "force-displacement", "markers-only"):
         shutil.copy(repository / "protocols" / f"{protocol}.yaml", own)
-    monkeypatch.setattr("labpipe.protocol.load.protocol_folders", lambda _: (own,))
+    monkeypatch.setattr("labpipe.protocol.load.list_protocol_folders", lambda _: (own,))
     text = BUNDLES if name == "bundles" else TABLE
     for old, new in FAULTS_OF_A_TABLE[name]:
         text = text.replace(old, new)

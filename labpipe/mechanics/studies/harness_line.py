@@ -40,8 +40,8 @@ from labpipe.protocol.harness_file import (
     String,
     Vector3,
     Waypoint,
-    path_of,
-    start_of,
+    compute_path,
+    find_line_start,
 )
 from labpipe.records.arrays import Floats
 
@@ -124,7 +124,7 @@ def _stations(harness: HarnessFile) -> Floats:
 
 
 def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
-    begin, direction = (np.array(vector) for vector in start_of(harness))
+    begin, direction = (np.array(vector) for vector in find_line_start(harness))
     spool = harness.line.spool
     if spool is None:
         positions = begin + stations[:, None] * direction
@@ -170,7 +170,7 @@ def _boundaries(
                 yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
                 node = nodes[boundary.name]
-                first = path_of(boundary, line.positions[node], steps)[0]
+                first = compute_path(boundary, line.positions[node], steps)[0]
                 path = _straight_path(first, boundary.anchor, boundary.by or steps, steps)
                 yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
@@ -220,7 +220,7 @@ def _ramp(by: int, steps: int) -> Floats:
 
 
 def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
-    position = path_of(boundary, line.positions[node], steps)
+    position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
         frame = _frames(boundary, line.frame_at(node), steps)

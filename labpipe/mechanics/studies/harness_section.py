@@ -34,7 +34,7 @@ from labpipe.mechanics.wire.law_family import (
     with_values,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
-from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock, find_named_file
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
@@ -101,7 +101,7 @@ def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> 
     if block.wire is not None:
         material = _wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _deck_material(block, file_beside(block.sliders, file))
+        material = _deck_material(block, find_named_file(block.sliders, file))
     else:
         material = _stiffness_material(block)
     return replace(material, distributions=_add_stated(material.distributions, harness))
@@ -164,12 +164,12 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
 
 
 def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
-    sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
+    sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
     spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
     files = [input_file("wires", sheet)]
     calibrated = None
     if block.calibration is not None:
-        path = file_beside(block.calibration, file)
+        path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(input_file("calibration", path))
     specs = _solution_specs(spec, calibrated)
