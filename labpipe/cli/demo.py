@@ -21,7 +21,7 @@ from labpipe.cli.terminal import shorten_path
 from labpipe.mechanics.studies.calibration_study import MODEL_FILE
 from labpipe.mechanics.studies.harness_section import DEFAULT_SHEET
 from labpipe.process.output_paths import find_tests
-from labpipe.protocol.load import load_test_sheet, shipped_folder
+from labpipe.protocol.load import find_shipped_folder, load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.virtual_lab import (
     SMALL_HARNESS,
@@ -142,7 +142,7 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
 
 def _write_harness_files(folder: Path, calibration: Path) -> list[Path]:
     """Copy the example lines; those of the calibrated wire use its calibration."""
-    examples = shipped_folder("examples")
+    examples = find_shipped_folder("examples")
     folder.mkdir(parents=True, exist_ok=True)
     copyfile(examples / DEFAULT_SHEET, folder / DEFAULT_SHEET)
     calibrated = f"{SHEET_SECTION[:-1]}, calibration: {os.path.relpath(calibration, folder)}}}"

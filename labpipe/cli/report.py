@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from labpipe.campaign.queries import escape_controls
-from labpipe.campaign.reporting import Reported, ReportOptions, report_tests
+from labpipe.campaign.reporting import ReportOptions, WrittenReport, report_tests
 from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_reading
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.process.output_paths import find_results
@@ -67,7 +67,7 @@ def _list_of(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
-def print_left_out(reported: Reported) -> int:
+def print_left_out(reported: WrittenReport) -> int:
     """Print the tests left out; return 2 for any of these, 1 for failed results, else 0."""
     for reason in reported.campaign.left_out.values():
         print(f"labpipe report: left out: {reason}", file=sys.stderr)
@@ -78,7 +78,7 @@ def print_left_out(reported: Reported) -> int:
     return 1 if failed else 0
 
 
-def format_report(reported: Reported) -> str:
+def format_report(reported: WrittenReport) -> str:
     """Lay out the main numbers of a report for a terminal.
 
     Parameters

@@ -7,7 +7,7 @@ import webbrowser
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import find_campaign_name
-from labpipe.campaign.reporting import ReportOptions, page_of_test, report_tests
+from labpipe.campaign.reporting import ReportOptions, make_test_page, report_tests
 from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import report_options
 from labpipe.cli.terminal import show_reading
@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     folder = shared_folder(find_results(options.paths))
     report = folder / REPORT_FOLDER if options.out is None else options.out
     site = Site(
-        folder, find_campaign_name(folder), report, lambda: _make(options, report), page_of_test
+        folder, find_campaign_name(folder), report, lambda: _make(options, report), make_test_page
     )
     with ReportServer(site, options.port) as server:
         if not (report / PAGE_FILE).is_file():

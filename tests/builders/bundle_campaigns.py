@@ -93,15 +93,13 @@ def grouped(samples: Sequence[Sample], *by: str) -> list[Group]:
 def bundle_campaign(samples: Sequence[Sample], *by: str, alone: str = "") -> Campaign:
     """A campaign with its differences."""
     groups = grouped(samples, *by)
-    wishes = {PROTOCOL: Groups(main=MAIN, margin=0.1)}
-    settings: dict[str, dict[str, str]] = {sample.source: {} for sample in samples}
-    differences = find_differences(groups, wishes, settings, by=by or (TYPE,), alone=alone)
-    campaign = Campaign(
-        "Synthetic bundles", tuple(groups), differences.listed, labpipe_version="0.0"
+    group_settings = {PROTOCOL: Groups(main=MAIN, margin=0.1)}
+    settings: dict[str, dict[str, str]] = {sample.test: {} for sample in samples}
+    differences, n_hidden = find_differences(
+        groups, group_settings, settings, by=by or (TYPE,), alone=alone
     )
-    return replace(
-        campaign, by=by or (TYPE,), compared=alone, pairs_not_shown=differences.pairs_not_shown
-    )
+    campaign = Campaign("Synthetic bundles", tuple(groups), differences, labpipe_version="0.0")
+    return replace(campaign, by=by or (TYPE,), compared=alone, pairs_not_shown=n_hidden)
 
 
 def conduit_cases() -> list[Sample]:

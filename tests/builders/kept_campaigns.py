@@ -15,7 +15,7 @@ from labpipe.campaign.executors import Outcome
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
 from labpipe.process.run import Task
-from labpipe.protocol.load import dump_protocol, known_protocols, load_test_sheet, resolve
+from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve
 
 SHEET = """\
 test: {name}

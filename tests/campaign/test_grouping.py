@@ -13,7 +13,7 @@ from labpipe.campaign.grouping import (
     GroupKey,
     check_fields,
     describe_differing_settings,
-    division,
+    divide_into_groups,
     find_differences,
     find_group_key,
     list_missing_fields,
@@ -82,10 +82,10 @@ def test_spools_of_one_name_belong_to_their_types() -> None:
 def test_lengths_of_one_type_are_two_groups_unless_asked_otherwise() -> None:
     sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
     samples = [bundle_sample(None, at, dimensions=own) for at, own in enumerate(sizes)]
-    found = division(samples)
+    found = divide_into_groups(samples)
     assert list(name_groups(list(found), ["type"]).values()) == ["tube, 85 mm", "tube, 100 mm"]
     assert [[each.specimen.sample for each in own] for own in found.values()] == [["0", "2"], ["1"]]
-    assert list(division(samples, ["type"])) == [GroupKey(("tube",), "taped-bundle")]
+    assert list(divide_into_groups(samples, ["type"])) == [GroupKey(("tube",), "taped-bundle")]
 
 
 NONE = bundle_of("19 B2", conduit="corrugated-tube", tape="none", taping="none")
@@ -135,12 +135,12 @@ def test_twenty_percent_apart_is_different() -> None:
 
 def test_tests_that_were_processed_otherwise_are_told() -> None:
     samples = [*three_of(NONE), *three_of(HALF_LAP)]
-    settings = {sample.source: {"results.kink.to": "5 mm"} for sample in samples}
-    settings[samples[0].source] = {"results.kink.to": "4 mm"}
+    settings = {sample.test: {"results.kink.to": "5 mm"} for sample in samples}
+    settings[samples[0].test] = {"results.kink.to": "4 mm"}
     wishes = {PROTOCOL: Groups(main=MAIN)}
-    differences = find_differences(grouped(samples), wishes, settings, by=("type",))
+    differences, _ = find_differences(grouped(samples), wishes, settings, by=("type",))
     message = "; the tests were processed with different settings: results.kink.to differ"
-    assert differences.listed[0].verdict_text.endswith(message)
+    assert differences[0].verdict_text.endswith(message)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pytest
 from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected
 from labpipe.campaign.report_samples import add_sizes, classify_results, make_sample
 from labpipe.campaign.reporting import (
-    RECIPE_FILE,
+    OPTIONS_FILE,
     ReportOptions,
     make_campaign,
     report_tests,
@@ -163,7 +163,7 @@ def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None
     made = ReportOptions(
         *("Tubes", ("spool",), "", tmp_path / "w.xlsx", letterhead, ("png",)), has_test_pages=True
     )
-    (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
+    (tmp_path / OPTIONS_FILE).write_text(made.text(tmp_path), encoding="utf-8")
     assert ReportOptions.read(tmp_path) == made
     typed = ReportOptions("Other", letterhead=Letterhead((("Order", "4712"),)))
     again = typed.or_earlier(ReportOptions.read(tmp_path))
@@ -257,6 +257,6 @@ def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them
 def test_numbers_that_the_rig_sets_and_that_can_be_negative(
     name: str, signed: set[str], is_set: bool
 ) -> None:
-    found = classify_results(load_protocol(known_protocols()[name]))
+    found = classify_results(load_protocol(list_protocols()[name]))
     assert found.signed == signed
     assert found.set_by_rig == ({"peak_displacement"} if is_set else set())

@@ -15,7 +15,7 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-from labpipe.campaign.reporting import Reported
+from labpipe.campaign.reporting import WrittenReport
 from labpipe.cli import BAD_INPUT, DONE, SOME_FAILED
 from labpipe.cli.demo import CAMPAIGNS, FIRST_LOOK, SHEET_SECTION
 from labpipe.cli.report import print_left_out
@@ -104,9 +104,9 @@ def test_query_into_files(run: Run, kept: KeptCampaign, tmp_path: Path) -> None:
     assert list(csv.DictReader(io.StringIO(shown))) == rows
 
 
-def reported(*groups: object, **more: object) -> Reported:
+def reported(*groups: object, **more: object) -> WrittenReport:
     campaign = replace(Campaign("Synthetic", groups), **more)  # type: ignore[arg-type]
-    return Reported(Path("report"), campaign, (Path("report/report.html"),))
+    return WrittenReport(Path("report"), campaign, (Path("report/report.html"),))
 
 
 def pulls(home: Path) -> Path:

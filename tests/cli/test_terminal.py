@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.campaign.reporting import Reported
+from labpipe.campaign.reporting import WrittenReport
 from labpipe.cli import BAD_INPUT, DONE
 from labpipe.cli.bundle import format_bundle
 from labpipe.cli.calibrate import format_calibration, format_comparisons
@@ -116,7 +116,7 @@ def of_group(*numbers: GroupNumber) -> list[str]:
     """What is said of a report with one group of six samples from two spools."""
     group = replace(build_group("tube", six_samples()), numbers=numbers)
     campaign = Campaign("Synthetic", (group,))
-    return format_report(Reported(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
+    return format_report(WrittenReport(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
 
 
 def test_means_in_the_display_unit(approved: Approve) -> None:
