@@ -291,14 +291,6 @@ def severity_of(node: ast.expr) -> str | None:
     return ast.unparse(node).partition(".")[2].lower() if is_one else None
 
 
-SEVERITIES = {
-    "info_note": "info",
-    "warning": "warning",
-    "doubtful": "warning",
-    "not_available": "error",
-    "blocking": "error",
-}
-"""Of the findings of a test, by the function that makes them."""
 CHOSEN = ("string_at_rest", "time_variable")
 """Notes whose severity depends on the recording."""
 
@@ -313,8 +305,6 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
     match name:
         case "QualityNote" | "note":
             yield text_of(given[0]), severity_of(given[1])
-        case "info_note" | "warning" | "doubtful" | "not_available" | "blocking":
-            yield text_of(given[0]), SEVERITIES[name]
         case "_note" | "group_note":
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
         case "_gap_notes":

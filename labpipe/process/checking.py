@@ -148,7 +148,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
         return None
     protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
     before = len(report.faults)
-    if protocol is not None and (results := needs_span(protocol)):
+    if protocol is not None and (results := results_needing_span(protocol)):
         listed = ", ".join(results)
         error = ProtocolError.about("process.span_missing", path, "specimen.span", results=listed)
         report.faults.append(str(error))
@@ -197,7 +197,7 @@ def _check_steps(
             prepared, _ = report.attempt(run, place=place) or (prepared, [])
 
 
-def needs_span(protocol: Protocol) -> list[str]:
+def results_needing_span(protocol: Protocol) -> list[str]:
     """List the results that need the span, if the protocol does not state it.
 
     Parameters

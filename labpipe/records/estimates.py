@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from math import hypot
-from typing import NoReturn, ParamSpec, Self, TypeVar
+from typing import ParamSpec, Self, TypeVar
 
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
@@ -53,16 +53,6 @@ class UnavailableError(Exception):
     def of(cls, name: str, /, **facts: object) -> Self:
         """Make the error from a template of a room: see `labpipe.records.quality.Reason.of`."""
         return cls(Failure.of(name, **facts))
-
-
-def fail(code: str, message: str) -> NoReturn:
-    """Raise `UnavailableError`.
-
-    Parameters
-    ----------
-    code, message : of the reason
-    """
-    raise UnavailableError(Failure(code, message))
 
 
 def return_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:

@@ -159,41 +159,6 @@ class Finding:
         return self.note.code
 
 
-def info_note(code: str, where: str, message: str) -> Finding:
-    """Make a note without consequences."""
-    return Finding(QualityNote(code, Severity.INFO, where, message))
-
-
-def warning(code: str, where: str, message: str) -> Finding:
-    """Make a note about a repair, or about data that should be checked."""
-    return Finding(QualityNote(code, Severity.WARNING, where, message))
-
-
-def not_available(code: str, where: str, message: str) -> Finding:
-    """Note that something asked for is not available."""
-    return Finding(QualityNote(code, Severity.ERROR, where, message))
-
-
-def doubtful(
-    code: str,
-    where: str,
-    message: str,
-    *quantities: str,
-    during: tuple[float, float] | None = None,
-    clock: str = "",
-) -> Finding:
-    """Make a note that results of some quantities are doubtful.
-
-    Parameters
-    ----------
-    code, where, message : of the note
-    quantities, during, clock : see `Doubt`
-    """
-    note = QualityNote(code, Severity.WARNING, where, message)
-    reason = Reason(code, message)
-    return Finding(note, tuple(Doubt(quantity, reason, during, clock) for quantity in quantities))
-
-
 def doubt_stretches(
     quantity: str, note: QualityNote, clock: str, *, max_stretches: int = 100
 ) -> Finding:
@@ -213,11 +178,6 @@ def doubt_stretches(
     return Finding(
         note, tuple(Doubt(quantity, reason, stretch, clock) for stretch in stretches or (None,))
     )
-
-
-def blocking(code: str, where: str, message: str) -> Finding:
-    """Note an error after which later stages are not available."""
-    return Finding(QualityNote(code, Severity.ERROR, where, message), blocks=True)
 
 
 @dataclass(frozen=True, slots=True)

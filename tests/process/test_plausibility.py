@@ -26,7 +26,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Interval, Shape
-from labpipe.records.quality import Finding, Findings, warning
+from labpipe.records.quality import Finding, Findings, QualityNote, Severity
 from labpipe.records.recording import Recording
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Clocks, Signal, Signals
@@ -237,13 +237,13 @@ def test_a_file_with_fewer_rows_than_it_promised(
     time, displacement, force = record.arrays()
     motion = Signal(time, displacement, "m", "frame")
     signals = Signals(raw={"displacement": motion, "force": Signal(time, force, "N", "frame")})
-    notes = Findings(tuple(warning(code, "frame: file", "rows are missing") for code in codes))
+    notes = [QualityNote(code, Severity.WARNING, "frame: file", "") for code in codes]
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     ends = find_cut_ends(
         signals,
         Motion(motion, branches, Clocks("frame")),
         is_full_stroke=is_full,
-        is_cut_file=file_is_cut(notes),
+        is_cut_file=file_is_cut(Findings(tuple(map(Finding, notes)))),
     )
     assert ends.get("force", np.inf) == pytest.approx(expected)
 

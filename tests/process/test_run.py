@@ -24,7 +24,7 @@ from labpipe.process.output_paths import (
     refuse_repeated,
 )
 from labpipe.process.run import Processed, Refused, Task, attempt, process_test
-from labpipe.process.sheet_inference import folders_of_tests, read_folder
+from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import InputFile, Specimen, TestResult
@@ -360,7 +360,7 @@ def test_folders_of_a_campaign(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
     for name in ("B", "A", ".git"):
         (tmp_path / name / "x.csv").write_text("x", encoding="utf-8")
-    assert folders_of_tests(tmp_path) == [tmp_path / "A", tmp_path / "B"]
+    assert list_test_folders(tmp_path) == [tmp_path / "A", tmp_path / "B"]
     (tmp_path / "test.yaml").write_text("test: x", encoding="utf-8")
-    assert folders_of_tests(tmp_path) == []
-    assert folders_of_tests(tmp_path / "A") == []
+    assert list_test_folders(tmp_path) == []
+    assert list_test_folders(tmp_path / "A") == []

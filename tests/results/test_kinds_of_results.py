@@ -8,7 +8,7 @@ import pytest
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtful
+from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, traced
@@ -23,6 +23,17 @@ class ByLine(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         raise test.unavailable(Failure("none", ""))
+
+
+def finding(
+    code: str,
+    message: str,
+    *quantities: str,
+    during: tuple[float, float] | None = None,
+    blocks: bool = False,
+) -> Finding:
+    note, reason = QualityNote(code, Severity.WARNING, "force", message), Reason(code, message)
+    return Finding(note, tuple(Doubt(x, reason, during, "force") for x in quantities), blocks)
 
 
 def evidence(*found: Finding) -> ReducedTest:
@@ -69,20 +80,20 @@ def test_no_number() -> None:
 
 def test_doubts_of_its_quantities() -> None:
     test = evidence(
-        doubtful("drift", "force", "the zero drifts", "force"),
-        doubtful("drift", "clock", "the clock drifts", "clock"),
+        finding("drift", "the zero drifts", "force"),
+        finding("drift", "the clock drifts", "clock"),
     )
     found = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
     assert found.status is Status.DOUBTFUL
     assert found.reason_text == "drift: the zero drifts; slip_in_window: at 6 mm"
-    twice = evidence(doubtful("turn", "travel", "not seen", "force", "displacement"))
+    twice = evidence(finding("turn", "not seen", "force", "displacement"))
     assert number(twice, Estimate(1.0, 0.1, 5)).reason_text == "turn: not seen"
 
 
 def test_what_stopped_the_test_comes_first() -> None:
     otherwise = Failure("no_cycle", "no branch")
     assert evidence().unavailable(otherwise).failure is otherwise
-    stopped = evidence(blocking("no_motion", "travel", "it spans 0.1 mm: too little"))
+    stopped = evidence(finding("no_motion", "it spans 0.1 mm: too little", blocks=True))
     assert stopped.unavailable(otherwise).failure == Failure(
         "no_motion", "it spans 0.1 mm: too little"
     )
@@ -134,8 +145,8 @@ def located(clocks: Clocks = APART) -> ReducedTest:
     signals = Signals()
     for name, clock in (("force", "force"), ("displacement", "markers")):
         signals = signals.add_signal(name, Signal(time, time, "N", clock))
-    found = doubtful("frozen", "force", "stands", "force", during=(40.0, 42.0), clock="force")
-    return ReducedTest(signals, clocks, findings=Findings((found,)))
+    frozen = finding("frozen", "stands", "force", during=(40.0, 42.0))
+    return ReducedTest(signals, clocks, findings=Findings((frozen,)))
 
 
 def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
@@ -159,8 +170,8 @@ def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
 
 
 def test_of_each_code_the_first_reason_counts() -> None:
-    more = doubtful("frozen", "force", "again", "force")
-    other = doubtful("drift", "force", "the zero drifts", "force")
+    more = finding("frozen", "again", "force")
+    other = finding("drift", "the zero drifts", "force")
     test = located()
     test = replace(test, findings=test.findings + iter((more, other)))
     assert test.why_doubtful("force") == (*FROZEN, Reason("drift", "the zero drifts"))
