@@ -42,8 +42,8 @@ from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.process.output_paths import (
     find_copies,
     find_results,
-    recording_of,
-    refuse_repeated,
+    identify_recording,
+    refuse_duplicates,
     shared_folder,
 )
 from labpipe.protocol.load import parse_protocol
@@ -304,12 +304,12 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
         tests.group_settings[result.protocol] = protocol.groups
         tests.result_kinds[result.protocol] = classify_results(protocol)
         tests.settings[sample.test] = list_settings(protocol)
-        recordings.append((file, recording_of(result, protocol)))
+        recordings.append((file, identify_recording(result, protocol)))
         tests.samples.append(sample)
     if not tests.samples:
         rejections = [f"{file}: rejected: {why}" for file, why in tests.rejected.items()]
         raise UsageError("\n".join([*tests.left_out.values(), *rejections]))
-    refuse_repeated([(sample.test, Path(sample.source)) for sample in tests.samples], "name")
+    refuse_duplicates([(sample.test, Path(sample.source)) for sample in tests.samples], "name")
     copies = find_copies(recordings)
     tests.samples = [sample for sample in tests.samples if sample.source not in copies]
     tests.left_out |= copies

@@ -66,7 +66,7 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     ran = run("new", tmp_path / "raw", "--from", sheet)
     assert ran.status == DONE
     assert ran.out.count("wrote ") == 2
-    assert ran.out.count("  not there yet: force.mat, take.csv\n") == 2
+    assert ran.out.count("  missing exports: force.mat, take.csv\n") == 2
     assert run("new", tmp_path / "raw", "--from", sheet).out.count("kept ") == 2
 
 
