@@ -11,11 +11,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import cache, cached_property
-from math import inf
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.catalog_rows import ResultRow, encodable
+from labpipe.campaign.catalog_rows import encodable
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, files_below
@@ -40,7 +39,6 @@ class Decision:
     decision : ``accept`` or ``reject``
     because, by : reason and person
     when : time of the decision, ISO 8601
-    note : why it was carried over from another key; empty if it was not
     """
 
     test: str
@@ -49,11 +47,10 @@ class Decision:
     because: str
     by: str
     when: str = ""
-    note: str = ""
 
     def as_json(self) -> dict[str, str]:
         """Return the entry of the decision in ``decisions.json``."""
-        return {key: text for key, text in asdict(self).items() if text or key != "note"}
+        return asdict(self)
 
     def describe(self) -> str:
         """Describe a decision by its reason, person and time."""
@@ -274,55 +271,6 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
 def now() -> str:
     """Return the time in the format of decisions."""
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
-
-
-def largest_change(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> float:
-    """Return the largest relative change between two sets of results of a test.
-
-    Parameters
-    ----------
-    before, after : earlier and later results
-
-    Returns
-    -------
-    The largest change of a value, divided by the width of its earlier interval; infinite if a
-    result was added or removed, lost or gained its value, or changed without an interval.
-    """
-    if [row.name for row in before] != [row.name for row in after]:
-        return inf
-    largest = 0.0
-    for then, now in zip(before, after, strict=True):
-        if then.value == now.value:
-            continue
-        if then.value is None or now.value is None or then.lower is None or then.upper is None:
-            return inf
-        width = then.upper - then.lower
-        largest = max(largest, abs(now.value - then.value) / width if width > 0.0 else inf)
-    return largest
-
-
-def carry_over(
-    decision: Decision, run: str, before: Sequence[ResultRow], after: Sequence[ResultRow]
-) -> Decision | None:
-    """Carry a decision over to results of a newer labpipe on the same inputs.
-
-    Parameters
-    ----------
-    decision : on the earlier results
-    run : key of the later results
-    before, after : earlier and later results
-
-    Returns
-    -------
-    The same decision on the new key, with a note; None if a value changed by more than a tenth of
-    its interval, so that a person must decide again.
-    """
-    max_change = 0.1
-    change = largest_change(before, after)
-    if change > max_change:
-        return None
-    note = format_sentence("campaign.carried_over", run=decision.run, change=change)
-    return replace(decision, run=run, note=note)
 
 
 def find_decision_folder(test: Path, shared: Path) -> Path:

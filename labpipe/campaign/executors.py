@@ -19,7 +19,6 @@ from labpipe.process.output_paths import refuse_duplicates
 from labpipe.process.run import (
     Processed,
     Refused,
-    Say,
     Task,
     attempt,
     find_results_folder,
@@ -206,7 +205,7 @@ def process_tests(
     follow_links: bool = False,
     jobs: int = 1,
     limit: float | None = None,
-    begin: Callable[[Path], Say] = lambda _: lambda _: None,
+    on_outcome: Callable[[Path], None] = lambda _: None,
 ) -> list[Processed | Refused]:
     """Process tests; a faulty one does not stop the others.
 
@@ -217,8 +216,7 @@ def process_tests(
     figures : whether figures of a test are drawn
     jobs : number of tests at the same time; each of several has its own process
     limit : s, time limit of each of several tests; None for no limit
-    begin : called with a single test at its start, or with each of several at its end; returns a
-        function that is called with each stage of a single test, or with ``done``
+    on_outcome : called with each test at its end
 
     Returns
     -------
@@ -242,11 +240,11 @@ def process_tests(
     if len(tests) == 1:
         return [
             *outcomes.values(),
-            *(attempt(task, begin(task.sheet), is_alone=True) for task in tasks),
+            *(attempt(task, is_alone=True) for task in tasks),
         ]
     with closing(run_as_completed(attempt, tasks, jobs=jobs, limit=limit)) as completed:
         for task, future in completed:
-            begin(task.sheet)("done")
+            on_outcome(task.sheet)
             try:
                 outcomes[task.sheet] = future.result()
             except ProcessDied as died:

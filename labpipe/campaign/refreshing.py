@@ -44,9 +44,7 @@ from labpipe.campaign.decisions import (
     REJECT,
     Decision,
     DecisionFile,
-    add_decisions,
     applicable_decision,
-    carry_over,
     find_unapplied_decisions,
     read_decisions,
 )
@@ -300,7 +298,7 @@ class CatalogSync:
         ):
             return None if content == stored else Entry(row, new_state, is_row_unchanged=True)
         outcome = read_outcome(folder, files)
-        rejection = self._find_or_carry_rejection(outcome, row)
+        rejection = self._find_rejection(folder, _last_key(outcome.row))
         return replace(
             outcome, row=_complete_row(outcome, present, rejection), file_state=new_state
         )
@@ -321,38 +319,6 @@ class CatalogSync:
     def _find_rejection(self, folder: str, run: str) -> Decision | None:
         decision = applicable_decision(self._decisions.by_test.get(folder, ()), run=run)
         return decision if decision is not None and decision.decision == REJECT else None
-
-    def _find_or_carry_rejection(self, outcome: Entry, row: TestRow | None) -> Decision | None:
-        """Find the rejection of a test.
-
-        First carry its last decision over if only the processing version changed.
-        """
-        folder, key = outcome.row.folder, _last_key(outcome.row)
-        decisions_by_key = {made.run: made for made in self._decisions.by_test.get(folder, ())}
-        if (
-            row is not None
-            and row.run in decisions_by_key
-            and key not in {"", *decisions_by_key}
-            and outcome.row.state != FAILED
-            and self._has_same_inputs(row, outcome)
-            and not self.catalog.in_memory
-        ):
-            before = self.catalog.read_results(folder)
-            carried = carry_over(decisions_by_key[row.run], key, before, outcome.results)
-            if carried is not None:
-                add_decisions(self.campaign.processed, self.campaign.name, [carried])
-                self.read_decisions()
-        return self._find_rejection(folder, key)
-
-    def _has_same_inputs(self, row: TestRow, outcome: Entry) -> bool:
-        """Return whether exports, sheet and protocol of a test are those of its row."""
-        hashes = (outcome.row.sheet, outcome.row.resolved)
-        return (
-            all(hashes)
-            and hashes == (row.sheet, row.resolved)
-            and not row.failed_run
-            and self.catalog.read_inputs(row.folder) == outcome.inputs
-        )
 
 
 def _last_key(row: TestRow) -> str:

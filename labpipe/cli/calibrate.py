@@ -18,7 +18,6 @@ from labpipe.process.output_paths import find_results
 from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
-    CurveMatch,
     ExternalCurveComparison,
     Identifiability,
 )
@@ -140,7 +139,7 @@ def _group(group: ValidationGroup) -> str:
 
 
 def format_comparisons(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:
-    """Lay out external curves for a terminal.
+    """Describe external curves for a terminal.
 
     Parameters
     ----------
@@ -148,32 +147,22 @@ def format_comparisons(comparisons: Sequence[ExternalCurveComparison]) -> list[s
 
     Returns
     -------
-    A heading, a line for each curve and comparison, and the notes; nothing without curves.
+    A line for each curve and comparison, and the notes.
     """
-    max_name_width = 28
-    if not comparisons:
-        return []
-    names = [_shortened(comparison.curve.name, max_name_width) for comparison in comparisons]
-    width = max(map(len, (*names, "external curve")))
-    heading = f"  {'external curve':<{width}}  {'compared with':<22}{'points':>8}{'rms mN':>9}"
-    lines = ["", f"{heading}{'of peak':>9}{'in band':>9}"]
-    for name, comparison in zip(names, comparisons, strict=True):
-        specimen = f"{comparison.curve.wire}, {1e3 * comparison.curve.length:.4g} mm"
-        for compared_with, match in (("tests", comparison.tests), ("model", comparison.model)):
-            if match is not None:
-                row = f"  {name:<{width}}  {f'{compared_with} of {specimen}':<22}"
-                lines.append(f"{row}{_numbers(match)}")
-    notes = [note for comparison in comparisons for note in comparison.notes]
-    return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]
-
-
-def _shortened(name: str, width: int) -> str:
-    return name if len(name) <= width else f"{name[: width - 1]}…"
-
-
-def _numbers(match: CurveMatch) -> str:
-    errors = match.errors
-    if errors is None:
-        return f"{0:>8}{'-':>9}{'-':>9}{'-':>9}"
-    inside = _percent(errors.inside, 3) if math.isfinite(errors.inside) else "-"
-    return f"{errors.n:>8}{_cells(errors.rmse, _percent(errors.rmse_share), inside)}"
+    lines = []
+    for comparison in comparisons:
+        curve = comparison.curve
+        specimen = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
+        for reference, match in (("tests", comparison.tests), ("model", comparison.model)):
+            if match is None:
+                continue
+            errors = match.errors
+            text = "no common points"
+            if errors is not None:
+                text = f"{errors.n} points, rms {_rounded(1e3 * errors.rmse, 3)} mN"
+                text += f" ({_percent(errors.rmse_share)} of the peak)"
+                if math.isfinite(errors.inside):
+                    text += f", {_percent(errors.inside, 3)} in the band"
+            lines.append(f"  {curve.name}, compared with {reference} of {specimen}: {text}")
+        lines += [f"  {note.severity}: {note.where}: {note.message}" for note in comparison.notes]
+    return lines

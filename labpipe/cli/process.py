@@ -14,7 +14,7 @@ from labpipe.cli.terminal import (
     count_statuses,
     format_result,
     shorten_path,
-    show_stages,
+    show_completed,
 )
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused
@@ -67,7 +67,8 @@ def process_all(
     processed : the processed tests
     refused : number of tests that were refused
     """
-    with show_stages(len(tests)) as begin:
+    with show_completed("test") as (begin, show):
+        begin(len(tests))
         outcomes = process_tests(
             tests,
             out=out,
@@ -76,7 +77,7 @@ def process_all(
             follow_links=follow_links,
             jobs=jobs or default_jobs(),
             limit=limit,
-            begin=begin,
+            on_outcome=lambda test: show(test.parent.name),
         )
     for outcome in outcomes:
         if isinstance(outcome, Refused):

@@ -38,31 +38,6 @@ def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]
 
 
 @contextmanager
-def show_stages(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
-    """Show the progress of tests: a bar on a terminal, a line each in a pipe.
-
-    Parameters
-    ----------
-    count : of tests
-
-    Yields
-    ------
-    begin : call it with each test; it returns a function to call at the start of each stage
-    """
-    stages, numbers = ("read", "process", "write", "draw"), itertools.count()
-    with progress_bar("stage", count * len(stages)) as bar:
-
-        def begin(test: Path) -> Callable[[str], None]:
-            number = next(numbers)
-            bar.n = number * len(stages)
-            if bar.disable:
-                print(f"{number + 1}/{count} {test.parent.name}", file=sys.stderr)
-            return lambda stage: _advance(bar, f"{test.parent.name}: {stage}")
-
-        yield begin
-
-
-@contextmanager
 def show_completed(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
     """Show what has ended, in any order: a bar on a terminal, a line each in a pipe.
 

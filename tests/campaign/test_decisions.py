@@ -10,13 +10,12 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.catalog_rows import OK, REJECTED, STALE, ResultRow
+from labpipe.campaign.catalog_rows import OK, REJECTED, STALE
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
     import_decision_file,
     import_decisions,
-    largest_change,
     read_decisions,
     read_decisions_on,
 )
@@ -135,52 +134,6 @@ def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampai
     assert after["remark"] == "by hand"
     assert after["decisions"][:3] == mine
     assert len(after["decisions"]) == 5
-
-
-@pytest.mark.parametrize(("shift", "is_carried"), [(0.09, True), (0.11, False)])
-def test_a_decision_is_carried_over_to_a_newer_way_of_processing(
-    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch, shift: float, *, is_carried: bool
-) -> None:
-    old = decide(kept.folders, "T1", REJECT)
-    monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", 1000)
-    monkeypatch.setattr("labpipe.campaign.content_keys._hash_code", lambda: "newer")
-    assert read_overview(kept.folders).rows["T1"].why == "newer labpipe"
-    kept.stand_in.shift = shift
-    kept.run()
-    row = read_overview(kept.folders).rows["T1"]
-    assert (row.state, row.why == REJECT.because) == (REJECTED, is_carried)
-    assert row.run != old.run
-    decisions = written(kept)["decisions"]
-    assert [entry.get("note", "").partition(": only the")[0] for entry in decisions[1:]] == [
-        f"carried over from {old.run}"
-    ] * is_carried
-    before = content_of(kept)
-    rebuild(kept.folders)
-    assert content_of(kept) == before
-    assert written(kept)["decisions"] == decisions
-
-
-ROW = ResultRow("peak", 10.0, "N", 9.0, 11.0, 0.95, 10.0, "ok", "", "")
-
-
-INFINITE = float("inf")
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "moved"),
-    [
-        ({}, {"value": 10.2}, pytest.approx(0.1)),
-        ({}, {"name": "other"}, INFINITE),
-        ({}, {"value": None}, INFINITE),
-        ({}, {"value": 9.0}, 0.5),
-        ({"lower": None}, {"value": 10.1}, INFINITE),
-        ({"upper": 9.0}, {"value": 10.1}, INFINITE),
-    ],
-)
-def test_the_largest_change(before: dict[str, Any], after: dict[str, Any], moved: float) -> None:
-    assert largest_change([replace(ROW, **before)], [replace(ROW, **after)]) == moved
-    assert largest_change([ROW, ROW], [ROW]) == INFINITE
-    assert largest_change([], []) == 0.0
 
 
 @pytest.fixture(scope="module")
