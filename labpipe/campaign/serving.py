@@ -31,7 +31,7 @@ from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server
 from labpipe.report.page_tables import name_page_file
 from labpipe.report.wording import write_count
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
 LOOPBACK_ADDRESS: Final = "127.0.0.1"
 REPORT_FOLDER: Final = "report"
@@ -240,7 +240,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     def _read_body(self) -> bytes:
         max_bytes = 5_000_000
         header = self.headers.get("Content-Length", "")
-        length = whole_number(header)
+        length = parse_count(header)
         if length is None or length > max_bytes:
             self.close_connection = True
             found = header[:20] or "no length"
