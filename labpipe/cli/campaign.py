@@ -1,4 +1,4 @@
-"""Run the actions of ``labpipe campaign`` and print their results."""
+"""``labpipe campaign``: process many tests, query their results, decide on tests."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _run(
             ),
         )
     _print_notes(summary.overview)
-    print(_run_report(campaign, summary))
+    print(_format_run(campaign, summary))
     return _exit_status(summary.overview)
 
 
@@ -70,10 +70,12 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         files = list_file_use(sync, overview)
     _print_notes(overview)
     if options.json:
-        print(json.dumps(_as_json(campaign, overview, files), indent=2))
+        print(json.dumps(_format_json(campaign, overview, files), indent=2))
     else:
         print(
-            "\n".join([_state_counts_line(campaign, overview), *_attention_lines(overview, files)])
+            "\n".join(
+                [_format_state_counts(campaign, overview), *_format_attention(overview, files)]
+            )
         )
     return _exit_status(overview)
 
@@ -142,7 +144,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
     overview = rebuild(campaign)
     _print_notes(overview)
-    print(_state_counts_line(campaign, overview))
+    print(_format_state_counts(campaign, overview))
     return _exit_status(overview)
 
 
@@ -179,9 +181,9 @@ def _exit_status(overview: Overview) -> int:
     return 1 if overview.has_failed_results else 0
 
 
-def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
+def _format_run(campaign: CampaignFolders, summary: RunSummary) -> str:
     done, total = len(summary.processed), len(summary.overview.rows)
-    lines = [_state_counts_line(campaign, summary.overview), f"  processed {done} of {total}"]
+    lines = [_format_state_counts(campaign, summary.overview), f"  processed {done} of {total}"]
     if summary.elsewhere:
         names = ", ".join(summary.elsewhere[:3]) + (" ..." if len(summary.elsewhere) > 3 else "")
         lines.append(f"  processed by another labpipe: {len(summary.elsewhere)}: {names}")
@@ -189,11 +191,11 @@ def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
     lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
     if len(failed) > _MAX_LISTED:
         lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
-    lines += _unapplied_decisions(summary.overview)
+    lines += _format_unapplied(summary.overview)
     return "\n".join(map(escape_controls, lines))
 
 
-def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
+def _format_state_counts(campaign: CampaignFolders, overview: Overview) -> str:
     counts = overview.counts
     states = (
         ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
@@ -201,31 +203,31 @@ def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
     return escape_controls(f"{campaign.name}: {states}  ->  {shorten_path(campaign.processed)}")
 
 
-def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[str]:
+def _format_attention(overview: Overview, files: dict[str, list[str]]) -> list[str]:
     """List tests that need attention by state, then unapplied decisions and unknown files."""
     lines: list[str] = []
     running = {
         folder: f"process {claim.pid} on {claim.machine}"
         for folder, claim in overview.claims.items()
     }
-    descriptions: dict[str, Callable[[TestRow], str]] = {
+    descriptions_by_state: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
         RUNNING: lambda row: running[row.folder],
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
-    for state, describe in descriptions.items():
+    for state, describe in descriptions_by_state.items():
         rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
-        lines += _section_lines(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
-    lines += _unapplied_decisions(overview)
-    lines += _section_lines("unknown files", files["unknown"])
+        lines += _format_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
+    lines += _format_unapplied(overview)
+    lines += _format_section("unknown files", files["unknown"])
     return lines
 
 
-def _unapplied_decisions(overview: Overview) -> list[str]:
+def _format_unapplied(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
-    return _section_lines(
+    return _format_section(
         "decisions not applied",
         [
             f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
@@ -234,7 +236,7 @@ def _unapplied_decisions(overview: Overview) -> list[str]:
     )
 
 
-def _section_lines(heading: str, lines: list[str]) -> list[str]:
+def _format_section(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
     more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
@@ -245,7 +247,7 @@ def _section_lines(heading: str, lines: list[str]) -> list[str]:
     ]
 
 
-def _as_json(
+def _format_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
