@@ -18,7 +18,7 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
-from labpipe.campaign.refreshing import Overview, list_file_use, open_campaign
+from labpipe.campaign.refreshing import Overview, find_unknown_files, open_campaign
 from labpipe.campaign.running import (
     RunSummary,
     clear_failures,
@@ -67,14 +67,17 @@ def _run(
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
-        files = list_file_use(sync, overview)
+        unknown_files = find_unknown_files(sync, overview)
     _print_notes(overview)
     if options.json:
-        print(json.dumps(_format_json(campaign, overview, files), indent=2))
+        print(json.dumps(_format_json(campaign, overview, unknown_files), indent=2))
     else:
         print(
             "\n".join(
-                [_format_state_counts(campaign, overview), *_format_attention(overview, files)]
+                [
+                    _format_state_counts(campaign, overview),
+                    *_format_attention(overview, unknown_files),
+                ]
             )
         )
     return _exit_status(overview)
@@ -203,7 +206,7 @@ def _format_state_counts(campaign: CampaignFolders, overview: Overview) -> str:
     return escape_controls(f"{campaign.name}: {states}  ->  {shorten_path(campaign.processed)}")
 
 
-def _format_attention(overview: Overview, files: dict[str, list[str]]) -> list[str]:
+def _format_attention(overview: Overview, unknown_files: list[str]) -> list[str]:
     """List tests that need attention by state, then unapplied decisions and unknown files."""
     lines: list[str] = []
     running = {
@@ -221,7 +224,7 @@ def _format_attention(overview: Overview, files: dict[str, list[str]]) -> list[s
         rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
         lines += _format_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
     lines += _format_unapplied(overview)
-    lines += _format_section("unknown files", files["unknown"])
+    lines += _format_section("unknown files", unknown_files)
     return lines
 
 
@@ -248,7 +251,7 @@ def _format_section(heading: str, lines: list[str]) -> list[str]:
 
 
 def _format_json(
-    campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
+    campaign: CampaignFolders, overview: Overview, unknown_files: list[str]
 ) -> dict[str, Any]:
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     tests = {
@@ -269,6 +272,6 @@ def _format_json(
         "tests": tests,
         "running": running,
         "decisions_not_applied": not_applied,
-        "files": files,
+        "unknown_files": unknown_files,
         "notes": overview.notes,
     }
