@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -70,7 +69,6 @@ class Outcome:
     code : of the failure, or of the first result that is not ok; else empty
     reason : its message
     run : key of the results, or of the failed attempt; empty if not known
-    seconds : duration
     """
 
     sheet: Path
@@ -79,7 +77,6 @@ class Outcome:
     code: str = ""
     reason: str = ""
     run: str = ""
-    seconds: float = 0.0
 
 
 def process_task(task: Task) -> Outcome:
@@ -93,17 +90,15 @@ def process_task(task: Task) -> Outcome:
     -------
     Its outcome, also if it fails.
     """
-    start = time.perf_counter()
     done = attempt(task)
-    seconds = time.perf_counter() - start
     if isinstance(done, Refused):
-        return _make_failed_outcome(done, seconds)
+        return _make_failed_outcome(done)
     result = done.result
     bad = next((entry for entry in result.results if entry.status is not Status.OK), None)
     if bad is None:
-        return Outcome(task.sheet, done.folder, "ok", run=result.run, seconds=seconds)
+        return Outcome(task.sheet, done.folder, "ok", run=result.run)
     code, reason = bad.reasons[0].code, f"{bad.name}: {bad.reasons[0].message}"
-    return Outcome(task.sheet, done.folder, "doubtful", code, reason, result.run, seconds)
+    return Outcome(task.sheet, done.folder, "doubtful", code, reason, result.run)
 
 
 def await_outcome(task: Task, call: Callable[[], Outcome]) -> Outcome:
@@ -140,9 +135,9 @@ def record_failure(task: Task, error: LabpipeError) -> Outcome:
     return _make_failed_outcome(refuse(task, error.code, str(error), is_read=False))
 
 
-def _make_failed_outcome(refused: Refused, seconds: float = 0.0) -> Outcome:
+def _make_failed_outcome(refused: Refused) -> Outcome:
     return Outcome(
-        refused.test, refused.folder, "failed", refused.code, refused.reason, refused.run, seconds
+        refused.test, refused.folder, "failed", refused.code, refused.reason, refused.run
     )
 
 

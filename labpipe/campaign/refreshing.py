@@ -348,11 +348,8 @@ def _complete_row(outcome: Entry, content: Content | None, rejection: Decision |
     )
 
 
-USED, WAITING, UNKNOWN = "used", "waiting", "unknown"
-
-
-def list_file_use(sync: CatalogSync, overview: Overview) -> dict[str, list[str]]:
-    """List the files of a campaign by use.
+def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
+    """Find the files below the exports of a campaign that belong to no test.
 
     Parameters
     ----------
@@ -361,36 +358,20 @@ def list_file_use(sync: CatalogSync, overview: Overview) -> dict[str, list[str]]
 
     Returns
     -------
-    Sorted paths below the campaign: ``used`` (in results), ``waiting`` (of a test to process),
-    ``failed`` (of a failed test) and ``unknown`` (in no test sheet).
+    Sorted paths below the campaign. The files that a test sheet names, the campaign YAML and the
+    exports that it pairs are known.
     """
-    files_by_use: dict[str, list[str]] = {USED: [], WAITING: [], FAILED: [], UNKNOWN: []}
-    use_by_file: dict[str, str] = {}
-    for folder, sheet in overview.raw.sheets.items():
-        state = overview.state_of(folder)
-        use = WAITING if state in {PENDING, STALE, RUNNING} else USED
-        use = FAILED if state == FAILED else use
-        for name in sync.list_files(folder, sheet):
-            use_by_file[f"{folder}/{name}" if folder else name] = use
-    use_by_file = _find_use_by_plan(sync) | use_by_file
-    for file in overview.raw.files:
-        files_by_use[use_by_file.get(file, UNKNOWN)].append(file)
-    return {use: sorted(files) for use, files in files_by_use.items()}
-
-
-def _find_use_by_plan(sync: CatalogSync) -> dict[str, str]:
-    """Find the use of the campaign YAML and of the exports that it pairs."""
     raw = sync.campaign.raw
-    if not (raw / PLAN_NAME).is_file():
-        return {}
-    use_by_file = {PLAN_NAME: USED}
-    try:
-        listing = list_candidates(raw, read_plan(raw))
-    except (LabpipeError, OSError):  # `labpipe check` reports the fault
-        return use_by_file
-    for candidate in listing.candidates:
-        if candidate.by_role or not candidate.sheet.exists():
-            use = USED if candidate.sheet.exists() else WAITING
-            files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
-            use_by_file |= {path.relative_to(raw).as_posix(): use for path in files}
-    return use_by_file
+    known = {
+        f"{folder}/{name}" if folder else name
+        for folder, sheet in overview.raw.sheets.items()
+        for name in sync.list_files(folder, sheet)
+    }
+    if (raw / PLAN_NAME).is_file():
+        known.add(PLAN_NAME)
+        with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
+            for candidate in list_candidates(raw, read_plan(raw)).candidates:
+                if candidate.by_role or not candidate.sheet.exists():
+                    files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
+                    known |= {path.relative_to(raw).as_posix() for path in files}
+    return sorted(file for file in overview.raw.files if file not in known)

@@ -1,4 +1,4 @@
-"""``labpipe calibrate``."""
+"""``labpipe calibrate``: fit the wire model to processed cantilever tests."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from labpipe.records.wire_calibration import (
     Identifiability,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.report.wording import make_number_writer
+from labpipe.report.wording import make_number_writer, write_count
 
-_DOUBTED = {
+_DOUBTFUL_VERDICTS = {
     Identifiability.NOT,
     Identifiability.TWO,
     Identifiability.AT_BOUND,
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def format_calibration(done: Calibrated) -> str:
-    """Lay out a calibration for a terminal.
+    """Format a calibration for a terminal.
 
     Parameters
     ----------
@@ -69,20 +69,20 @@ def format_calibration(done: Calibrated) -> str:
     """
     calibration = done.calibration
     lines = [
-        f"{calibration.wire}: {calibration.n_points} points of {calibration.n_samples} "
-        f"sample{'s' * (calibration.n_samples != 1)}, rms "
-        f"{_rounded(1e3 * calibration.rmse, 3)} mN ({_percent(calibration.rmse_share)} of the "
-        f"largest force)"
+        f"{calibration.wire}: {calibration.n_points} points of "
+        f"{write_count(calibration.n_samples, 'sample')}, "
+        f"rms {_format_rounded(1e3 * calibration.rmse, 3)} mN "
+        f"({_format_percent(calibration.rmse_share)} of the largest force)"
     ]
     parameters = calibration.parameters
-    lines += [_parameter(parameter) for parameter in parameters]
+    lines += [_format_parameter(parameter) for parameter in parameters]
     explanations = [parameter.explanation for parameter in parameters if parameter.explanation]
     conflicts = [parameter.conflict.message for parameter in parameters if parameter.conflict]
     lines += [f"  {message}" for message in (*explanations, *conflicts)]
     if calibration.friction_separability is not None:
         lines.append(f"  {calibration.friction_separability.explanation}")
     heading = f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'role'}"
-    lines += ["", heading, *map(_group, done.groups), *format_comparisons(done.comparisons)]
+    lines += ["", heading, *map(_format_group, done.groups), *format_comparisons(done.comparisons)]
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in calibration.notes
@@ -92,11 +92,11 @@ def format_calibration(done: Calibrated) -> str:
     return "\n".join(lines)
 
 
-def _parameter(parameter: CalibratedParameter) -> str:
+def _format_parameter(parameter: CalibratedParameter) -> str:
     factor, unit = DISPLAYED[parameter.name]
     if math.isnan(parameter.value):
         return f"  {parameter.name:<20}{'-':>10} {unit:<4} has no effect"
-    mark = "?" if parameter.verdict in _DOUBTED else " "
+    mark = "?" if parameter.verdict in _DOUBTFUL_VERDICTS else " "
     enclosing = next(
         (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper), None
     )
@@ -114,32 +114,34 @@ def _parameter(parameter: CalibratedParameter) -> str:
     return f"{line} 95 %: {parts}  {parameter.verdict}"
 
 
-def _rounded(number: float, digits: int) -> str:
+def _format_rounded(number: float, digits: int) -> str:
     """Write a number with some digits, never in scientific notation."""
     return np.format_float_positional(float(f"{number:.{digits}g}"), trim="-")
 
 
-def _percent(share: float, digits: int = 2) -> str:
-    return f"{_rounded(100.0 * share, digits)} %"
+def _format_percent(share: float, digits: int = 2) -> str:
+    return f"{_format_rounded(100.0 * share, digits)} %"
 
 
-def _cells(rmse: float, share: str, inside: str) -> str:
-    """Lay out the columns of errors, always with a space between them."""
-    return f" {_rounded(1e3 * rmse, 3):>8} {share:>8} {inside:>8}"
+def _format_errors(rmse: float, share: str, inside: str) -> str:
+    """Format the columns of errors, with a space between them."""
+    return f" {_format_rounded(1e3 * rmse, 3):>8} {share:>8} {inside:>8}"
 
 
-def _group(group: ValidationGroup) -> str:
+def _format_group(group: ValidationGroup) -> str:
     role = "calibrating" if group.is_calibrated else "predicted"
     head = f"  {f'{group.wire}, {1e3 * group.length:.4g} mm':<14}{len(group.samples):>8}"
     errors = group.errors
     if errors is None:
         return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {group.reason or ''}"
-    cells = _cells(errors.rmse, _percent(errors.rmse_share), _percent(errors.inside, 3))
+    cells = _format_errors(
+        errors.rmse, _format_percent(errors.rmse_share), _format_percent(errors.inside, 3)
+    )
     return f"{head}{cells}  {role}"
 
 
 def format_comparisons(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:
-    """Describe external curves for a terminal.
+    """Format the comparisons with external curves for a terminal.
 
     Parameters
     ----------
@@ -159,10 +161,10 @@ def format_comparisons(comparisons: Sequence[ExternalCurveComparison]) -> list[s
             errors = match.errors
             text = "no common points"
             if errors is not None:
-                text = f"{errors.n} points, rms {_rounded(1e3 * errors.rmse, 3)} mN"
-                text += f" ({_percent(errors.rmse_share)} of the peak)"
+                text = f"{errors.n} points, rms {_format_rounded(1e3 * errors.rmse, 3)} mN"
+                text += f" ({_format_percent(errors.rmse_share)} of the peak)"
                 if math.isfinite(errors.inside):
-                    text += f", {_percent(errors.inside, 3)} in the band"
+                    text += f", {_format_percent(errors.inside, 3)} in the band"
             lines.append(f"  {curve.name}, compared with {reference} of {specimen}: {text}")
         lines += [f"  {note.severity}: {note.where}: {note.message}" for note in comparison.notes]
     return lines

@@ -1,4 +1,4 @@
-"""Run the actions of ``labpipe campaign`` and print their results."""
+"""``labpipe campaign``: process many tests, query their results, decide on tests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
-from labpipe.campaign.refreshing import Overview, list_file_use, open_campaign
+from labpipe.campaign.refreshing import Overview, find_unknown_files, open_campaign
 from labpipe.campaign.running import (
     RunSummary,
     clear_failures,
@@ -60,20 +60,25 @@ def _run(
             ),
         )
     _print_notes(summary.overview)
-    print(_run_report(campaign, summary))
+    print(_format_run(campaign, summary))
     return _exit_status(summary.overview)
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
-        files = list_file_use(sync, overview)
+        unknown_files = find_unknown_files(sync, overview)
     _print_notes(overview)
     if options.json:
-        print(json.dumps(_as_json(campaign, overview, files), indent=2))
+        print(json.dumps(_format_json(campaign, overview, unknown_files), indent=2))
     else:
         print(
-            "\n".join([_state_counts_line(campaign, overview), *_attention_lines(overview, files)])
+            "\n".join(
+                [
+                    _format_state_counts(campaign, overview),
+                    *_format_attention(overview, unknown_files),
+                ]
+            )
         )
     return _exit_status(overview)
 
@@ -142,7 +147,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
     overview = rebuild(campaign)
     _print_notes(overview)
-    print(_state_counts_line(campaign, overview))
+    print(_format_state_counts(campaign, overview))
     return _exit_status(overview)
 
 
@@ -179,9 +184,9 @@ def _exit_status(overview: Overview) -> int:
     return 1 if overview.has_failed_results else 0
 
 
-def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
+def _format_run(campaign: CampaignFolders, summary: RunSummary) -> str:
     done, total = len(summary.processed), len(summary.overview.rows)
-    lines = [_state_counts_line(campaign, summary.overview), f"  processed {done} of {total}"]
+    lines = [_format_state_counts(campaign, summary.overview), f"  processed {done} of {total}"]
     if summary.elsewhere:
         names = ", ".join(summary.elsewhere[:3]) + (" ..." if len(summary.elsewhere) > 3 else "")
         lines.append(f"  processed by another labpipe: {len(summary.elsewhere)}: {names}")
@@ -189,11 +194,11 @@ def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
     lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
     if len(failed) > _MAX_LISTED:
         lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
-    lines += _unapplied_decisions(summary.overview)
+    lines += _format_unapplied(summary.overview)
     return "\n".join(map(escape_controls, lines))
 
 
-def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
+def _format_state_counts(campaign: CampaignFolders, overview: Overview) -> str:
     counts = overview.counts
     states = (
         ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
@@ -201,31 +206,31 @@ def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
     return escape_controls(f"{campaign.name}: {states}  ->  {shorten_path(campaign.processed)}")
 
 
-def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[str]:
+def _format_attention(overview: Overview, unknown_files: list[str]) -> list[str]:
     """List tests that need attention by state, then unapplied decisions and unknown files."""
     lines: list[str] = []
     running = {
         folder: f"process {claim.pid} on {claim.machine}"
         for folder, claim in overview.claims.items()
     }
-    descriptions: dict[str, Callable[[TestRow], str]] = {
+    descriptions_by_state: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
         RUNNING: lambda row: running[row.folder],
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
-    for state, describe in descriptions.items():
+    for state, describe in descriptions_by_state.items():
         rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
-        lines += _section_lines(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
-    lines += _unapplied_decisions(overview)
-    lines += _section_lines("unknown files", files["unknown"])
+        lines += _format_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
+    lines += _format_unapplied(overview)
+    lines += _format_section("unknown files", unknown_files)
     return lines
 
 
-def _unapplied_decisions(overview: Overview) -> list[str]:
+def _format_unapplied(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
-    return _section_lines(
+    return _format_section(
         "decisions not applied",
         [
             f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
@@ -234,7 +239,7 @@ def _unapplied_decisions(overview: Overview) -> list[str]:
     )
 
 
-def _section_lines(heading: str, lines: list[str]) -> list[str]:
+def _format_section(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
     more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
@@ -245,8 +250,8 @@ def _section_lines(heading: str, lines: list[str]) -> list[str]:
     ]
 
 
-def _as_json(
-    campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
+def _format_json(
+    campaign: CampaignFolders, overview: Overview, unknown_files: list[str]
 ) -> dict[str, Any]:
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     tests = {
@@ -267,6 +272,6 @@ def _as_json(
         "tests": tests,
         "running": running,
         "decisions_not_applied": not_applied,
-        "files": files,
+        "unknown_files": unknown_files,
         "notes": overview.notes,
     }

@@ -1,4 +1,4 @@
-"""``labpipe process``."""
+"""``labpipe process``: exports to results and figures."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ from labpipe.cli.terminal import (
     shorten_path,
     show_completed,
 )
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
 from labpipe.report.wording import find_display_unit
 from labpipe.store.summaries import build_summary
-
-_FINISHED = "completed a replacement of files that a killed process had left unfinished"
 
 
 def run(options: argparse.Namespace) -> int:
@@ -60,7 +59,7 @@ def process_all(
     png: bool = False,
     follow_links: bool = False,
 ) -> tuple[list[Processed], int]:
-    """Process tests, and print why any are refused.
+    """Process tests, and print why some are refused.
 
     Returns
     -------
@@ -83,13 +82,14 @@ def process_all(
         if isinstance(outcome, Refused):
             print(f"labpipe process: {outcome.reason}", file=sys.stderr)
         elif outcome.finished:
-            print(f"labpipe process: {outcome.folder}: {_FINISHED}", file=sys.stderr)
+            completed = format_sentence("cli.replacement_completed")
+            print(f"labpipe process: {outcome.folder}: {completed}", file=sys.stderr)
     processed = [outcome for outcome in outcomes if isinstance(outcome, Processed)]
     return processed, len(outcomes) - len(processed)
 
 
 def format_test(processed: Processed) -> str:
-    """Lay out the results of one test for a terminal.
+    """Format the results of one test for a terminal.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ def format_test(processed: Processed) -> str:
     quantities: dict[str, list[Result]] = {}  # energy.1, energy.2, ... together
     for quantity in result.results:
         quantities.setdefault(quantity.name.partition(".")[0], []).append(quantity)
-    for several in quantities.values():
-        lines += _lines(several, dict(result.display), width)
+    for cycles in quantities.values():
+        lines += _format_quantity(cycles, dict(result.display), width)
     reasons: dict[str, list[str]] = {}
     for quantity in result.results:
         if quantity.reasons:
@@ -117,12 +117,12 @@ def format_test(processed: Processed) -> str:
             )
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
     warnings = [note for note in result.quality if note.severity != "info"]
-    lines += [f"  {note.severity}: {_placed(note)}" for note in warnings]
+    lines += [f"  {note.severity}: {_format_note(note)}" for note in warnings]
     return "\n".join(lines)
 
 
-def _placed(note: QualityNote) -> str:
-    """Return the message of a note, with its place in front unless it begins with it."""
+def _format_note(note: QualityNote) -> str:
+    """Format a note: its place and message, unless the message begins with the place."""
     has_place = note.message.startswith(note.where.partition(",")[0])
     return note.message if has_place else f"{note.where}: {note.message}"
 
@@ -139,18 +139,18 @@ def format_headline(processed: Processed) -> str:
     return f"{result.test}  ({result.protocol}): {counts}  ->  {shorten_path(processed.folder)}"
 
 
-def _lines(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Lay out one line per result; of many cycles the first ones and the range of the rest."""
+def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
+    """Format a line per cycle; of many cycles, the first ones and the range of the others."""
     max_lines = 8
     if len(results) <= max_lines:
         return [format_result(result, display, width) for result in results]
-    rest = results[max_lines // 2 :]
-    values = [result.value for result in rest if result.value is not None]
+    others = results[max_lines // 2 :]
+    values = [result.value for result in others if result.value is not None]
     lines = [format_result(result, display, width) for result in results[: max_lines // 2]]
     if values:
         display_scale = find_display_unit(results[0].name, results[0].unit, display)
         low, high = display_scale.factor * min(values), display_scale.factor * max(values)
         span = f"{low:.5g} to {high:.5g} {display_scale.unit}"
-        name = f"... to {rest[-1].name}"
-        lines.append(f"  {name:<{width}} {span} ({len(rest)} more in summary.json)")
+        name = f"... to {others[-1].name}"
+        lines.append(f"  {name:<{width}} {span} ({len(others)} more in summary.json)")
     return lines

@@ -1,4 +1,4 @@
-"""``labpipe report``."""
+"""``labpipe report``: means, figures and tables of many tests."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from labpipe.report.wording import describe_counts
 
 def run(options: argparse.Namespace) -> int:
     """Report processed tests in a page, figures and a workbook."""
-    files, wanted = find_results(options.paths), report_options(options)
+    files, recipe = find_results(options.paths), parse_report_options(options)
     with show_reading(len(files)) as say:
-        reported = report_tests(files, out=options.out, say=say, options=wanted)
+        reported = report_tests(files, out=options.out, say=say, options=recipe)
     print(format_report(reported))
     return print_left_out(reported)
 
 
-def report_options(options: argparse.Namespace) -> ReportOptions:
-    """Read what a report shows from the options.
+def parse_report_options(options: argparse.Namespace) -> ReportOptions:
+    """Convert the options of a command to those of a report.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     UsageError
         If a format of figures is unknown, or the logo is not a PNG or JPEG of the allowed size.
     """
-    formats = _list_of(getattr(options, "figures", ""))
+    formats = _split_list(getattr(options, "figures", ""))
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         raise UsageError.about(
@@ -53,7 +53,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     logo = "" if options.logo is None else read_logo(options.logo)
     return ReportOptions(
         title=options.title,
-        by=_list_of(options.by),
+        by=_split_list(options.by),
         alone=options.compare,
         wires=options.wire,
         letterhead=Letterhead(tuple((name, text) for name, text in entries.items() if text), logo),
@@ -62,13 +62,18 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     )
 
 
-def _list_of(text: str) -> tuple[str, ...]:
+def _split_list(text: str) -> tuple[str, ...]:
     """Split a comma-separated option."""
     return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
 def print_left_out(reported: WrittenReport) -> int:
-    """Print the tests left out; return 2 for any of these, 1 for failed results, else 0."""
+    """Print the tests that are left out.
+
+    Returns
+    -------
+    Exit status: 2 if any are left out, 1 if a result failed, else 0.
+    """
     for reason in reported.campaign.left_out.values():
         print(f"labpipe report: left out: {reason}", file=sys.stderr)
     if reported.campaign.left_out:
@@ -79,7 +84,7 @@ def print_left_out(reported: WrittenReport) -> int:
 
 
 def format_report(reported: WrittenReport) -> str:
-    """Lay out the main numbers of a report for a terminal.
+    """Format the main numbers of a report for a terminal.
 
     Parameters
     ----------
@@ -94,7 +99,7 @@ def format_report(reported: WrittenReport) -> str:
         lines.append(f"{group.name}  ({group.protocol}): {describe_counts(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
         width = compute_name_width(number.name for number in group.numbers)
-        lines += [_mean_line(number, display, width) for number in group.numbers]
+        lines += [_format_mean(number, display, width) for number in group.numbers]
         lines.append("")
     for file, why in reported.campaign.rejected.items():
         lines.append(
@@ -108,13 +113,13 @@ def format_report(reported: WrittenReport) -> str:
     return "\n".join(lines)
 
 
-def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
+def _format_mean(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
     mean = number.mean.chosen if number.mean is not None else None
     value = mean.mean if mean is not None else None
     interval = mean.interval if mean is not None else None
     status = Status.FAILED if value is None else Status.OK
     reasons = (Reason("no_samples", "no sample has this result"),) if value is None else ()
-    as_result = Result(
+    result = Result(
         number.name,
         value,
         number.unit,
@@ -124,4 +129,4 @@ def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> s
         estimate=mean.estimate if mean is not None else None,
     )
     missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
-    return f"{format_result(as_result, display, width)}{missing}"
+    return f"{format_result(result, display, width)}{missing}"

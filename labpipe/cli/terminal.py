@@ -1,4 +1,4 @@
-"""Terminal output that commands share: progress, and the line of a result."""
+"""Terminal output of several commands: progress bars, paths, and the line of a result."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from labpipe.report.wording import find_display_unit, make_number_writer
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-_MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
+_STATUS_MARKS = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 DIGITS = 5
 """Significant digits of a number without an interval."""
 
 
 @contextmanager
 def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]]:
-    """Show a bar of progress on a terminal; in a pipe it is disabled.
+    """Show a progress bar on a terminal; in a pipe it is disabled.
 
     Parameters
     ----------
-    unit : what is counted
-    total : number of these; None if it is not known yet
+    unit : of the count, such as ``test``
+    total : final count; None if it is not known yet
     """
     from tqdm import tqdm
 
@@ -39,16 +39,16 @@ def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]
 
 @contextmanager
 def show_completed(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
-    """Show what has ended, in any order: a bar on a terminal, a line each in a pipe.
+    """Show completed tests or other things: a bar on a terminal, a line each in a pipe.
 
     Parameters
     ----------
-    unit : what is counted
+    unit : of the count, such as ``test``
 
     Yields
     ------
-    begin : call it with the total number
-    show : call it with a text on each thing that has ended
+    begin : call it with the final count
+    show : call it with a text whenever one is completed
     """
     done = itertools.count(1)
     with progress_bar(unit) as bar:
@@ -83,7 +83,7 @@ def _advance(bar: tqdm[NoReturn], text: str) -> None:
 
 
 def shorten_path(path: Path) -> Path:
-    """Return a path relative to the working folder, if it is below it.
+    """Return a path relative to the working folder if it is below that.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def shorten_path(path: Path) -> Path:
 
 
 def compute_name_width(names: Iterable[str]) -> int:
-    """Return the column width for the names of a table."""
+    """Return the width of the column for names."""
     min_width = 26
     return max(min_width, *(len(name) for name in names), 0)
 
@@ -111,7 +111,7 @@ def count_statuses(results: Iterable[Result]) -> str:
 
 
 def format_result(result: Result, display: Mapping[str, str], width: int) -> str:
-    """Lay out a result with its interval and its largest contribution, in its display unit.
+    """Format a result with its interval and its largest contribution, in its display unit.
 
     Parameters
     ----------
@@ -121,16 +121,16 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     """
     interval_width = 26
     factor, unit = find_display_unit(result.name, result.unit, display)
-    mark = _MARK[result.status]
+    mark = _STATUS_MARKS[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
-    written = make_number_writer(result.value, result.interval, factor, DIGITS)
-    line = f"{mark} {result.name:<{width}}{written(result.value):>12} {unit:<6}"
+    write = make_number_writer(result.value, result.interval, factor, DIGITS)
+    line = f"{mark} {result.name:<{width}}{write(result.value):>12} {unit:<6}"
     if result.interval is None:
         return line
-    interval = f"95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
+    interval = f"95 %: {write(result.interval.lower)} to {write(result.interval.upper)}"
     if result.distinct_estimate is not None:
-        interval = f"estimate {written(result.distinct_estimate)}, {interval}"
+        interval = f"estimate {write(result.distinct_estimate)}, {interval}"
     if result.largest_share is None:
         return f"{line} {interval}"
     cause, share = result.largest_share

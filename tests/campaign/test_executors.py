@@ -110,10 +110,10 @@ def test_closing_waits_for_started_calls_only(tmp_path: Path) -> None:
 
 def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
-    late, second = run_all(calls, jobs=2, limit=1.0)
+    late, second = run_all(calls, jobs=2, limit=5.0)
     with pytest.raises(ProcessDied) as died:
         late.result()
-    assert died.value.limit == 1.0
+    assert died.value.limit == 5.0
     assert second.result() == 2
 
 
@@ -170,7 +170,6 @@ def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
     assert said.state == "doubtful"
     assert said.code == reason["code"]
     assert said.reason == f"{first['name']}: {reason['message']}"
-    assert said.seconds > 0.0
 
 
 def test_what_came_of_a_process(tmp_path: Path) -> None:

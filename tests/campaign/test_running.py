@@ -18,7 +18,7 @@ import pytest
 from labpipe.campaign.campaign_folders import find_outcome
 from labpipe.campaign.catalog_rows import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.refreshing import list_file_use, open_campaign
+from labpipe.campaign.refreshing import find_unknown_files, open_campaign
 from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_test
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.store.summaries import FailedTest, write_failure
@@ -351,7 +351,7 @@ pair: {by: name, from: incoming, exports: {frame: "{test}_frame.csv"}}
 """
 
 
-def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
+def test_find_unknown_files(tmp_path: Path) -> None:
     kept = KeptCampaign(tmp_path)
     kept.add("T1")
     kept.add("T2", "fail bad_sheet")
@@ -364,13 +364,8 @@ def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
     for name in (*odd, "T1/photo.jpg", "notes \x07.txt"):
         (kept.raw / name).write_text("", "utf-8")
     with open_campaign(kept.folders) as sync:
-        files = list_file_use(sync, sync.refresh())
-    assert files == {
-        "used": ["T1/frame.csv", "T1/test.yaml", "campaign.yaml", odd[0]],
-        "waiting": ["T4/test.yaml", odd[1], "more/T3/frame.csv", "more/T3/test.yaml"],
-        "failed": ["T2/frame.csv", "T2/test.yaml"],
-        "unknown": ["T1/photo.jpg", "T4/frame.csv", odd[2], "notes \x07.txt"],
-    }
+        files = find_unknown_files(sync, sync.refresh())
+    assert files == ["T1/photo.jpg", "T4/frame.csv", odd[2], "notes \x07.txt"]
 
 
 @pytest.fixture
