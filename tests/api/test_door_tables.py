@@ -82,7 +82,7 @@ def test_a_row_per_test_and_result(campaign: Path) -> None:
     assert pd.isna(taped["date"])
 
 
-def test_fields_that_are_asked_for_come_first_and_sort(campaign: Path) -> None:
+def test_fields_of_by_come_first_and_sort_the_rows(campaign: Path) -> None:
     assert list(table(campaign, by="taping"))[:2] == ["test", "taping"]
     frame = table(campaign, by=["length", "type"])
     assert list(frame)[:3] == ["test", "length", "type"]
@@ -105,7 +105,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_summary_is_left_out_and_said(name: str, campaign: Path) -> None:
+def test_damaged_summary_is_left_out_with_warning(name: str, campaign: Path) -> None:
     content, found = DAMAGED[name]
     bad = put(campaign, replace(MADE, test="bad"))
     bad.write_text(content, encoding="utf-8")
@@ -184,7 +184,7 @@ def test_values_of_results(result: TestResult) -> None:
     assert frame.loc["residual_displacement.1", "estimate"] == 0.0031
 
 
-def test_results_as_they_are_shown() -> None:
+def test_results_in_display_units() -> None:
     results = [
         Result("energy.1", 0.02, "J", Interval(0.01, 0.03), estimate=0.021),
         Result("clock_drift", 5e-5, "1"),
@@ -260,7 +260,7 @@ def test_recordings_have_a_table_for_each_clock_and_body(result: TestResult) -> 
     assert repr(raw) == f"<labpipe recordings: {', '.join(names)}>"
 
 
-def test_a_recording_that_is_not_there(result: TestResult) -> None:
+def test_unknown_recording_is_refused(result: TestResult) -> None:
     with pytest.raises(UsageError, match=r"raw: expected one of .*markers, .*found 'marker'\. `li"):
         Recordings(result.recordings)["marker"]
     with pytest.raises(UsageError, match=r"raw: expected recordings, found none\. Process the"):

@@ -37,7 +37,7 @@ def test(result: TestResult) -> Test:
     return Test(result)
 
 
-def test_what_a_test_says_of_itself(test: Test, result: TestResult) -> None:
+def test_facts_of_a_test(test: Test, result: TestResult) -> None:
     assert (test.name, test.protocol, test.operator) == ("A2-085-1", "wire-cantilever", "lab")
     assert (test.date, test.instruments, test.folder) == (date(2026, 3, 4), (), None)
     assert test.specimen.dimensions == {"length": 0.085}
@@ -47,7 +47,7 @@ def test_what_a_test_says_of_itself(test: Test, result: TestResult) -> None:
     assert test._repr_html_().startswith("<div>")
 
 
-def test_display_converts_and_leaves_the_test_alone(test: Test) -> None:
+def test_display_does_not_change_the_test(test: Test) -> None:
     shown = test.display
     assert shown.results.loc["residual_displacement.1", "unit"] == "mm"
     assert shown.results.loc["residual_displacement.1", "value"] == pytest.approx(3.1)
@@ -58,7 +58,7 @@ def test_display_converts_and_leaves_the_test_alone(test: Test) -> None:
     assert shown.budget("peak_force.1").equals(test.budget("peak_force.1"))
 
 
-def test_shapes_and_recordings_are_read_when_they_are_asked_for(result: TestResult) -> None:
+def test_shapes_and_recordings_are_read_on_first_use(result: TestResult) -> None:
     asked = []
 
     def whole() -> TestResult:
@@ -74,7 +74,7 @@ def test_shapes_and_recordings_are_read_when_they_are_asked_for(result: TestResu
     assert asked == [1]
 
 
-def test_names_that_are_not_there(test: Test) -> None:
+def test_unknown_names_are_refused(test: Test) -> None:
     with pytest.raises(UsageError, match=r"A2-085-1: expected a result such as peak_force\.1, .*"):
         test.budget("peak_forse.1")
     with pytest.raises(UsageError, match=r"expected a figure such as .*wire-shapes.*found 'shape'"):
@@ -83,7 +83,7 @@ def test_names_that_are_not_there(test: Test) -> None:
         test.dataset("raw")
 
 
-def test_stages_that_are_not_there(result: TestResult) -> None:
+def test_missing_parts_are_refused(result: TestResult) -> None:
     note = QualityNote("no_branches", Severity.ERROR, "force", "The motion never turns.")
     bare = Test(replace(result, curve=None, shape=None, quality=(note,)))
     with pytest.raises(ProcessingError, match=r"expected a curve, found none\. Why: The motion ne"):
@@ -132,7 +132,7 @@ def test_parts_have_their_axes_as_in_the_file(part: str, written: TestResult) ->
     assert part not in PARTS or make_dataset(bare, part) is None
 
 
-def test_values_are_found_by_their_axes(written: TestResult) -> None:
+def test_select_values_by_axes(written: TestResult) -> None:
     shape, curve, force = (part_of(written, part) for part in ("shape", "curve", "force"))
     assert written.shape is not None
     tip = shape.positions.sel(names="pull", xyz="y")
@@ -150,7 +150,7 @@ def test_without_xarray(written: TestResult, monkeypatch: pytest.MonkeyPatch) ->
         make_dataset(written, "curve")
 
 
-def test_an_export_says_what_the_command_prints(pristine: Lab, run: Run) -> None:
+def test_export_prints_the_text_of_inspect(pristine: Lab, run: Run) -> None:
     export = pristine.raw / "force.mat"
     found = inspect(export)
     assert f"{found!r}\n" == run("inspect", export).out
@@ -176,13 +176,13 @@ def test_tables_of_an_export(pristine: Lab) -> None:
         inspect(pristine.sheet)
 
 
-def test_paths_of_any_kind(tmp_path: Path) -> None:
+def test_parse_paths(tmp_path: Path) -> None:
     assert parse_path(str(tmp_path)) == parse_path(tmp_path) == tmp_path
     assert parse_paths(tmp_path) == parse_paths(iter([tmp_path])) == [tmp_path]
     assert parse_paths([str(tmp_path), tmp_path / "a"]) == [tmp_path, tmp_path / "a"]
 
 
-def test_paths_that_cannot_be() -> None:
+def test_impossible_paths_are_refused() -> None:
     for given, message in (
         ("x" * 5000, "expected a file that can be used, found file name too long"),
         ("a\0b", r"'a\\x00b': expected a path, found embedded null"),

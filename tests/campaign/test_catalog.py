@@ -54,7 +54,7 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
     made.close()
 
 
-def test_what_is_put_comes_back_unless_another_process_knows_better(catalog: Catalog) -> None:
+def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     """And of several changes none is kept where one fails."""
     catalog.put([ENTRY])
     assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
@@ -111,9 +111,7 @@ def kept(tmp_path: Path) -> KeptCampaign:
 
 
 @pytest.mark.parametrize("length", [None, 0, 100, 9000])
-def test_a_catalog_that_is_damaged_or_gone_is_made_anew(
-    kept: KeptCampaign, length: int | None
-) -> None:
+def test_damaged_or_missing_catalog_is_rebuilt(kept: KeptCampaign, length: int | None) -> None:
     before = content_of(kept)
     path = kept.processed / "catalog.sqlite"
     if length is None:
@@ -137,7 +135,7 @@ def test_a_catalog_that_is_damaged_or_gone_is_made_anew(
         ("pragma application_id = 7", "found a database of another program. Move it away"),
     ],
 )
-def test_a_data_base_of_another_program_is_refused(
+def test_foreign_and_newer_catalogs_are_refused(
     kept: KeptCampaign, statement: str, message: str
 ) -> None:
     with closing(sqlite3.connect(kept.processed / "catalog.sqlite")) as connection:
@@ -170,14 +168,14 @@ def campaign(tmp_path: Path) -> CampaignFolders:
         ("raw/T1", r"a campaign, found the folder of a single test\. Put each"),
     ],
 )
-def test_folders_that_are_no_campaign(tmp_path: Path, place: str, message: str) -> None:
+def test_other_folders_are_refused(tmp_path: Path, place: str, message: str) -> None:
     KeptCampaign(tmp_path).add("../T1")
     (tmp_path / "file").write_text("", "utf-8")
     with pytest.raises(UsageError, match=message):
         find_campaign(tmp_path / place)
 
 
-def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) -> None:
+def test_list_raw_skips_hidden_folders_and_links(campaign: CampaignFolders) -> None:
     (campaign.raw / "linked").symlink_to(campaign.raw / "T1")
     (campaign.raw / "figures" / "test.yaml").unlink()
     (campaign.raw / "figures" / "test.yaml").symlink_to("nowhere")
@@ -196,7 +194,7 @@ def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) ->
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names are text there")
-def test_a_name_of_other_bytes_is_said(campaign: CampaignFolders) -> None:
+def test_name_that_is_not_utf8_is_reported(campaign: CampaignFolders) -> None:
     Path(os.fsdecode(os.fsencode(campaign.raw) + b"/\xff")).mkdir()
     found = list_raw(campaign)
     assert len(found.problems) == 1
@@ -206,7 +204,7 @@ def test_a_name_of_other_bytes_is_said(campaign: CampaignFolders) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when a process began")
-def test_a_process_that_ended_does_not_hold_its_claim() -> None:
+def test_claim_ends_with_its_process() -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
     claim = replace(new_claim(), pid=ended.pid, process="")
@@ -217,7 +215,7 @@ def test_a_process_that_ended_does_not_hold_its_claim() -> None:
     assert not is_alive(replace(new_claim(), process="another boot 1"))
 
 
-def test_of_another_host_the_claim_must_be_young() -> None:
+def test_old_claims_of_other_hosts_are_ignored() -> None:
     other = replace(new_claim(), host="elsewhere", pid=1)
     assert is_alive(other)
     for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
@@ -228,7 +226,7 @@ def test_of_another_host_the_claim_must_be_young() -> None:
     ("tests", "limit", "jobs"),
     [(0.2, 0, 1), (1.5, 0, 1), (3.5, 0, 3), (99.0, 0, 8), (99.0, "max", 8), (99.0, 3 * 10**9, 2)],
 )
-def test_the_cores_but_no_more_than_the_memory_takes(
+def test_default_jobs_from_cores_and_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tests: float, limit: int | str, jobs: int
 ) -> None:
     """A machine of eight cores, and a container of which 1 GB is used."""
@@ -242,7 +240,7 @@ def test_the_cores_but_no_more_than_the_memory_takes(
     assert default_jobs() == jobs
 
 
-def test_what_a_killed_process_left_half_replaced_is_finished(campaign: CampaignFolders) -> None:
+def test_interrupted_replacement_is_completed(campaign: CampaignFolders) -> None:
     folder = campaign.processed / "T1"
     files = folder / ".labpipe.commit" / "files"
     files.mkdir(parents=True)

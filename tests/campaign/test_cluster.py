@@ -61,7 +61,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
+def test_cluster_with_lost_machine_writes_the_files_of_a_local_run(
     machines: Cluster, tmp_path: Path
 ) -> None:
     labs = small_pulls(tmp_path, 12)
@@ -86,7 +86,7 @@ def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
 
 
 @pytest.mark.slow
-def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_path: Path) -> None:
+def test_only_the_test_that_kills_workers_fails(machines: Cluster, tmp_path: Path) -> None:
     labs = small_pulls(tmp_path, 6)
     spoil(labs[2].sheet, "kill the worker")
     spoil(labs[4].sheet, "abort")
@@ -100,7 +100,7 @@ def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_p
     assert (stored["code"], stored["run"]) == ("worker_died", "0a")
 
 
-def test_what_cannot_be_processed_fails_as_on_one_machine(
+def test_cluster_reports_the_failures_of_a_local_run(
     alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 60.0)  # a busy machine starts workers slowly
@@ -154,7 +154,7 @@ def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> No
     assert raised.value.code == "no_cluster"
 
 
-def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_scheduler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 1.0)
     message = "--executor: expected a dask scheduler at 127.0.0.1:1, found no answer. Start"
     with pytest.raises(UsageError, match=message) as raised:
@@ -163,7 +163,7 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
+def test_lost_scheduler_ends_the_run(alone: Cluster, tmp_path: Path) -> None:
     alone.add_worker()
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(1, timeout=60)
@@ -180,7 +180,7 @@ def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
     assert time.monotonic() - start < 40.0
 
 
-def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_distributed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     said = r"--executor: expected the package distributed, found none\. Install labpipe with it"
     with pytest.raises(UsageError, match=said):

@@ -47,7 +47,7 @@ NASTY = "<script>alert(1)</script> \x1b[31m =cmd() \u202e ü \\ ' \" \n\t"
 
 
 @pytest.mark.parametrize("because", ["slipped in the grip", NASTY])
-def test_a_rejected_test_says_by_whom_why_and_when(kept: KeptCampaign, because: str) -> None:
+def test_rejection_states_person_reason_and_time(kept: KeptCampaign, because: str) -> None:
     row = decide(kept.folders, "T1", replace(REJECT, because=because))
     assert (row.state, row.why, row.decided_by) == (REJECTED, because, "A. Tester")
     assert row.decided.endswith("+00:00")
@@ -63,7 +63,7 @@ def test_a_rejected_test_says_by_whom_why_and_when(kept: KeptCampaign, because: 
     assert content_of(kept) == before
 
 
-def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: KeptCampaign) -> None:
+def test_changed_rejected_test_needs_a_new_decision(kept: KeptCampaign) -> None:
     decide(kept.folders, "T1", REJECT)
     export = kept.raw / "T1" / "frame.csv"
     export.write_text("99", "utf-8")
@@ -82,7 +82,7 @@ def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: Kep
     assert read_overview(kept.folders).rows["T1"].state == REJECTED
 
 
-def test_which_test_is_meant(kept: KeptCampaign) -> None:
+def test_decision_on_unknown_or_unprocessed_test_is_refused(kept: KeptCampaign) -> None:
     with pytest.raises(UsageError, match=r"T9: expected a test of 'C', found none of that name\."):
         decide(kept.folders, "T9", REJECT)
     kept.add("new")
@@ -101,7 +101,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("text", BROKEN, ids=range(len(BROKEN)))
-def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: str) -> None:
+def test_unreadable_decisions_are_reported_and_not_changed(kept: KeptCampaign, text: str) -> None:
     path = kept.processed / "decisions.json"
     path.write_text(text, "utf-8")
     overview = read_overview(kept.folders)
@@ -114,7 +114,7 @@ def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: 
         read_decisions_on([kept.processed / "T1" / "result.h5"])
 
 
-def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampaign) -> None:
+def test_invalid_decisions_are_reported_and_stay_in_the_file(kept: KeptCampaign) -> None:
     decide(kept.folders, "T1", REJECT)
     path = kept.processed / "decisions.json"
     document = written(kept)
@@ -156,7 +156,7 @@ def saved(path: Path, *decisions: Decision, campaign: str = "c") -> Path:
     return path
 
 
-def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -> None:
+def test_import_adds_new_applicable_decisions_only(processed: Path, tmp_path: Path) -> None:
     mine, accepted = decision_on(processed, "T-1"), decision_on(processed, "T-2", "accept")
     add_decisions(processed, "c", [mine])
     other = replace(mine, run="0" * 64)
@@ -174,7 +174,7 @@ def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -
     assert import_decision_file(processed, "c", file)[0].added == []
 
 
-def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None:
+def test_import_uses_the_nearest_decision_file(processed: Path) -> None:
     inner = processed / "inner"
     inner.mkdir()
     (processed / "T-3").rename(inner / "T-3")
@@ -188,7 +188,7 @@ def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None
     assert len(read_decisions(inner).decisions) == 2
 
 
-def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path) -> None:
+def test_files_that_cannot_be_imported(run: Run, processed: Path, tmp_path: Path) -> None:
     file, broken = tmp_path / "saved.json", tmp_path / "broken.json"
     broken.write_text("{", "utf-8")
     own = saved(processed / "decisions.json", decision_on(processed, "T-1"))

@@ -33,7 +33,7 @@ from tests.builders.small_tests import Lab
 
 
 @pytest.mark.parametrize("text", ["dask", "dask://", "dask://host", "dask://:8786", "slurm", ""])
-def test_no_executor_of_that_name(text: str) -> None:
+def test_unknown_executor_is_refused(text: str) -> None:
     said = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
     with pytest.raises(UsageError, match=said):
         parse_executor(text)
@@ -57,7 +57,7 @@ def tests(tmp_path: Path) -> list[Path]:
 
 
 @pytest.mark.slow
-def test_two_tests_that_would_go_to_one_folder(tests: list[Path], tmp_path: Path) -> None:
+def test_two_tests_with_one_results_folder_are_refused(tests: list[Path], tmp_path: Path) -> None:
     text = tests[2].read_text("utf-8")
     tests[2].write_text(text.replace("test: S-0002", "test: s-0000"), "utf-8")
     message = "expected one test for each folder of results, found a second for .*out.s-0000"
@@ -78,7 +78,7 @@ def run_all(calls: Sequence[Callable[[], Any]], **options: Any) -> list[Future[A
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-def test_a_process_that_dies_costs_its_call_alone() -> None:
+def test_death_of_a_process_fails_its_call_only() -> None:
     calls: list[Callable[[], Any]] = [
         partial(signal.raise_signal, signal.SIGTERM),
         partial(os._exit, 3),
@@ -108,7 +108,7 @@ def test_closing_waits_for_started_calls_only(tmp_path: Path) -> None:
     assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["0", "0/done"]
 
 
-def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
+def test_time_limit_fails_its_call_only() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
     late, second = run_all(calls, jobs=2, limit=5.0)
     with pytest.raises(ProcessDied) as died:
@@ -117,7 +117,7 @@ def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
     assert second.result() == 2
 
 
-def test_a_process_that_dies_between_two_calls_costs_none() -> None:
+def test_process_that_dies_between_calls_is_replaced() -> None:
     worker = WorkerProcess()
     try:
         assert worker.call(partial(int, "1")) == 1
@@ -130,7 +130,7 @@ def test_a_process_that_dies_between_two_calls_costs_none() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
-def test_where_memory_is_short_a_test_goes_and_not_the_run() -> None:
+def test_linux_kills_the_worker_before_its_parent() -> None:
     file = Path("/proc/self/oom_score_adj")
     (future,) = run_all([file.read_text], jobs=1)
     assert future.result() == "500\n"
@@ -151,7 +151,7 @@ time.sleep(60)
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of processes")
-def test_processes_go_with_the_one_that_started_them() -> None:
+def test_worker_ends_with_its_parent() -> None:
     command = [sys.executable, "-c", ORPHANS]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -161,7 +161,7 @@ def test_processes_go_with_the_one_that_started_them() -> None:
     os.close(child)
 
 
-def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
+def test_outcome_states_the_first_result_that_is_not_ok(tmp_path: Path) -> None:
     lab = small_pulls(tmp_path, 1)[0]
     said = process_task(Task(lab.sheet, figures=False))
     assert (said.folder, said.run) == (lab.processed, lab.summary["run"])
@@ -172,7 +172,7 @@ def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
     assert said.reason == f"{first['name']}: {reason['message']}"
 
 
-def test_what_came_of_a_process(tmp_path: Path) -> None:
+def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
     died = await_outcome(task, raising(ProcessDied(-signal.SIGTERM)))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
@@ -207,7 +207,7 @@ def refuse() -> None:
 
 
 @pytest.mark.slow
-def test_numbers_first_and_figures_behind(worker: WarmWorker, lab: Lab) -> None:
+def test_warm_worker_draws_figures_after_processing(worker: WarmWorker, lab: Lab) -> None:
     (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
     assert outcome.folder == lab.processed
     assert not (lab.processed / "figures").exists()
@@ -222,7 +222,7 @@ def test_numbers_first_and_figures_behind(worker: WarmWorker, lab: Lab) -> None:
     assert drawn == {path.name: path.read_bytes() for path in usual.figures}
 
 
-def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> None:
+def test_warm_worker_survives_failed_calls(worker: WarmWorker) -> None:
     first = worker.call(os.getpid, about="x")
     with pytest.raises(UsageError, match="no"):
         worker.call(refuse, about="x")
@@ -232,7 +232,7 @@ def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> No
     assert worker.call(os.getpid, about="x") not in {first, os.getpid()}
 
 
-def test_a_process_that_dies_in_a_test_is_an_outcome(
+def test_death_of_the_warm_worker_is_an_outcome(
     worker: WarmWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.watching.process_task", die)

@@ -43,7 +43,7 @@ TWELVE = bundle_sample(bundle_of("12 B1"), 2, spool="s1")
 TUBE = bundle_sample(None, 3, spool="s2")
 
 
-def test_keys_and_names() -> None:
+def test_group_keys_and_names() -> None:
     by = ("wire", "cured")
     keys = [find_group_key(sample, by) for sample in (SEVEN, TWELVE, TUBE)]
     assert [key.field_values for key in keys] == [("B1", "24 h"), ("B1", ""), ("", "")]
@@ -58,7 +58,7 @@ def test_keys_and_names() -> None:
         assert [key.field_values[0] for key in sort_groups(shuffled, (field,))] == words
 
 
-def test_an_unknown_field_is_told_with_the_nearest() -> None:
+def test_unknown_field_is_refused_with_the_nearest() -> None:
     with pytest.raises(UsageError) as told:
         check_fields(["wire", "tapping"], [SEVEN, TUBE], "--by")
     assert str(told.value) == (
@@ -69,7 +69,7 @@ def test_an_unknown_field_is_told_with_the_nearest() -> None:
     check_fields(["cured", "length"], [SEVEN, TUBE], "--by")
 
 
-def test_spools_of_one_name_belong_to_their_types() -> None:
+def test_spools_shared_by_types_are_renamed() -> None:
     samples, renamed = rename_shared_spools([SEVEN, TWELVE, TUBE])
     assert renamed == ["s1"]
     assert [sample.specimen.spool for sample in samples] == [
@@ -79,7 +79,7 @@ def test_spools_of_one_name_belong_to_their_types() -> None:
     assert rename_shared_spools([SEVEN, again]) == ([SEVEN, again], [])
 
 
-def test_lengths_of_one_type_are_two_groups_unless_asked_otherwise() -> None:
+def test_lengths_divide_a_type_unless_fields_are_chosen() -> None:
     sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
     samples = [bundle_sample(None, at, dimensions=own) for at, own in enumerate(sizes)]
     found = divide_into_groups(samples)
@@ -92,7 +92,7 @@ NONE = bundle_of("19 B2", conduit="corrugated-tube", tape="none", taping="none")
 HALF_LAP = bundle_of("19 B2", conduit="corrugated-tube")
 
 
-def test_questions_come_first_and_count_from_less_to_more() -> None:
+def test_differences_of_a_single_field_come_first_in_rising_order() -> None:
     found = bundle_campaign(conduit_cases()).differences
     asked = [finding.single_field for finding in found]
     assert list(dict.fromkeys(asked)) == ["wire", "number", "taping", "conduit", ""]
@@ -133,7 +133,7 @@ def test_twenty_percent_apart_is_different() -> None:
     assert stiffness.difference.interval.lower < truth < stiffness.difference.interval.upper
 
 
-def test_tests_that_were_processed_otherwise_are_told() -> None:
+def test_difference_states_differing_settings() -> None:
     samples = [*three_of(NONE), *three_of(HALF_LAP)]
     settings = {sample.test: {"results.kink.to": "5 mm"} for sample in samples}
     settings[samples[0].test] = {"results.kink.to": "4 mm"}
@@ -156,7 +156,7 @@ def changed(protocol: Protocol, old: str, new: str) -> Protocol:
     return parse_protocol(text.replace(old, new, 1), "synthetic")
 
 
-def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
+def test_note_on_a_differing_setting(tube: Protocol) -> None:
     own = dict(list_settings(tube))
     other = list_settings(changed(tube, "force_below: 50 %", "force_below: 20 %"))
     (note,) = note_differing_settings({"a": own, "b": own, "c": other})

@@ -48,7 +48,7 @@ def only(folder: Path) -> Candidate:
     return candidate
 
 
-def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
+def test_pairing_by_name_writes_sheet_and_copies(campaign: Path) -> None:
     before = state(campaign / "incoming")
     written = pair_test(only(campaign), read_plan(campaign))
     assert written.sheet == campaign / "A2-085-3" / "test.yaml"
@@ -65,7 +65,7 @@ def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
     assert {name: mark[0] for name, mark in before.items()}.items() <= copies.items()
 
 
-def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
+def test_existing_sheet_is_not_changed(campaign: Path) -> None:
     candidate = only(campaign)
     pair_test(candidate, read_plan(campaign))
     candidate.sheet.write_text(candidate.sheet.read_text("utf-8") + "# by hand\n", "utf-8")
@@ -82,7 +82,7 @@ def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
     )
 
 
-def test_what_is_not_there_yet_is_waited_for(campaign: Path) -> None:
+def test_missing_or_unreadable_exports_are_awaited(campaign: Path) -> None:
     take = campaign / "incoming" / "A2-085-3.csv"
     elsewhere = take.rename(campaign.parent / "take.csv")
     written = pair_test(only(campaign), read_plan(campaign))
@@ -98,7 +98,7 @@ def test_what_is_not_there_yet_is_waited_for(campaign: Path) -> None:
     assert pair_test(only(campaign), read_plan(campaign)).sheet is not None
 
 
-def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
+def test_different_file_is_not_overwritten_by_a_copy(campaign: Path) -> None:
     (campaign / "A2-085-3").mkdir()
     other = campaign / "A2-085-3" / "A2-085-3.csv"
     other.write_bytes(b"by hand")
@@ -109,7 +109,7 @@ def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
     assert other.read_bytes() == b"by hand"
 
 
-def test_files_that_no_rule_takes(campaign: Path) -> None:
+def test_unmatched_files_have_a_reason(campaign: Path) -> None:
     incoming = campaign / "incoming"
     for name in ("notes.docx", "A2-085-3_FORCE.mat", "A2-085-4_force.mat", "a\nb.csv", "x.yaml"):
         (incoming / name).write_bytes(b"x")
@@ -158,7 +158,7 @@ files: {{frame: x.csv}}
         ("wire-cantilever conduit-bundle", 1e6, ()),
     ],
 )
-def test_a_force_alone_waits_for_what_the_other_tests_need(
+def test_roles_awaited_by_the_protocols_of_other_tests(
     lab: Lab, others: str, waited: float, missing: tuple[str, ...]
 ) -> None:
     """Of a bench with wires the take is yet to come; nobody waits for a load frame's export."""
@@ -176,13 +176,13 @@ def test_a_force_alone_waits_for_what_the_other_tests_need(
     assert (written.missing, written.sheet is None) == (missing, bool(missing))
 
 
-def test_a_sheet_by_hand_waits_for_the_exports_that_it_names(lab: Lab) -> None:
+def test_written_sheet_awaits_its_exports(lab: Lab) -> None:
     (lab.raw / "take.csv").unlink()
     written = pair_test(only(lab.raw.parent), read_plan(lab.raw.parent))
     assert (written.sheet, written.missing) == (None, ("take.csv",))
 
 
-def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
+def test_faulty_plan_is_refused(campaign: Path) -> None:
     plan = campaign / "campaign.yaml"
     plan.write_text(BY_NAME.replace("{type}", "{labels.Type}"), encoding="utf-8")
     with pytest.raises(ProtocolError, match="expected one of"):
@@ -192,7 +192,7 @@ def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
         pair_test(only(campaign), read_plan(campaign))
 
 
-def test_a_file_stands_still_once_it_did_not_change_for_long_enough(tmp_path: Path) -> None:
+def test_file_is_stable_after_a_time_without_change(tmp_path: Path) -> None:
     times, path = [100.0], tmp_path / "x"
     files = FileStability(lambda: times[-1], 2.0)
     assert files.look(path) == "missing"

@@ -96,7 +96,7 @@ ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) sele
         (f"{ENDLESS} > 0", r"found one that takes too long\. Limit its recursive part"),
     ],
 )
-def test_a_condition_that_is_none(
+def test_invalid_conditions_are_refused(
     catalog: Catalog, where: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._STEPS_PER_CHECK", 1000)
@@ -129,7 +129,7 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
     "cell",
     ["'=HYPERLINK(1)", "'+1+1", "'-A1", "'@SUM(1)", "'\t=1", "-1.5", "+49", "2 mm = 1"],
 )
-def test_a_text_in_a_csv_is_no_formula(cell: str) -> None:
+def test_formulas_in_csv_are_quoted(cell: str) -> None:
     """A quote stands before what a spreadsheet would take for a formula."""
     out, text = io.StringIO(), cell.removeprefix("'")
     write_answer(QueryResult((text, "value"), [(text, -1.5)]), "csv", out)
@@ -149,7 +149,7 @@ def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None
     assert [row[7].value for row in rows[1:]] == [1.5, None, 2.5, None]
 
 
-def test_more_rows_than_a_sheet_takes(
+def test_too_many_rows_for_a_worksheet_are_refused(
     catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)

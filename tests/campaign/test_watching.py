@@ -134,7 +134,7 @@ def put(bench: Bench, test: str, exports: dict[str, bytes], *names: str) -> Path
     return folder
 
 
-def test_a_test_is_paired_processed_and_judged_once(
+def test_watch_pairs_processes_and_judges_a_test_once(
     bench: Bench, exports: dict[str, bytes]
 ) -> None:
     assert bench.go(5) == ""
@@ -154,7 +154,7 @@ def test_a_test_is_paired_processed_and_judged_once(
 
 
 @pytest.mark.slow
-def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_can_be(
+def test_unreadable_file_is_reported_and_read_later(
     bench: Bench, exports: dict[str, bytes]
 ) -> None:
     folder = put(bench, "A2-085-1", exports)
@@ -169,7 +169,7 @@ def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_c
     assert "WELL" in bench.go(3)
 
 
-def test_a_locked_file_is_waited_for(
+def test_locked_file_is_reported_and_awaited(
     bench: Bench, exports: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put(bench, "A2-085-1", exports)
@@ -183,9 +183,7 @@ def test_a_locked_file_is_waited_for(
     assert "WELL" in bench.go(3)
 
 
-def test_a_folder_that_goes_away_is_said_once_and_waited_for(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
+def test_lost_folder_is_reported_once_and_awaited(bench: Bench, exports: dict[str, bytes]) -> None:
     put(bench, "A2-085-1", exports)
     bench.go(3)
     away = bench.campaign.home / "away"
@@ -199,9 +197,7 @@ def test_a_folder_that_goes_away_is_said_once_and_waited_for(
     assert bench.campaign.asked == ["A2-085-1", "A2-085-2"]
 
 
-def test_a_test_that_fails_or_has_gaps_is_processed_again_once_it_changed(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
+def test_corrected_test_is_processed_again(bench: Bench, exports: dict[str, bytes]) -> None:
     bench.campaign.fails = {"A2-085-1": "cannot_process"}
     (bench.campaign.raw / "campaign.yaml").write_text(
         PLAN.replace("specimen: {spool: s}\n", ""), encoding="utf-8"
@@ -223,7 +219,7 @@ def test_a_test_that_fails_or_has_gaps_is_processed_again_once_it_changed(
     assert "A2-085-1: WELL" in bench.go(4)
 
 
-def test_a_restart_does_nothing_twice(bench: Bench, exports: dict[str, bytes]) -> None:
+def test_restarted_watch_repeats_nothing(bench: Bench, exports: dict[str, bytes]) -> None:
     for number in (1, 2):
         put(bench, f"A2-085-{number}", exports)
     bench.go(10)
@@ -323,7 +319,7 @@ def lines(said: Summary, peaks: Sequence[float] = ()) -> list[str]:
     return describe_test("T", said, others, MM)
 
 
-def test_a_number_outside_the_spread_so_far() -> None:
+def test_result_outside_its_group_is_reported() -> None:
     before = [1.0 + 0.01 * i for i in range(-3, 4)]
     head, numbers, last = lines(summary(1.2), before)
     assert head == "T: LOOK, 3 ok, outside the group: peak_force.1"
@@ -334,7 +330,7 @@ def test_a_number_outside_the_spread_so_far() -> None:
     assert "(within 924.1 to 1076)" in lines(summary(1.07), before)[1]
 
 
-def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -> None:
+def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
     kept = KeptCampaign(tmp_path)
     for name, export in (("T1", "1"), ("T2", "2"), ("T3", "3"), ("D", "doubt"), ("F", "fail bad")):
         kept.add(name, export)

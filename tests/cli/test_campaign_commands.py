@@ -65,7 +65,7 @@ def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     assert run("campaign", "rebuild", labs[0].processed.parent).out.startswith("c: ")
 
 
-def test_decide_and_status_lists_what_needs_a_look(run: Run, kept: KeptCampaign) -> None:
+def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
     decide = ("campaign", "decide", kept.raw)
     rejected = ("reject", "--by", "A. Tester", "--because")
     assert run(*decide, "T1", *rejected, " ").status == BAD_INPUT
@@ -158,7 +158,7 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_campaign")
-def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
+def test_demo_reports_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--png", "--jobs", 1)
     assert ran.status == 0
     folder = tmp_path / "processed" / "demo" / "one-of-each"
@@ -177,7 +177,7 @@ def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "processed" / "demo" / "wires").exists()
 
 
-def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
+def test_demo_has_a_test_of_each_kind() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
         return Counter(test.protocol for campaign in campaigns for test, _ in campaign.scenarios())
 
@@ -186,14 +186,14 @@ def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
     assert set(first.values()) == {1}
 
 
-def test_an_example_is_of_the_wire_that_the_demo_calibrates() -> None:
+def test_demo_calibrates_the_wire_of_an_example() -> None:
     texts = [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("harness-*.yaml")]
     assert len(texts) == 4
     assert sum(SHEET_SECTION in text for text in texts) == 1
 
 
 @pytest.mark.slow
-def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
+def test_harness_prints_results_and_folder(run: Run, tmp_path: Path) -> None:
     file, out = written(tmp_path, pushed()), tmp_path / "out"
     ran = run("harness", file, "--out", out, "--no-figures")
     assert ran.status == DONE, ran

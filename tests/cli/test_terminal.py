@@ -88,7 +88,7 @@ def test_table_of_a_test(approved: Approve) -> None:
         (53.43, None, "53.430 N"),
     ],
 )
-def test_digits_are_those_of_the_interval(
+def test_digits_follow_the_interval(
     value: float, ends: tuple[float, float] | None, shown: str
 ) -> None:
     """Two of half its width; a last bit, as processors differ in, changes nothing."""
@@ -126,7 +126,7 @@ def test_means_in_the_display_unit(approved: Approve) -> None:
 
 
 @pytest.mark.parametrize("bore", ["10.7", "0 mm", "2 N"])
-def test_a_bore_that_is_none(run: Run, tmp_path: Path, bore: str) -> None:
+def test_invalid_bore_is_refused(run: Run, tmp_path: Path, bore: str) -> None:
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, f"--bore={bore}", "--out", tmp_path / "x")
     assert ran.status == BAD_INPUT
     message = f'expected a length above zero with its unit, such as "10.7 mm", found {bore!r}'
@@ -150,7 +150,7 @@ def done() -> Calibrated:
     return Calibrated(Path("processed/calibration"), found, groups, {}, ())
 
 
-def test_rejected_tests_are_not_handed_over(
+def test_calibrate_leaves_out_rejected_tests(
     done: Calibrated, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     folder = Path("processed/A2")
