@@ -195,25 +195,10 @@ class WatchedCampaign:
         return sheet.parent.relative_to(self._folders.raw).as_posix()
 
 
-FileState: TypeAlias = Literal["stable", "growing", "locked", "missing"]
-Stamp: TypeAlias = tuple[int, int] | None
+FileStatus: TypeAlias = Literal["stable", "growing", "locked", "missing"]
+Signature: TypeAlias = tuple[int, int] | None
 """Size and time of change of a file; None if it is missing."""
-Stamps: TypeAlias = tuple[tuple[str, Stamp], ...]
-
-
-@dataclass(slots=True)
-class _WatchedFile:
-    """A file at the last look.
-
-    Parameters
-    ----------
-    stamp : size and time of change
-    since : time of the first look at this stamp, by the clock of the watch, since the clock of a
-        drive may differ
-    """
-
-    stamp: Stamp
-    since: float
+Signatures: TypeAlias = tuple[tuple[str, Signature], ...]
 
 
 class FileStability:
@@ -227,9 +212,10 @@ class FileStability:
 
     def __init__(self, clock: Callable[[], float], still_for: float) -> None:
         self._clock, self.still_for = clock, still_for
-        self._files: dict[Path, _WatchedFile] = {}
+        # The time is that of the watch, since the clock of a drive may differ.
+        self._files: dict[Path, tuple[Signature, float]] = {}
 
-    def look(self, path: Path) -> FileState:
+    def look(self, path: Path) -> FileStatus:
         """Look at a file.
 
         Parameters
@@ -241,24 +227,25 @@ class FileStability:
         ``stable``: unchanged for long enough and readable; ``growing``: changed recently;
         ``locked``: unchanged, but cannot be opened; ``missing``.
         """
-        now, stamp, file = self._clock(), _take_stamp(path), self._files.get(path)
-        if stamp is None:
+        now, signature = self._clock(), _read_signature(path)
+        if signature is None:
             self._files.pop(path, None)
             return "missing"
-        if file is None or file.stamp != stamp:
-            self._files[path] = _WatchedFile(stamp, now)
+        known_signature, since = self._files.get(path, (None, now))
+        if known_signature != signature:
+            self._files[path] = signature, now
             return "growing"
-        if now - file.since < self.still_for:
+        if now - since < self.still_for:
             return "growing"
         return "stable" if _can_open(path) else "locked"
 
-    def stamp(self, path: Path) -> Stamp:
-        """Return the stamp of a file at the last look."""
-        return self._files[path].stamp if path in self._files else None
+    def signature(self, path: Path) -> Signature:
+        """Return the signature of a file at the last look."""
+        return self._files[path][0] if path in self._files else None
 
     def last_change(self, paths: Iterable[Path]) -> float:
         """Return when the last of some files changed; the present time without any."""
-        times = [self._files[path].since for path in paths if path in self._files]
+        times = [self._files[path][1] for path in paths if path in self._files]
         return max(times, default=self._clock())
 
 
@@ -277,7 +264,7 @@ def _require_readable(paths: Iterable[Path]) -> None:
             stream.read(1)
 
 
-def _take_stamp(path: Path) -> Stamp:
+def _read_signature(path: Path) -> Signature:
     try:
         status = path.stat()
     except OSError:
@@ -291,15 +278,15 @@ class _WatchedTest:
 
     Parameters
     ----------
-    done, tried : stamps of its files when it was handled, and at the last attempt
+    done, tried : signatures of its files when it was handled, and at the last attempt
     handled_at : time when it was handled, or its files changed
     missing : missing roles in the last message
     next_try : time of the next attempt if nothing changes
     is_forced : whether its files were missing during processing, so that it is processed again
     """
 
-    done: Stamps = ()
-    tried: Stamps = ()
+    done: Signatures = ()
+    tried: Signatures = ()
     handled_at: float = 0.0
     missing: str = ""
     next_try: float = 0.0
@@ -330,7 +317,7 @@ class Watcher:
         self._campaign, self._pair, self._draw = campaign, pair, draw
         self._clock = clock
         self.plan = read_plan(campaign.raw)
-        self._plan_stamp = _take_stamp(campaign.raw / PLAN_NAME)
+        self._plan_signature = _read_signature(campaign.raw / PLAN_NAME)
         self._files = FileStability(clock, self.plan.still_for)
         self._say, self._printed = say, set[str]()
         self._tests: dict[Path, _WatchedTest] = {}
@@ -381,10 +368,10 @@ class Watcher:
     def _read_plan(self) -> None:
         """Read a changed campaign YAML; report a faulty one and keep the last."""
         path = self._campaign.raw / PLAN_NAME
-        stamp = _take_stamp(path)
-        if stamp == self._plan_stamp:
+        signature = _read_signature(path)
+        if signature == self._plan_signature:
             return
-        self._plan_stamp = stamp
+        self._plan_signature = signature
         try:
             self.plan = read_plan(self._campaign.raw)
         except LabpipeError as error:
@@ -415,7 +402,7 @@ class Watcher:
                 done = sheets[sheet]
                 ready.remove(done)
                 self._tests[done.folder] = _WatchedTest(
-                    self._take_stamps(done), handled_at=-self.plan.patience
+                    self._list_signatures(done), handled_at=-self.plan.patience
                 )
         return sorted(
             ready, key=lambda candidate: self._files.last_change(candidate.paths), reverse=True
@@ -433,22 +420,24 @@ class Watcher:
         if is_unstable or any(states[path] == "missing" for path in candidate.files.values()):
             test.handled_at = self._clock()
             return False
-        stamps = self._take_stamps(candidate)
-        if stamps != test.done:
+        signatures = self._list_signatures(candidate)
+        if signatures != test.done:
             test.handled_at = self._clock()
-        return stamps != test.done and (stamps != test.tried or self._clock() >= test.next_try)
+        return signatures != test.done and (
+            signatures != test.tried or self._clock() >= test.next_try
+        )
 
     def _handle(self, candidate: Candidate) -> None:
         """Pair a test, process it and report the verdict, as far as its files permit."""
         retry_delay = 5.0  # s
         test = self._tests[candidate.folder]
-        stamps = self._take_stamps(candidate)
-        test.tried, test.next_try = stamps, self._clock() + retry_delay
+        signatures = self._list_signatures(candidate)
+        test.tried, test.next_try = signatures, self._clock() + retry_delay
         waited = self._clock() - self._files.last_change(candidate.files.values())
         try:
             pairing = self._pair(candidate, self.plan, waited)
         except LabpipeError as error:
-            test.done = stamps
+            test.done = signatures
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
@@ -457,7 +446,7 @@ class Watcher:
         self._say_sheet(candidate, pairing)
         self._files.look(candidate.sheet)
         if pairing.open_keys or self._process(candidate):
-            test.done, test.handled_at = self._take_stamps(candidate), self._clock()
+            test.done, test.handled_at = self._list_signatures(candidate), self._clock()
             test.missing = ""
 
     def _process(self, candidate: Candidate) -> bool:
@@ -516,8 +505,8 @@ class Watcher:
             self._draw(outcome.folder)
         self._say("\n".join(lines))
 
-    def _take_stamps(self, candidate: Candidate) -> Stamps:
-        return tuple((str(path), self._files.stamp(path)) for path in candidate.paths)
+    def _list_signatures(self, candidate: Candidate) -> Signatures:
+        return tuple((str(path), self._files.signature(path)) for path in candidate.paths)
 
     def _stable_for(self, path: Path) -> float:
         """Return for how long a file has not changed, s."""

@@ -213,4 +213,4 @@ def test_file_is_stable_after_a_time_without_change(tmp_path: Path) -> None:
     times.append(times[-1] + 1.0)
     assert files.look(path) == "growing"
     path.unlink()
-    assert (files.look(path), files.stamp(path)) == ("missing", None)
+    assert (files.look(path), files.signature(path)) == ("missing", None)
