@@ -35,6 +35,8 @@ class WireSpec:
     poisson, insulation_poisson : of the strands, and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : its exponent
+    isotropic_share : share of the strands' hardening that is isotropic, from 0 to 1; None if it is
+        not known
     stress_table : strains and stresses (Pa) in place of the Ramberg-Osgood curve
     insulation_table : the same of the insulation, in place of its modulus
     insulation_strain : of the wire's rim, up to which the straight line of its modulus is taken to
@@ -66,6 +68,7 @@ class WireSpec:
     insulation_poisson: float = 0.4
     copper_k: float = 530.0e6
     copper_n: float = 0.44
+    isotropic_share: float | None = None
     stress_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     insulation_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     insulation_strain: float = 0.03

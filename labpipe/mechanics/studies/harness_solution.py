@@ -35,8 +35,10 @@ from labpipe.mechanics.studies.harness_numbers import (
     reasons_of,
     reference_size,
     results_of,
+    share_doubts,
     sharpest,
     unloading_doubt,
+    unloading_names,
 )
 from labpipe.mechanics.studies.harness_section import Material
 from labpipe.messages import format_sentence
@@ -160,7 +162,14 @@ def solve_harness(
         line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
         coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
         half = prepare_line(coarse, section(material.best), material.best)
+        names = unloading_names(path, prepared)
         doubts = _doubts(path, prepared, half, intervals)
+        if material.has_unknown_share:
+            doubts += share_doubts(intervals, names)
+        if material.knows_only_share:
+            intervals = {
+                name: interval for name, interval in intervals.items() if name.startswith(names)
+            }
         results = results_of(numbers_of(path, prepared), reasons, intervals, doubts)
     limit = bend_limit(harness, material)
     return FollowedHarness(
