@@ -3,7 +3,7 @@
 They are computed from fields: vectors that respond smoothly to inputs. A norm, a minimum or a
 maximum is not smooth at zero or where its place changes. Therefore the response is linear in the
 fields, and each number is computed from them in every draw as from a solved line. Residual
-curvature of a released line is that by Masing's rule, and at most.
+curvature of a released line is that of its law.
 """
 
 from __future__ import annotations
@@ -524,9 +524,10 @@ def share_doubts(intervals: Mapping[str, Interval], names: Sequence[str]) -> Ite
     intervals : of numbers, by name
     names : of numbers that depend on unloading, or their beginnings
     """
-    max_ratio = 2.0  # of the ends of an interval
+    max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
+    sized = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
     for name, interval in intervals.items():
-        if name.startswith(tuple(names)) and interval.upper > max_ratio * interval.lower:
+        if name.startswith(sized) and interval.upper > max_ratio * interval.lower:
             facts = interval.lower, interval.upper
             reason = Reason.of("mechanics.studies.share_unknown", low=facts[0], high=facts[1])
             yield Doubt(reason, (name,))
@@ -618,9 +619,11 @@ def _numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
         if isinstance(boundary, rod.Held) and boundary.release is not None:
             remark = f"against step {boundary.release - 1}, the last one before its release"
             yield number(f"{SPRINGBACK}{boundary.name}", "m", remark)
-    residual = residual_curvature(path.last, line.section.law)
+    law = line.section.law
+    residual = residual_curvature(path.last, law)
     node = int(np.argmax(residual))
-    remark = f"{place(node)}; if released, by Masing's rule" if residual[node] else ""
+    rule = "" if law.growing else ", by Masing's rule"
+    remark = f"{place(node)}; if released{rule}" if residual[node] else ""
     yield number(RESIDUAL, "1/m", remark)
     yield number(ENERGY_LOST, "J", "in bending, since the start")
 

@@ -48,6 +48,10 @@ DEFAULT_SHEET = "wires.xlsx"
 _INSULATION_LIMIT = "the straight line of its insulation"
 
 
+SectionAt = Callable[[Mapping[str, float]], Section]
+"""Section as a function of named inputs."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
     """Material of a line.
@@ -68,7 +72,7 @@ class Material:
     """
 
     name: str
-    sections: tuple[Callable[[Mapping[str, float]], Section], ...]
+    sections: tuple[SectionAt, ...]
     limit: float
     limit_source: str
     files: tuple[InputFile, ...] = ()
@@ -92,6 +96,22 @@ class Material:
     def best(self) -> Mapping[str, float]:
         """Return the best inputs."""
         return self.distributions[0].inputs() if self.distributions else {}
+
+
+def fix_inputs(material: Material) -> Material:
+    """Return a material at its best inputs, without distributions.
+
+    Parameters
+    ----------
+    material : of a line
+    """
+    best = material.best
+
+    def fix(section: SectionAt) -> SectionAt:
+        return lambda _: section(best)
+
+    sections = tuple(map(fix, material.sections))
+    return replace(material, sections=sections, distributions=())
 
 
 def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:

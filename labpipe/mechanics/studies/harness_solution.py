@@ -40,7 +40,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     unloading_doubt,
     unloading_names,
 )
-from labpipe.mechanics.studies.harness_section import Material
+from labpipe.mechanics.studies.harness_section import Material, fix_inputs
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
@@ -224,7 +224,10 @@ def solve_sweep_length(
     if length != stated.harness.line.length:
         line = stated.harness.line.model_copy(update={"length": length})
         harness = stated.harness.model_copy(update={"line": line, "show": ()})
-        other = solve_harness(harness, stated.file, stated.material, stated.folder, on_step)
+        material = stated.material
+        if material.knows_only_share:  # shapes of a sweep hardly depend on it
+            material = fix_inputs(material)
+        other = solve_harness(harness, stated.file, material, stated.folder, on_step)
     if other.status is Status.FAILED:
         return other
     listed = [
