@@ -13,7 +13,7 @@ from labpipe.mechanics.wire.cross_section import (
     lay_up,
 )
 from labpipe.mechanics.wire.friction import Contacts, insulated
-from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Elastic, Material
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Material, StressTable
 
 LAYS = {7: (12.0,), 19: (12.0, -15.0), 37: (12.0, -15.0, 12.0)}
 WIRES = {
@@ -54,7 +54,7 @@ def contacts_of(section: CrossSection, radial_force: float = 0.15) -> Contacts:
 
 def cardinal() -> CrossSection:
     """ACSR Cardinal: steel 1 + 6, aluminium 12 + 18 + 24."""
-    steel, aluminium = Elastic(207e9), Elastic(68e9)
+    steel, aluminium = elastic(207e9), elastic(68e9)
     rings = [
         (1, 3.34e-3, 0.0, steel),
         (6, 3.34e-3, 5.695, steel),
@@ -68,3 +68,11 @@ def cardinal() -> CrossSection:
             for count, diameter, angle, material in rings
         )
     )
+
+
+def elastic(modulus: float) -> StressTable:
+    return StressTable((1e3,), (1e3 * modulus,))
+
+
+def perfectly_plastic(modulus: float, yield_stress: float) -> StressTable:
+    return StressTable((yield_stress / modulus, 1e3), (yield_stress, yield_stress))

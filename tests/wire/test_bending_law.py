@@ -42,14 +42,20 @@ from labpipe.mechanics.wire.friction import (
     slip_onsets,
 )
 from labpipe.mechanics.wire.materials import (
-    Elastic,
-    ElasticPerfectlyPlastic,
     Material,
     RambergOsgood,
     StressTable,
 )
 from labpipe.records.arrays import Floats
-from tests.builders.stranded_wires import WIRES, cardinal, contacts_of, layers_of, wire
+from tests.builders.stranded_wires import (
+    WIRES,
+    cardinal,
+    contacts_of,
+    elastic,
+    layers_of,
+    perfectly_plastic,
+    wire,
+)
 from tests.judges.reference_wires import bend_along
 
 
@@ -146,7 +152,7 @@ def test_the_range_over_orientations_leaves_out_no_turn(name: str, is_shaken: bo
 
 @pytest.mark.parametrize(("name", "largest"), [("A2", 20.0), ("A3", 60.0), ("C4", 150.0)])
 def test_a_sharp_yield_does_not_stiffen(name: str, largest: float) -> None:
-    sharp = ElasticPerfectlyPlastic(110e9, 60e6)
+    sharp = perfectly_plastic(110e9, 60e6)
     table = StressTable((5e-4, 1e-3, 2e-3, 0.02, 0.3), (55e6, 70e6, 80e6, 100e6, 150e6))
     for material in (sharp, table, RambergOsgood(110e9, 300e6, 0.02)):
         section = wire(name, material)
@@ -292,7 +298,7 @@ def steiner(drawn: Drawn, section: CrossSection, orientation: float) -> float:
 
 @given(wires(), st.floats(0.0, 6.3))
 def test_endless_radial_force_is_stick_and_none_is_slip(drawn: Drawn, turn: float) -> None:
-    section = drawn.section(Elastic(MODULUS))
+    section = drawn.section(elastic(MODULUS))
     assert section.insulation is not None
     bore = 2.0 * section.insulation.bore_radius
     tube = 1e9 * np.pi / 64.0 * ((bore + 0.4e-3) ** 4 - bore**4)
@@ -313,7 +319,7 @@ def test_endless_radial_force_is_stick_and_none_is_slip(drawn: Drawn, turn: floa
 @given(wires())
 def test_plateau_of_a_wire_that_yields_perfectly(drawn: Drawn) -> None:
     """Without friction and insulation: yield stress d^3 / 6 of each strand, by its factor."""
-    section = drawn.section(ElasticPerfectlyPlastic(MODULUS, YIELD))
+    section = drawn.section(perfectly_plastic(MODULUS, YIELD))
     plateau = sum(
         n * factor(a) * YIELD * d**3 / 6.0
         for n, d, a in zip(drawn.counts, drawn.diameters, drawn.lays, strict=True)

@@ -12,7 +12,7 @@ from labpipe.mechanics.wire.cross_section import (
     concentric,
     stretch_torsion,
 )
-from labpipe.mechanics.wire.materials import Elastic
+from tests.builders.stranded_wires import elastic
 
 MODULUS, DIAMETER = 1e11, 1e-3
 
@@ -20,13 +20,13 @@ AREA, SECOND = np.pi * DIAMETER**2 / 4.0, np.pi * DIAMETER**4 / 64.0
 
 
 def rope(angle: float, tube: Insulation | None = None) -> CrossSection:
-    copper = Elastic(MODULUS)
+    copper = elastic(MODULUS)
     return concentric((Layer(1, DIAMETER, 0.0, copper), Layer(6, DIAMETER, angle, copper)), tube)
 
 
 def test_a_solid_rod_in_a_tube() -> None:
     tube = Insulation(0.5e-3, 0.3e-3, 1e9, 0.45)
-    found = stretch_torsion(concentric((Layer(1, DIAMETER, 0.0, Elastic(MODULUS)),), tube))
+    found = stretch_torsion(concentric((Layer(1, DIAMETER, 0.0, elastic(MODULUS)),), tube))
     rod = MODULUS / 2.68 * np.pi * DIAMETER**4 / 32.0
     wall = 1e9 / 2.9 * np.pi / 2.0 * (0.8e-3**4 - 0.5e-3**4)
     assert found.torsional == pytest.approx(rod + wall)

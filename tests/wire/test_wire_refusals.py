@@ -43,7 +43,6 @@ from labpipe.mechanics.wire.friction import Contacts, axial_strain, sines
 from labpipe.mechanics.wire.friction import arrange as rings_of
 from labpipe.mechanics.wire.materials import (
     ANNEALED_COPPER,
-    Elastic,
     RambergOsgood,
     StressTable,
     strand_moment,
@@ -129,7 +128,6 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: table((0.1, 1.0), (0.2, 0.5)),
         lambda: table((0.1, 1.0), (0.2, 3.0)),
         lambda: RambergOsgood(1.0, 1.0, 1.0),
-        lambda: Elastic(-1.0),
     ],
     "sections": [
         lambda: Layer(6, 1e-3, np.pi / 2.0),

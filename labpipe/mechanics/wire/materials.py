@@ -1,4 +1,4 @@
-"""Stress-strain curves of strands: Ramberg-Osgood, a table, elastic-perfectly-plastic, elastic.
+"""Stress-strain curves of strands: Ramberg-Osgood, or a table of straight lines.
 
 Every curve is odd (PHYSICS 4: the same in tension and compression), starts with its modulus and
 states its source. Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond
@@ -60,65 +60,6 @@ class Material(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Elastic:
-    """Hooke's law without limit.
-
-    Parameters
-    ----------
-    modulus : Pa
-    source : where the number comes from
-    """
-
-    modulus: float
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        require_positive("modulus", self.modulus)
-
-    @property
-    def largest_strain(self) -> float:
-        """Return infinity."""
-        return np.inf
-
-    def stress(self, strain: Floats) -> Floats:
-        """Return E times strain, Pa; NaN stays NaN."""
-        return self.modulus * strain
-
-
-@dataclass(frozen=True, slots=True)
-class ElasticPerfectlyPlastic:
-    """Hooke's law up to the yield stress, constant beyond.
-
-    Parameters
-    ----------
-    modulus, yield_stress : Pa
-    source : where the numbers come from
-    """
-
-    modulus: float
-    yield_stress: float
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        require_positive("modulus", self.modulus)
-        require_positive("yield_stress", self.yield_stress)
-
-    @property
-    def largest_strain(self) -> float:
-        """Return infinity."""
-        return np.inf
-
-    def stress(self, strain: Floats) -> Floats:
-        """Return E times strain, limited to the yield stress, Pa; NaN stays NaN."""
-        return np.clip(self.modulus * strain, -self.yield_stress, self.yield_stress)
-
-    @property
-    def corners(self) -> tuple[Floats, Floats]:
-        """Return the yield strain and the loss of slope there, as a share of the modulus."""
-        return np.array([self.yield_stress / self.modulus]), np.ones(1)
-
-
-@dataclass(frozen=True, slots=True)
 class RambergOsgood:
     """Strain = s / E + (s / K)^(1 / n).
 
@@ -174,7 +115,7 @@ class RambergOsgood:
 
 @dataclass(frozen=True, slots=True)
 class StressTable:
-    """Straight lines between measured points, from zero on.
+    """Straight lines between points, from zero on; one point makes it elastic.
 
     Parameters
     ----------
@@ -304,7 +245,7 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
     -----
     Eqs. (3.20)-(3.22) of the source with the secant modulus; the integral is the same with stress.
     """
-    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+    if isinstance(material, StressTable):
         return _polygon_share(material, rim_strain)[0]
     roots, weights = np.polynomial.legendre.leggauss(laminae)
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
@@ -314,9 +255,7 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
 
 
-def _polygon_share(
-    material: ElasticPerfectlyPlastic | StressTable, rim_strain: Floats
-) -> tuple[Floats, Floats]:
+def _polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
     """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
@@ -357,9 +296,7 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
     stiffness = material.modulus * np.pi * diameter**4 / 64.0
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
     _require_known(material, diameter, rim)
-    if isinstance(material, Elastic):
-        return StrandMoment(stiffness * curvature, np.full(rim.shape, stiffness))
-    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+    if isinstance(material, StressTable):
         part, tangent = (part.reshape(rim.shape) for part in _polygon_share(material, rim.ravel()))
     else:
         first, share, slope = _share_table(material)

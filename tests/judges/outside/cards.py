@@ -31,8 +31,9 @@ from labpipe.mechanics.wire.cross_section import (
     stretch_torsion,
 )
 from labpipe.mechanics.wire.friction import Contacts
-from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Elastic, Material
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Material
 from labpipe.records.arrays import Floats
+from tests.builders.stranded_wires import elastic
 
 Values = Mapping[str, Any]
 Bounds = tuple[float, float]
@@ -76,7 +77,7 @@ def _strand(of: Values) -> CrossSection:
         angle = np.arctan2(2.0 * np.pi * radius, length) if radius else 0.0
         counts = material == of.get("counted", material)
         modulus = of[f"modulus_{material}_gpa"] * 1e9 if counts else 1.0
-        layers.append(Layer(ring["count"], diameter, float(angle), Elastic(modulus), 0.3))
+        layers.append(Layer(ring["count"], diameter, float(angle), elastic(modulus), 0.3))
     return concentric(tuple(layers))
 
 
@@ -125,7 +126,7 @@ def _wire(of: Values, outer: float, material: Material) -> CrossSection:
 def bending(of: Values) -> Bounds:
     """Insulated wire from slip to stick, N m^2; at a curvature, with copper that yields there."""
     outer = of["diameter_mm"] / 2e3
-    section = _wire(of, outer, Elastic(of["modulus_copper_gpa"] * 1e9))
+    section = _wire(of, outer, elastic(of["modulus_copper_gpa"] * 1e9))
     low = slip_stiffness(section)
     if "curvature" in of:
         yielding = _wire(of, outer, ANNEALED_COPPER)
@@ -138,7 +139,7 @@ def bending(of: Values) -> Bounds:
 def six_wires(of: Values) -> Bounds:
     """Six wires on a circle, N m^2: each for itself, to all sticking to each other."""
     low, high = bending(of)
-    wire = _wire(of, of["diameter_mm"] / 2e3, Elastic(of["modulus_copper_gpa"] * 1e9))
+    wire = _wire(of, of["diameter_mm"] / 2e3, elastic(of["modulus_copper_gpa"] * 1e9))
     angle = np.pi / 3.0 * np.arange(6)
     x, y = of["circle_mm"] * 1e-3 * np.array([np.cos(angle), np.sin(angle)])
     pull = np.full(6, stretch_torsion(wire).axial)
@@ -156,7 +157,7 @@ def _cord(of: Values) -> CrossSection:
     count = int(of["strands"])
     bore = strand_diameter(area, count) * (RINGS[count] + 0.5)
     outer = (bore**2 + (mass_si - copper) / of["density"] / np.pi) ** 0.5
-    return _wire({**of, "copper_mm2": area * 1e6}, outer, Elastic(of["modulus_copper_gpa"] * 1e9))
+    return _wire({**of, "copper_mm2": area * 1e6}, outer, elastic(of["modulus_copper_gpa"] * 1e9))
 
 
 def cord(of: Values) -> Bounds:

@@ -21,7 +21,7 @@ from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Layer, compressed, concentric
 from labpipe.mechanics.wire.first_loading import force_at
 from labpipe.mechanics.wire.friction import Contacts, insulated
-from labpipe.mechanics.wire.materials import Elastic, StressTable
+from labpipe.mechanics.wire.materials import StressTable
 from labpipe.records.arrays import Floats
 from tests.builders.loading_tests import (
     TRUTH,
@@ -31,7 +31,7 @@ from tests.builders.loading_tests import (
     section_of,
     wire_of,
 )
-from tests.builders.stranded_wires import tube
+from tests.builders.stranded_wires import elastic, tube
 
 WIRE = wire_of("A2")
 
@@ -159,9 +159,9 @@ ROUGH, SMOOTH, LOOSE = (
 
 CORE, RING = section_of("A2").layers
 
-BARE = compressed((replace(CORE, material=Elastic(110e9)), replace(RING, material=Elastic(110e9))))
+BARE = compressed((replace(CORE, material=elastic(110e9)), replace(RING, material=elastic(110e9))))
 
-TWO = compressed((replace(CORE, material=Elastic(207e9)), RING))
+TWO = compressed((replace(CORE, material=elastic(207e9)), RING))
 
 SINGLE = concentric((Layer(1, 0.5e-3),), tube(1.2e-3))
 
