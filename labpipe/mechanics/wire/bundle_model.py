@@ -21,7 +21,7 @@ from labpipe.mechanics.wire.bundle_packing import fits, holding_circle, packing_
 from labpipe.mechanics.wire.wire_table import build
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import Bundle, BundleLayout, BundleModel, BundleWire
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireTable
 
 
@@ -133,12 +133,13 @@ def _diameter_notes(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[Qual
     for wire, table in zip(bundle.wires, kinds, strict=True):
         nominal = 2.0 * table.layout.wire_radius
         if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
-            message = (
-                f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, "
-                f"used to place the wires; the law is for a wire of "
-                f"{1e3 * nominal:.4g} mm"
+            yield QualityNote.of(
+                "mechanics.wire.diameter_differs",
+                "bundle",
+                wire=wire.type,
+                diameter=1e3 * wire.diameter,
+                nominal=1e3 * nominal,
             )
-            yield QualityNote("diameter_differs", Severity.WARNING, "bundle", message)
 
 
 def _common_range(
@@ -156,11 +157,15 @@ def _common_range(
     longest = max(kinds, key=lambda table: float(table.curvature[-1]))
     if longest.curvature[-1] <= curvature[-1]:
         return curvature, ()
-    message = (
-        f"moments are given up to {curvature[-1]:.4g} 1/m, where {reason}; the law of "
-        f"{longest.name} goes to {longest.curvature[-1]:.4g} 1/m"
+    note = QualityNote.of(
+        "mechanics.wire.bundle_range_shortened",
+        "bundle",
+        end=curvature[-1],
+        reason=reason,
+        longest=longest.name,
+        last=longest.curvature[-1],
     )
-    return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)
+    return curvature, (note,)
 
 
 def _straight_ranges(
@@ -184,32 +189,34 @@ def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
     (across, mixed), (_, along) = model.tensor
     lost = mixed**2 / (across * along)
     if lost > max_lost_share:
-        message = (
-            f"the principal axes are oblique ({np.degrees(model.principal_angle):.3g} deg from x "
-            f"to the stiffest direction): bent along y, a sticking bundle free to move aside is "
-            f"{100.0 * lost:.2g} % less stiff than the {_stiffness_text(along)} of one kept in its "
-            f"plane"
+        yield QualityNote.of(
+            "mechanics.wire.oblique_axes",
+            "bundle",
+            degrees=np.degrees(model.principal_angle),
+            percent=100.0 * lost,
+            stiffness=_stiffness_text(along),
         )
-        yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
     curvature = model.curvature
     below = np.flatnonzero(model.moment_stick[1:] < 0.5 * model.high * curvature[1:]) + 1
     # with less stretching, the stiffness that it loses is that of slipping strands
     if len(below) and model.high >= min_stretching_factor * model.free:
-        message = (
-            f"stretched copper yields: a sticking bundle, bent along y, has less than half "
-            f"of its {_stiffness_text(model.high)} beyond {curvature[below[0]]:.3g} 1/m"
+        yield QualityNote.of(
+            "mechanics.wire.copper_yields",
+            "bundle",
+            stiffness=_stiffness_text(model.high),
+            curvature=curvature[below[0]],
         )
-        yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
     slip, stick = model.doubtful_curvature, model.doubtful_curvature_stick
     if curvature[-1] > stick:
         condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
-        addition = f", and beyond {slip:.4g} 1/m if they slip" if curvature[-1] > slip else ""
-        message = (
-            f"where the rim of an insulation is strained beyond its linear range, its modulus does "
-            f"not apply: moments are doubtful beyond {stick:.4g} 1/m{condition}"
-            f"{addition if condition else ''} (lighter in the figure)"
+        if condition and curvature[-1] > slip:
+            condition += f", and beyond {slip:.4g} 1/m if they slip"
+        yield QualityNote.of(
+            "mechanics.wire.bundle_insulation_doubtful",
+            "bundle",
+            stick=stick,
+            condition=condition,
         )
-        yield QualityNote("insulation_doubtful", Severity.WARNING, "bundle", message)
 
 
 def _stiffness_text(value: float) -> str:

@@ -34,8 +34,9 @@ from labpipe.mechanics.wire.cantilever import (
     straight,
 )
 from labpipe.mechanics.wire.first_loading import FIRST_LOADING, LoadingStates, loading_states
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 
 PATH_STATIONS = 48
@@ -142,9 +143,8 @@ def _shape_at_rest(law: MomentLaw, rest: WireState, length: float) -> Cantilever
     shape = shape_of(law, rest, length)
     lean = float(np.max(np.abs(shape.angle)))
     if lean > max_lean:
-        where = "deg between clamp and tip"
-        message = f"by its weight the wire is inclined by {np.degrees(lean):.3g} {where}"
-        raise ValueError(message)
+        degrees = np.degrees(lean)
+        raise ValueError(format_sentence("mechanics.wire.leans_by_weight", degrees=degrees))
     return shape
 
 
@@ -234,27 +234,34 @@ def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> Can
     try:
         law = concave_law(curve.curvature[1:], curve.moment[1:])
     except ValueError as error:
-        message = f"no curve of the cantilever: {error}"
-        note = QualityNote("cantilever_cut", Severity.WARNING, spec.place, message)
+        note = QualityNote.of("mechanics.wire.no_cantilever", spec.place, error=error)
         return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
-    notes = []
+    notes, length = [], 1e3 * spec.length
     try:
         bent = _bend_to_end(law, spec.length, self_weight)
     except ValueError as error:
-        message = (
-            f"the curve of the cantilever of {spec.length * 1e3:.4g} mm is without the wire's own "
-            f"weight, {1e3 * self_weight * spec.length:.4g} mN: {error}"
+        note = QualityNote.of(
+            "mechanics.wire.weight_left_out",
+            spec.place,
+            length=length,
+            weight=self_weight * length,
+            error=error,
         )
-        notes.append(QualityNote("weight_left_out", Severity.WARNING, spec.place, message))
+        notes.append(note)
         bent = _bend_to_end(law, spec.length, 0.0)
     wanted = FARTHEST * spec.length
     if bent.deflection[-1] < wanted:
-        message = (
-            f"the cantilever of {spec.length * 1e3:.4g} mm is reported up to a tip deflection of "
-            f"{bent.deflection[-1] * 1e3:.4g} mm, not {wanted * 1e3:.4g} mm: beyond, the curvature "
-            f"at the clamp leaves the range of the law, {curve.curvature[-1]:.4g} 1/m"
+        last = curve.curvature[-1]
+        notes.append(
+            QualityNote.of(
+                "mechanics.wire.cantilever_cut",
+                spec.place,
+                length=length,
+                reached=1e3 * bent.deflection[-1],
+                wanted=1e3 * wanted,
+                last=last,
+            )
         )
-        notes.append(QualityNote("cantilever_cut", Severity.WARNING, spec.place, message))
     return replace(bent, notes=tuple(notes))
 
 

@@ -28,8 +28,9 @@ from labpipe.mechanics.wire.end_load_path import cantilever_of
 from labpipe.mechanics.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.mechanics.wire.packing import Kind, helix_overlap, lay_out
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
 from labpipe.units import GRAVITY
 
@@ -185,28 +186,20 @@ def _law_notes(
     spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
 ) -> Iterator[QualityNote]:
     if spec.tension:
-        message = (
-            f"the law holds for a tension of {spec.tension:.4g} N applied before bending; the "
-            f"cantilever uses that law without the effect of the tension on its shape"
-        )
-        yield QualityNote("tension", Severity.INFO, spec.place, message)
+        yield QualityNote.of("mechanics.wire.tension", spec.place, tension=spec.tension)
     if np.any(onsets == 0.0):
-        slope = float(curve.secant_stiffness[1])
-        message = (
-            f"strands slip as soon as the wire bends (radial force {spec.radial_force:.3g} N, "
-            f"friction {spec.friction_strand:.3g} and {spec.friction_insulation:.3g}): the slope "
-            f"of the law at zero is {slope:.4g} N m^2, not the stick stiffness, "
-            f"{curve.stick_stiffness:.4g} N m^2"
+        yield QualityNote.of(
+            "mechanics.wire.slips_at_once",
+            spec.place,
+            force=spec.radial_force,
+            strand=spec.friction_strand,
+            insulation=spec.friction_insulation,
+            slope=curve.secant_stiffness[1],
+            stick=curve.stick_stiffness,
         )
-        yield QualityNote("slips_at_once", Severity.WARNING, spec.place, message)
     if curve.curvature[-1] > limit:
-        strain = 100.0 * spec.insulation_strain
-        message = (
-            f"where the rim of the insulation is strained by more than {strain:.3g} %, its modulus "
-            f"does not apply: moments beyond are doubtful (lighter in figures, 'doubtful' in "
-            f"tables); a stress table of the insulation extends the range"
-        )
-        yield QualityNote("insulation_doubtful", Severity.WARNING, spec.place, message)
+        percent = 100.0 * spec.insulation_strain
+        yield QualityNote.of("mechanics.wire.insulation_doubtful", spec.place, percent=percent)
 
 
 class WireError(ValueError):
@@ -253,9 +246,8 @@ def build(spec: WireSpec) -> BuiltWire:
     """
     notes = []
     if spec.defaults:
-        left_out = ", ".join(spec.defaults.values())
-        message = f"the sheet leaves these out; defaults used: {left_out}"
-        notes.append(QualityNote("defaults_taken", Severity.INFO, spec.place, message))
+        names = ", ".join(spec.defaults.values())
+        notes.append(QualityNote.of("mechanics.wire.defaults_taken", spec.place, names=names))
     try:
         require_positive("length", spec.length)
         require_finite("orientation", spec.orientation)
@@ -334,8 +326,11 @@ def _section(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
         return hexagonal(layers, tube), []
     except ValueError as error:
         section, reason = lay_out(layers, tube), str(error)
-    message = f"the layout is {section.kind}, not a hexagon ({reason})"
-    return section, [QualityNote("layout_fallback", Severity.WARNING, spec.place, message)]
+    return section, [
+        QualityNote.of(
+            "mechanics.wire.layout_fallback", spec.place, kind=section.kind, reason=reason
+        )
+    ]
 
 
 def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
@@ -352,30 +347,34 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
     if section.kind == "packed" and offset > max_silent_offset * bore:
         turns = np.linspace(0.0, np.pi, 180, endpoint=False)
         stiffness = [stick_stiffness(section, orientation=turn) for turn in turns]
-        message = (
-            f"the strands lie to one side of the bore: their centroid is {offset * 1e3:.3g} mm off "
-            f"the axis, {100.0 * offset / bore:.2g} % of the bore's radius. Bent about the axis, "
-            f"the stick stiffness is {min(stiffness):.4g} to {max(stiffness):.4g} N m^2, by "
-            f"orientation"
+        yield QualityNote.of(
+            "mechanics.wire.layout_eccentric",
+            spec.place,
+            offset=1e3 * offset,
+            percent=100.0 * offset / bore,
+            lowest=min(stiffness),
+            highest=max(stiffness),
         )
-        yield QualityNote("layout_eccentric", Severity.WARNING, spec.place, message)
     if section.overlap > touch_tolerance * bore:
-        message = (
-            f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
-            f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
-            f"{100.0 * MAX_OVERLAP_SHARE:.1f} % is allowed"
+        yield QualityNote.of(
+            "mechanics.wire.overlap_tolerated",
+            spec.place,
+            overlap=1e6 * section.overlap,
+            percent=100.0 * section.overlap / bore,
+            allowed=100.0 * MAX_OVERLAP_SHARE,
         )
-        yield QualityNote("overlap_tolerated", Severity.INFO, spec.place, message)
     material = material_of(spec)
     elastic = material.modulus * strain
     carried = float(material.stress(np.array([strain]))[0])
     if elastic > max_elastic_factor * carried:
-        message = (
-            f"a tension of {spec.tension:.4g} N strains the elastic wire by {strain:.3g}: the "
-            f"strands pull with {elastic / 1e6:.4g} MPa in the model, and their stress-strain "
-            f"curve carries {carried / 1e6:.4g} MPa there"
+        yield QualityNote.of(
+            "mechanics.wire.tension_yields",
+            spec.place,
+            tension=spec.tension,
+            strain=strain,
+            elastic=elastic / 1e6,
+            carried=carried / 1e6,
         )
-        yield QualityNote("tension_yields", Severity.WARNING, spec.place, message)
 
 
 def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
@@ -397,15 +396,12 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]
     overlap = 0.0 if section.kind == "compressed" else helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
-    overlap_text = (
-        f"by their lay angle, helices that touch in the section overlap by {100.0 * overlap:.2g} % "
-        f"of their diameter"
-    )
+    percent = 100.0 * overlap
     if overlap > max_overlap:
-        message = f"the strands do not fit each other: {overlap_text}; {max_overlap:.0%} is allowed"
-        raise ValueError(message)
-    message = f"{overlap_text}: lay angle, strands or layout may differ in the real wire"
-    yield QualityNote("helices_overlap", Severity.WARNING, spec.place, message)
+        raise ValueError(
+            format_sentence("mechanics.wire.strands_overlap", percent=percent, allowed=max_overlap)
+        )
+    yield QualityNote.of("mechanics.wire.helices_overlap", spec.place, percent=percent)
 
 
 def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
@@ -430,7 +426,7 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
     wanted = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
     notes: tuple[QualityNote, ...] = ()
     strand, wire = max(spec.strand_diameters), spec.wire_diameter
-    for table, diameter, place in (
+    for table, diameter, part in (
         (spec.stress_table, strand, f"a strand of {strand * 1e3:.3g} mm"),
         (spec.insulation_table, wire, f"the insulation of {wire * 1e3:.3g} mm"),
     ):
@@ -447,10 +443,14 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
         if end >= wanted:
             continue
         pulled = f", of which the tension takes {strain:.3g}" if strain else ""
-        message = (
-            f"tables end at {end:.4g} 1/m, not at {wanted:.4g} 1/m: there the rim of {place} "
-            f"reaches the last strain of the stress table, {last:.4g}{pulled}"
+        note = QualityNote.of(
+            "mechanics.wire.range_shortened",
+            spec.place,
+            end=end,
+            wanted=wanted,
+            part=part,
+            last=last,
+            pulled=pulled,
         )
-        note = QualityNote("range_shortened", Severity.WARNING, spec.place, message)
         wanted, notes = end, (*notes, note)
     return wanted, notes

@@ -1,4 +1,4 @@
-"""Calibration of the wire model by first loadings of cantilevers (PHYSICS 6, source 3.4).
+"""Calibration of the wire model by first loadings of cantilevers (PHYSICS 6, dissertation 3.4).
 
 Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
 insulation and the strength of the copper. Intervals come from the profile likelihood with t
@@ -43,7 +43,7 @@ from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import uncertainty
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Interval
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     UNITS,
@@ -102,7 +102,7 @@ def make_calibration(result: CalibrationFit) -> Calibration:
 
     Parameters
     ----------
-    found : the fit and all that it rests on
+    result : the fit and all that it rests on
     """
     problem = result.problem
     solutions = tuple(_solution(result, valley) for valley in result.valleys)
@@ -157,14 +157,14 @@ def _parameter(
     name, problem = PARAMETERS[number], result.problem
     value = float(np.exp(result.fit.point.logs[number]))
     if not problem.parts.has[number]:
-        words = f"{NAMES[name]} does not act on this wire"
-        return CalibratedParameter(name, UNITS[name], np.nan, explanation=words)
+        text = f"{NAMES[name]} does not act on this wire"
+        return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
     if not result.free[number]:
         source = result.settings.choices[name].source if name in result.settings.choices else ""
         fixed = CalibratedParameter(name, UNITS[name], value, source=source)
         return replace(fixed, explanation=describe_parameter(fixed))
-    profiles_ = traces(result, number)
-    intervals = tuple(Interval(*np.exp(ends).tolist()) for ends in union(profiles_))
+    traced = traces(result, number)
+    intervals = tuple(Interval(*np.exp(ends).tolist()) for ends in union(traced))
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
@@ -172,10 +172,10 @@ def _parameter(
         intervals=intervals,
         log_error=float(np.sqrt(result.spread.covariance[number, number])),
         freedom=result.spread.freedom(np.eye(P + 1)[number]),
-        is_open_below=any(trace.is_open_below for trace in profiles_),
-        is_open_above=any(trace.is_open_above for trace in profiles_),
+        is_open_below=any(trace.is_open_below for trace in traced),
+        is_open_above=any(trace.is_open_above for trace in traced),
         at_bound=_reached_bound(result, number),
-        profiles=tuple(map(_profile, profiles_)),
+        profiles=tuple(map(_profile, traced)),
         conflict=_prior_conflict(result, number) if problem.precision[number] > 0.0 else None,
     )
     others = tuple(
@@ -335,9 +335,8 @@ def _notes(
     for parameter in parameters:
         yield from _parameter_notes(parameter)
     if len(solutions) > 1:
-        where = result.problem.curves[0].wire
-        message = two_solutions(solutions)
-        yield QualityNote("two_solutions", Severity.WARNING, where, message)
+        where, description = result.problem.curves[0].wire, two_solutions(solutions)
+        yield QualityNote.of("mechanics.wire.two_solutions", where, description=description)
     yield from _level_notes(result, compared)
 
 
@@ -348,37 +347,29 @@ def _level_notes(
     max_correlation = 0.3  # of neighbouring residuals, without a note
     levels, where = result.levels, result.problem.curves[0].wire
     if result.problem.n_samples == 1 and not result.is_scatter_known:
-        message = (
-            "one sample: the scatter of samples is unknown, so the intervals apply to this sample, "
-            "not to the wire"
-        )
-        yield QualityNote("one_sample", Severity.WARNING, where, message)
+        yield QualityNote.of("mechanics.wire.one_sample", where)
     factor = float(np.sqrt(levels.noise))
     if not noise_ratio_range[0] <= factor <= noise_ratio_range[1]:
-        message = (
-            f"the residuals scatter {factor:.3g} times as much as the stated noise; the intervals "
-            f"use the residuals"
-        )
-        yield QualityNote("noise_misstated", Severity.WARNING, where, message)
+        yield QualityNote.of("mechanics.wire.noise_misstated", where, factor=factor)
     if levels.correlation > max_correlation:
         worst_curve = max(compared, key=lambda curve: curve.lag_one_correlation)
-        message = (
-            f"neighbouring residuals are correlated ({levels.correlation:.2f}, most in "
-            f"{worst_curve.test} with {worst_curve.lag_one_correlation:.2f}): slow noise, or a "
-            f"model that misses the shape of the curves; the intervals weight the points less"
+        yield QualityNote.of(
+            "mechanics.wire.residuals_correlated",
+            where,
+            correlation=levels.correlation,
+            test=worst_curve.test,
+            largest=worst_curve.lag_one_correlation,
         )
-        yield QualityNote("residuals_correlated", Severity.WARNING, where, message)
     if not result.fit.settled:
-        message = f"the search did not converge within {result.fit.steps} steps"
-        yield QualityNote("search_unsettled", Severity.WARNING, where, message)
+        yield QualityNote.of("mechanics.wire.search_unsettled", where, steps=result.fit.steps)
 
 
 def _parameter_notes(parameter: CalibratedParameter) -> Iterator[QualityNote]:
+    name, text, conflict = parameter.name, parameter.explanation, parameter.conflict
     if parameter.at_bound:
-        yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.explanation)
+        yield QualityNote.of("mechanics.wire.at_bound", name, explanation=text)
     if parameter.verdict is Identifiability.NOT:
-        yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.explanation)
-    if parameter.conflict is not None and parameter.conflict.contradicts:
-        yield QualityNote(
-            "prior_contradicts_data", Severity.WARNING, parameter.name, parameter.conflict.message
-        )
+        yield QualityNote.of("mechanics.wire.not_identified", name, explanation=text)
+    if conflict is not None and conflict.contradicts:
+        text = conflict.message
+        yield QualityNote.of("mechanics.wire.prior_contradicts_data", name, explanation=text)

@@ -154,7 +154,7 @@ def find(
     try:
         minima = find_minima(problem, logs, free, scatter=settings.scatter)
     except ValueError as error:
-        return CalibrationFailure("model_cannot_follow", str(error))
+        return CalibrationFailure.of("mechanics.wire.model_cannot_follow", error=error)
     fits, levels = minima.fits, minima.levels
     valleys = tuple(
         local_minimum_of(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
@@ -210,8 +210,7 @@ def pose(
     for number, name in enumerate(PARAMETERS):
         acts, choice = parts.has[number], choices.get(name, ParameterChoice())
         if not acts and name in choices and not choice.is_fixed:
-            message = f"{name} does not act on this wire: the tests cannot determine it"
-            return CalibrationFailure("parameter_without_effect", message)
+            return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
         if not acts:
             continue
         nominal = float(parts.given[number])
@@ -220,11 +219,10 @@ def pose(
         if choice.is_fixed:
             low = high = value
         elif not low <= value <= high or low == high:
-            message = (
-                f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
-                f"{in_display_unit(name, low, high)}: give a value between them"
+            start, bounds = in_display_unit(name, value), in_display_unit(name, low, high)
+            return CalibrationFailure.of(
+                "mechanics.wire.value_out_of_bounds", name=name, value=start, bounds=bounds
             )
-            return CalibrationFailure("value_out_of_bounds", message)
         free[number] = not choice.is_fixed
         logs[number], lower[number], upper[number] = np.log([value, low, high])
         if choice.factor is not None and not choice.is_fixed:
@@ -233,13 +231,15 @@ def pose(
     names = list(dict.fromkeys(curve.sample for curve in curves))
     samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
     problem = Problem(parts, curves, samples, centre, precision, lower, upper, gain)
-    needed = int(free.sum()) + problem.n_samples
-    if problem.n_points <= needed:
-        message = (
-            f"{problem.n_points} points for {int(free.sum())} parameters and {problem.n_samples} "
-            f"samples: expected at least {needed + 1}; use more points, or fix a parameter"
+    needed = int(free.sum()) + problem.n_samples + 1
+    if problem.n_points < needed:
+        return CalibrationFailure.of(
+            "mechanics.wire.too_few_points",
+            points=problem.n_points,
+            parameters=int(free.sum()),
+            samples=problem.n_samples,
+            needed=needed,
         )
-        return CalibrationFailure("too_few_points", message)
     return problem, logs, free
 
 

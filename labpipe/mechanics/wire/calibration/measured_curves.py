@@ -114,25 +114,26 @@ def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | Cal
     root_n = np.sqrt(len(finite))
     finite = tuple(replace(curve, scale_error=root_n * curve.scale_error) for curve in finite)
     if not finite:
-        message = f"none of {len(curves)} curves has a point with deflection and force"
-        return CalibrationFailure("no_sample_usable", message)
+        return CalibrationFailure.of("mechanics.wire.no_sample_usable", number=len(curves))
     wires = sorted({curve.wire for curve in finite})
     if len(wires) > 1:
-        message = f"curves of {len(wires)} wires: {', '.join(wires)}; expected one"
-        return CalibrationFailure("wires_mixed", message)
+        names, number = ", ".join(wires), len(wires)
+        return CalibrationFailure.of("mechanics.wire.wires_mixed", number=number, names=names)
     for curve in finite:
         if not np.all(np.asarray(curve.noise) > 0.0):
-            noise = 1e3 * np.min(curve.noise)
-            message = f"{curve.test}: expected a positive noise, found {noise:.4g} mN"
-            return CalibrationFailure("noise_not_positive", message)
+            test, noise = curve.test, 1e3 * np.min(curve.noise)
+            return CalibrationFailure.of(
+                "mechanics.wire.noise_not_positive", test=test, noise=noise
+            )
         deepest = float(np.max(np.abs(curve.deflection)))
         if deepest > DEEPEST * curve.length:
-            message = (
-                f"{curve.test}: a deflection of {1e3 * deepest:.4g} mm for "
-                f"{1e3 * curve.length:.4g} mm; first loading is modelled up to {DEEPEST:g} of the "
-                "length"
+            return CalibrationFailure.of(
+                "mechanics.wire.deflection_too_large",
+                test=curve.test,
+                deflection=1e3 * deepest,
+                length=1e3 * curve.length,
+                limit=DEEPEST,
             )
-            return CalibrationFailure("deflection_too_large", message)
     return finite
 
 

@@ -14,7 +14,7 @@ from labpipe.mechanics.wire.calibration.variances import quantiles
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.first_loading import LoadingCurve, force_at
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
 
 _NORMAL = float(ndtri(0.975))
@@ -99,20 +99,15 @@ def _reach(
 
 def _notes(calibration: Calibration) -> Iterator[QualityNote]:
     if calibration.levels.scatter_freedom == 0.0:
-        message = "the scatter of samples is unknown from one sample: the bands exclude it"
-        yield QualityNote("one_sample", Severity.WARNING, calibration.wire, message)
+        yield QualityNote.of("mechanics.wire.predicted_sample", calibration.wire)
     allowed = sum(solution.is_allowed for solution in calibration.solutions)
     if allowed > 1:
-        message = (
-            f"{allowed} solutions fit the tests: the bands cover all of "
-            "them, the curve is that of the best"
-        )
-        yield QualityNote("two_solutions", Severity.WARNING, calibration.wire, message)
+        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=allowed)
     for name in PARAMETERS:
         parameter = calibration.parameter(name)
         if parameter.is_open_below or parameter.is_open_above:
-            message = f"{parameter.explanation}; the bands treat its error as normal"
-            yield QualityNote("not_identified", Severity.WARNING, name, message)
+            text = parameter.explanation
+            yield QualityNote.of("mechanics.wire.predicted_open", name, explanation=text)
 
 
 def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
