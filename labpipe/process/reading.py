@@ -145,7 +145,7 @@ def read_inputs(
     ReadError
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
-    files = named_exports(sheet, protocol)
+    files = list_named_exports(sheet, protocol)
     # Hashing runs in a thread: it takes as long as reading and releases the GIL.
     with ThreadPoolExecutor(max_workers=1) as executor:
         fingerprints = [
@@ -160,10 +160,10 @@ def read_inputs(
             for role, source in protocol.sources.items()
         }
         inputs = tuple(future.result() for future in fingerprints)
-    return recordings, (*inputs, *dialect_cards(protocol))
+    return recordings, (*inputs, *fingerprint_dialect_cards(protocol))
 
 
-def named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
+def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
     """List the exports of a test, in the order of its protocol.
 
     Parameters
@@ -178,7 +178,7 @@ def named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]
     return [(role, name) for role in protocol.sources for name in sheet.files[role]]
 
 
-def dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
+def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
     """Take fingerprints of the dialect cards of the lab, which define how an export is read.
 
     Parameters

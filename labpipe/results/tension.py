@@ -33,10 +33,10 @@ from labpipe.records.declarations import CURVE, Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.curve_replicates import make_trace, select_first_loading
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import require_samples
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.linear_fits import fit_linear
@@ -139,17 +139,17 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull | Failure:
 
 
 def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
-    trace = traced(test)
-    part = loading_of(trace)
+    trace = make_trace(test)
+    part = select_first_loading(trace)
     if part.stop - part.start < 2:
-        raise test.unavailable(NO_LOADING)
+        raise test.make_error(NO_LOADING)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
-    stress = sense_of_loading(force) * force / compute_area(sizes)
+    stress = compute_loading_sign(force) * force / compute_area(sizes)
     first = displacement[~np.isnan(displacement)][:1].sum()
     if isinstance(test.slack, Measured):
         first = 0.0  # the displacement is counted from where the specimen is taut
-    strain = sense_of_loading(displacement) * (displacement - first) / find_gauge_length(sizes)
+    strain = compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
     window = _straight_part(strain, stress, choice)
     x, y = _few_samples(strain[window], stress[window])
     require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
@@ -338,10 +338,10 @@ class TensionResult(Kind):
         if isinstance(test.pull, Failure):
             raise UnavailableError(test.pull)
         if test.pull is None:
-            raise test.unavailable(NO_LOADING)
+            raise test.make_error(NO_LOADING)
         return test.pull
 
-    def doubts(self, test: ReducedTest, pull: Pull, number: Number) -> tuple[Reason, ...]:
+    def list_doubts(self, test: ReducedTest, pull: Pull, number: Number) -> tuple[Reason, ...]:
         """Return doubts about a number by the elastic line, or by a displacement of the machine."""
         return tuple(_doubts_of_line(pull, number)) + self._doubts_of_machine(test, pull)
 
@@ -416,7 +416,7 @@ class ElasticModulus(TensionResult):
     result: ClassVar = "elastic-modulus"
     outputs: ClassVar = (Output("elastic_modulus", "Pa", "Modulus of elasticity"),)
 
-    def methods(self, test: ReducedTest) -> tuple[str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str]:
         """State the range of stress of the elastic line."""
         if not isinstance(test.pull, Pull):
             return ("slope of the elastic line",)
@@ -429,12 +429,12 @@ class ElasticModulus(TensionResult):
         pull = self.pull(test)
         _, errors = _measured(test, pull, _slope, error=0.0)
         window = pull.window
-        number = self.number(
+        number = self.make_result(
             test,
             pull.slope_estimate,
             errors,
             during=_during(pull, window.start, window.stop),
-            doubts=self.doubts(test, pull, _slope) + _jump_of_strain(pull, window.stop),
+            doubts=self.list_doubts(test, pull, _slope) + _jump_of_strain(pull, window.stop),
         )
         return Computed((number,), lines=(_drawn_line(test, pull),))
 
@@ -444,8 +444,8 @@ def _slope(pull: Pull) -> float:
 
 
 def _drawn_line(test: ReducedTest, pull: Pull) -> FittedLine:
-    sizes, curve = test.setup.sizes, test.known_curve
-    part = loading_of(traced(test))
+    sizes, curve = test.setup.sizes, test.required_curve
+    part = select_first_loading(make_trace(test))
     window = curve.displacement[part][pull.window]
     low, high = float(np.nanmin(window)), float(np.nanmax(window))
     strain = float(np.nanmin(pull.strain[pull.window]))
@@ -471,8 +471,8 @@ class ProofStress(TensionResult):
         crossing = _meeting_sample(pull, self.offset)
         outcome, errors = _measured(test, pull, number)
         during = _during(pull, pull.window.start, crossing)
-        doubts = self.doubts(test, pull, number) + _jump_of_strain(pull, crossing)
-        return Computed((self.number(test, outcome, errors, during=during, doubts=doubts),))
+        doubts = self.list_doubts(test, pull, number) + _jump_of_strain(pull, crossing)
+        return Computed((self.make_result(test, outcome, errors, during=during, doubts=doubts),))
 
 
 def _above_shifted_line(pull: Pull, offset: float) -> Floats:
@@ -507,7 +507,7 @@ class YieldStress(TensionResult):
         Output("lower_yield_stress", "Pa", "Lower yield strength"),
     )
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """State the definitions."""
         del test
         return (
@@ -524,7 +524,7 @@ class YieldStress(TensionResult):
             number = partial(_stress_at, sample=sample)
             outcome, errors = _measured(test, pull, number, error=0.0)
             numbers.append(
-                self.number(
+                self.make_result(
                     test,
                     outcome,
                     errors,
@@ -578,7 +578,7 @@ class TensileStrength(TensionResult):
         number: Number = lambda pull: float(np.nanmax(pull.stress))  # noqa: E731
         outcome, errors = _measured(test, pull, number, error=0.0)
         during, doubts = _during(pull, 0, pull.peak), _ends_at_peak(test, pull)
-        return Computed((self.number(test, outcome, errors, during=during, doubts=doubts),))
+        return Computed((self.make_result(test, outcome, errors, during=during, doubts=doubts),))
 
 
 def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
@@ -606,7 +606,7 @@ class MaximumForceElongation(TensionResult):
         ),
     )
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """State the definitions."""
         del test
         total = "strain from the toe to the sample of the largest force"
@@ -624,13 +624,13 @@ class MaximumForceElongation(TensionResult):
             number = partial(_strain_at, sample=peak, is_plastic=is_plastic)
             outcome, errors = _measured(test, pull, number)
             numbers.append(
-                self.number(
+                self.make_result(
                     test,
                     outcome,
                     errors | {PEAK: width / np.sqrt(12.0)},
                     output=place,
                     during=_during(pull, pull.window.start, top.stop),
-                    doubts=self.doubts(test, pull, number) + _ends_at_peak(test, pull),
+                    doubts=self.list_doubts(test, pull, number) + _ends_at_peak(test, pull),
                 )
             )
         return Computed(tuple(numbers))
@@ -674,7 +674,7 @@ class BreakElongation(TensionResult):
         ),
     )
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """State the definitions."""
         del test
         total = "strain from the toe to the last sample before the specimen parts"
@@ -686,7 +686,7 @@ class BreakElongation(TensionResult):
         if isinstance(test.failure, Failure):
             raise UnavailableError(test.failure)
         if not isinstance(test.failure, FailurePoint):
-            raise test.unavailable(NO_LOADING)
+            raise test.make_error(NO_LOADING)
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
             raise _off_before(pull, "the break")
@@ -695,13 +695,13 @@ class BreakElongation(TensionResult):
             number = partial(_strain_at, sample=last, is_plastic=is_plastic)
             outcome, errors = _measured(test, pull, number)
             numbers.append(
-                self.number(
+                self.make_result(
                     test,
                     outcome,
                     errors | {STEP: abs(step) / np.sqrt(12.0)},
                     output=place,
                     during=_during(pull, pull.window.start, last),
-                    doubts=self.doubts(test, pull, number),
+                    doubts=self.list_doubts(test, pull, number),
                 )
             )
         return Computed(tuple(numbers))
