@@ -16,16 +16,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.mechanics.wire.bundle_layout import arrange
-from labpipe.mechanics.wire.bundle_packing import fits, holding_circle, packing_fraction
-from labpipe.mechanics.wire.wire_table import build
+from labpipe.mechanics.wire.bundle_layout import arrange_wires
+from labpipe.mechanics.wire.bundle_packing import (
+    compute_packing_fraction,
+    find_holding_circle,
+    fits_bore,
+)
+from labpipe.mechanics.wire.wire_table import build_wire
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import Bundle, BundleLayout, BundleModel, BundleWire
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireTable
 
 
-def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0) -> BundleModel:
+def compute_bundle_model(
+    bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0
+) -> BundleModel:
     """Compute the bounds of the bending of a bundle.
 
     Parameters
@@ -52,8 +58,8 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
     the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
     without and with the moment of their stretching and shortening, in which copper yields (see
-    `stretching_moment`). The interaction of bending and stretching in one wire is neglected.
-    With friction between wires and compliant tape, a bundle lies between the two.
+    `compute_stretching_moment`). The interaction of bending and stretching in one wire is
+    neglected. With friction between wires and compliant tape, a bundle lies between the two.
     """
     missing = [wire.type for wire in bundle.wires if wire.type not in tables]
     if missing:
@@ -64,11 +70,11 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     counts = [wire.number for wire in bundle.wires]
     diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
     axial = np.array([table.axial_stiffness for table in kinds])
-    layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
+    layout = arrange_wires(bundle, diameters, axial.tolist(), seed=seed)
     stick_stiffness = np.array([table.stick_stiffness for table in kinds])
-    stuck = sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
+    stuck = compute_sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
     curvature, range_notes = _common_range(kinds, layout)
-    slip = slipping_moment(curvature, kinds, counts)
+    slip = compute_slipping_moment(curvature, kinds, counts)
     straight_ranges = _straight_ranges(kinds, layout, stuck.neutral[1])
     middle, smallest = _conduit_circle(bundle, layout)
     bore = bundle.conduit_bore
@@ -85,10 +91,10 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
         axial_stiffness=float(axial[layout.kind].sum()),
         smallest_bore=smallest,
         middle=middle,
-        packing_fraction=None if bore is None else packing_fraction(layout.diameter, bore),
+        packing_fraction=None if bore is None else compute_packing_fraction(layout.diameter, bore),
         curvature=curvature,
         moment_slip=slip,
-        moment_stick=slip + stretching_moment(curvature, layout.y, layout.kind, kinds),
+        moment_stick=slip + compute_stretching_moment(curvature, layout.y, layout.kind, kinds),
         doubtful_curvature=straight_ranges[0],
         doubtful_curvature_stick=straight_ranges[1],
     )
@@ -115,14 +121,14 @@ def _diameter(wire: BundleWire, table: WireTable) -> float:
 def _conduit_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
     """Return centre and diameter of the circle around the wires, which must fit the conduit."""
     centres = np.column_stack([layout.x, layout.y])
-    middle, radius = holding_circle(centres, layout.diameter)
+    middle, radius = find_holding_circle(centres, layout.diameter)
     smallest = 2.0 * radius
     bore = bundle.conduit_bore
-    if bore is not None and not fits(smallest, bore):
+    if bore is not None and not fits_bore(smallest, bore):
         message = (
             f"the {bundle.number} wires in this layout need a bore of {1e3 * smallest:.4g} mm, "
             f"the conduit has {1e3 * bore:.4g} mm "
-            f"(packing fraction {packing_fraction(layout.diameter, bore):.3g})"
+            f"(packing fraction {compute_packing_fraction(layout.diameter, bore):.3g})"
         )
         raise ValueError(message)
     return (float(middle[0]), float(middle[1])), smallest
@@ -146,9 +152,9 @@ def _common_range(
     kinds: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
     """Return the curvatures covered by all laws, and a note where one of them goes further."""
-    curvature = common_curvature(kinds)
+    curvature = find_common_curvatures(kinds)
     depth = float(np.ptp(layout.y))
-    last_known = min(largest_stretch(table) for table in kinds) / depth if depth else np.inf
+    last_known = min(find_largest_stretch(table) for table in kinds) / depth if depth else np.inf
     if last_known < curvature[-1]:
         curvature = np.append(curvature[curvature < last_known], last_known)
         reason = f"sticking wires {1e3 * depth:.3g} mm apart reach the end of a table"
@@ -247,7 +253,9 @@ class Sticking:
     angle: float
 
 
-def sticking(x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats) -> Sticking:
+def compute_sticking(
+    x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats
+) -> Sticking:
     """Compute the bending stiffness of wires that stick to each other, in all directions.
 
     Parameters
@@ -282,7 +290,7 @@ def _axis_angle(axis: Floats) -> float:
     return angle + np.pi if angle <= -np.pi / 2.0 + _AXIS_TOLERANCE else angle
 
 
-def common_curvature(tables: Sequence[WireTable]) -> Floats:
+def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
     """Return the curvatures of all tables up to the end of the shortest, 1/m.
 
     Parameters
@@ -294,7 +302,7 @@ def common_curvature(tables: Sequence[WireTable]) -> Floats:
     return np.asarray(curvature[curvature <= end])
 
 
-def slipping_moment(
+def compute_slipping_moment(
     curvature: Floats, tables: Sequence[WireTable], counts: Sequence[int]
 ) -> Floats:
     """Return the moment of wires that slip without friction, the sum of their laws, N m.
@@ -312,7 +320,7 @@ def slipping_moment(
     return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
 
 
-def share_of_bounds(value: float, low: float, high: float) -> float:
+def compute_bounds_share(value: float, low: float, high: float) -> float:
     """Return the position of a stiffness between the bounds: 0 at the lower, 1 at the upper.
 
     Parameters
@@ -340,13 +348,13 @@ def share_of_bounds(value: float, low: float, high: float) -> float:
     return (value - low) / (high - low)
 
 
-def axial_force(table: WireTable, strain: Floats) -> Floats:
+def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     """Return the force along a stretched wire that does not turn about its axis, N.
 
     Parameters
     ----------
     table : of the wire
-    strain : shape (n,), along the wire, not negative; up to `largest_stretch`
+    strain : shape (n,), along the wire, not negative; up to `find_largest_stretch`
 
     Notes
     -----
@@ -355,7 +363,7 @@ def axial_force(table: WireTable, strain: Floats) -> Floats:
     its force (Costello, *Theory of Wire Rope*, 1997). Its slope at zero is the axial stiffness of
     the table.
     """
-    section = build(table.spec).section
+    section = build_wire(table.spec).section
     tube = section.insulation.axial_stiffness if section.insulation else 0.0
     force = tube * strain
     for layer in section.layers:
@@ -365,14 +373,14 @@ def axial_force(table: WireTable, strain: Floats) -> Floats:
     return np.asarray(force)
 
 
-def largest_stretch(table: WireTable) -> float:
+def find_largest_stretch(table: WireTable) -> float:
     """Return the strain up to which the stress of all strands is known; may be infinite."""
-    layers = build(table.spec).section.layers
+    layers = build_wire(table.spec).section.layers
     strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
     return float(min(strains))
 
 
-def stretching_moment(
+def compute_stretching_moment(
     curvature: Floats, y: Floats, wire_types: Ints, tables: Sequence[WireTable]
 ) -> Floats:
     """Return the moment of the stretching and shortening of sticking wires, N m.
@@ -394,7 +402,7 @@ def stretching_moment(
     halvings = 60
     reach = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
     strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * reach)
-    laws = [axial_force(table, strain) for table in tables]
+    laws = [compute_axial_force(table, strain) for table in tables]
 
     def forces(neutral: Floats) -> Floats:
         stretch = curvature[:, None] * (y - neutral[:, None])

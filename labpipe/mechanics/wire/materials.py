@@ -12,7 +12,7 @@ A round strand of radius a at curvature kappa has the strain y kappa at height y
 
 taken by Gauss's rule over equal shares of the angle p, so that the laminae are thinnest where the
 strain is largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when all has
-yielded. The sum of 11 laminae in the source's appendix, up to and with the rim, is 4.6 % low.
+yielded. The sum of 11 laminae in the dissertation's appendix, up to and with the rim, is 4.6 % low.
 
 A piecewise linear curve is a sum of corners, and the loss of moment by a corner at the strain e has
 a closed form: with sin q = e / (a kappa),
@@ -184,13 +184,13 @@ class StressTable:
 
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
-"""Copper of the source's wires."""
+"""Copper of the dissertation's wires."""
 
 
 LAMINAE = 64
-_DECADES = (-14.0, -6.0, 0.0)
+_STRAIN_DECADES = (-14.0, -6.0, 0.0)
 """Powers of ten of the rim's strain: nearly elastic, then plastic."""
-_ROUNDING = 1e-12  # of the last strain of a curve
+_STRAIN_TOLERANCE = 1e-12  # of the last strain of a curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,7 +207,7 @@ class StrandMoment:
     tangent: Floats
 
 
-def helix_factor(lay_angle: float, poisson: float) -> float:
+def compute_helix_factor(lay_angle: float, poisson: float) -> float:
     """Return the bending stiffness of a helical strand as a share of that of a straight one.
 
     Parameters
@@ -221,14 +221,16 @@ def helix_factor(lay_angle: float, poisson: float) -> float:
 
     Notes
     -----
-    Eq. (3.18) of the source prints sin for sin^2, which is not even in the lay angle. This is the
-    energy average over one turn: the strand bends about its normal and binormal and twists.
+    Eq. (3.18) of the dissertation prints sin for sin^2, which is not even in the lay angle. This is
+    the energy average over one turn: the strand bends about its normal and binormal and twists.
     """
     cosine, sine = np.cos(lay_angle), np.sin(lay_angle)
     return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
 
 
-def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMINAE) -> Floats:
+def compute_elastic_share(
+    material: Material, rim_strain: Floats, *, laminae: int = LAMINAE
+) -> Floats:
     """Return the moment of a round strand over its elastic moment.
 
     Parameters
@@ -243,7 +245,8 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
 
     Notes
     -----
-    Eqs. (3.20)-(3.22) of the source with the secant modulus; the integral is the same with stress.
+    Eqs. (3.20)-(3.22) of the dissertation with the secant modulus; the integral is the same with
+    stress.
     """
     if isinstance(material, StressTable):
         return _polygon_share(material, rim_strain)[0]
@@ -259,7 +262,9 @@ def _polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, F
     """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
-    strain = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
+    strain = np.where(
+        rim_strain <= material.largest_strain * (1.0 + _STRAIN_TOLERANCE), rim_strain, np.nan
+    )
     sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
@@ -269,7 +274,7 @@ def _polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, F
     return 1.0 - 16.0 / np.pi * taken @ loss, 1.0 - 16.0 / np.pi * slope @ loss
 
 
-def strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
+def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
     """Return the bending moment of a straight round strand, and its slope, on first loading.
 
     Parameters
@@ -285,13 +290,13 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
     Raises
     ------
     ValueError
-        If the rim is strained beyond the material's curve; the message says the curvature.
+        If the rim is strained beyond the material's curve; the message states the curvature.
 
     Notes
     -----
-    For a smooth curve `elastic_share` is kept per material on a grid of strains, 64 knots to the
-    decade above 1e-6, and joined by a cubic spline, which meets it to 1e-6. For a curve of straight
-    lines it is exact.
+    For a smooth curve `compute_elastic_share` is kept per material on a grid of strains, 64 knots
+    to the decade above 1e-6, and joined by a cubic spline, which meets it to 1e-6. For a curve of
+    straight lines it is exact.
     """
     stiffness = material.modulus * np.pi * diameter**4 / 64.0
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
@@ -307,8 +312,8 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
 
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
-    last = min(material.largest_strain, 10.0 ** _DECADES[-1])
-    if np.any(rim > last * (1.0 + _ROUNDING)):
+    last = min(material.largest_strain, 10.0 ** _STRAIN_DECADES[-1])
+    if np.any(rim > last * (1.0 + _STRAIN_TOLERANCE)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
             f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "
@@ -323,10 +328,12 @@ def _share_table(
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
     """Return the first strain, and splines of elastic share and slope against log strain."""
     knots_per_decade = (12, 64)
-    end = min(np.log10(material.largest_strain), _DECADES[-1])
-    stretches = zip(_DECADES, (min(_DECADES[1], end), end), knots_per_decade, strict=False)
+    end = min(np.log10(material.largest_strain), _STRAIN_DECADES[-1])
+    stretches = zip(
+        _STRAIN_DECADES, (min(_STRAIN_DECADES[1], end), end), knots_per_decade, strict=False
+    )
     powers = [np.linspace(a, b, max(4, round((b - a) * n)) + 1) for a, b, n in stretches if b > a]
     strain = np.unique(10.0 ** np.concatenate(powers))
     strain[-1] = min(strain[-1], material.largest_strain)
-    spline = CubicSpline(np.log(strain), elastic_share(material, strain))
+    spline = CubicSpline(np.log(strain), compute_elastic_share(material, strain))
     return float(strain[0]), spline, spline.derivative()

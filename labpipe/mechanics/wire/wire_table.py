@@ -11,23 +11,28 @@ import numpy as np
 from labpipe.mechanics.law.plays import require_finite, require_positive
 from labpipe.mechanics.wire.bending_law import (
     MomentCurve,
-    moment_curvature,
-    orientation_range,
-    stick_stiffness,
+    compute_moment_curve,
+    compute_stick_stiffness,
+    find_orientation_range,
 )
 from labpipe.mechanics.wire.cross_section import (
     MAX_OVERLAP_SHARE,
     CrossSection,
     Insulation,
     Layer,
-    compressed,
-    hexagonal,
-    stretch_torsion,
+    compute_stretch_torsion,
+    place_hexagon,
+    place_sectors,
 )
-from labpipe.mechanics.wire.end_load_path import cantilever_of
-from labpipe.mechanics.wire.friction import Contacts, axial_strain, insulated, slip_onsets
+from labpipe.mechanics.wire.end_load_path import compute_cantilever
+from labpipe.mechanics.wire.friction import (
+    Contacts,
+    compute_axial_strain,
+    find_slip_onsets,
+    make_contacts,
+)
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
-from labpipe.mechanics.wire.packing import Kind, helix_overlap, lay_out
+from labpipe.mechanics.wire.packing import Kind, find_helix_overlap, lay_out
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -48,9 +53,9 @@ def wire_table(spec: WireSpec) -> WireTable:
     -------
     The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
     the end of the range, and those at which strands begin to slip; an onset below a millionth of
-    the range is reported as zero. Notes: ``defaults_taken``, those of `build`, ``range_shortened``,
-    ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``,
-    ``weight_left_out``.
+    the range is reported as zero. Notes: ``defaults_taken``, those of `build_wire`,
+    ``range_shortened``, ``tension``, ``slips_at_once``, ``insulation_doubtful``,
+    ``cantilever_cut``, ``weight_left_out``.
 
     Raises
     ------
@@ -64,19 +69,21 @@ def wire_table(spec: WireSpec) -> WireTable:
     load normal to the clamped axis; it starts from rest, level under its own weight with its
     tip held.
     """
-    built = build(spec)
-    largest, shortened = range_of(spec, strain=built.axial_strain)
+    built = build_wire(spec)
+    largest, shortened = find_range(spec, strain=built.axial_strain)
     onsets = _slip_onsets(built, spec, largest)
-    curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
-    limit = straight_range(spec)
-    lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
-    mass, pair = mass_per_length(spec, built.section), stretch_torsion(built.section)
-    bent = cantilever_of(spec, curve, GRAVITY * mass)
+    curve = _curve(built, spec, make_curvature_grid(largest, onsets[onsets > 0.0]))
+    limit = find_linear_range(spec)
+    lowest, highest = find_orientation_range(
+        built.section, built.contacts, curve, tension=spec.tension
+    )
+    mass, pair = mass_per_length(spec, built.section), compute_stretch_torsion(built.section)
+    bent = compute_cantilever(spec, curve, GRAVITY * mass)
     notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *bent.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
-        layout=layout_of(built.section),
+        layout=make_layout(built.section),
         moment=curve.moment,
         secant_stiffness=curve.secant_stiffness,
         axial_stiffness=pair.axial,
@@ -97,7 +104,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     )
 
 
-def layout_of(section: CrossSection) -> WireLayout:
+def make_layout(section: CrossSection) -> WireLayout:
     """Return the positions of the strands of an insulated section as a record."""
     tube = section.insulation
     if tube is None:
@@ -117,7 +124,7 @@ def mass_per_length(spec: WireSpec, section: CrossSection) -> float:
     return section.mass_per_length(spec.conductor_density, spec.insulation_density)
 
 
-def curvature_grid(largest: float, onsets: Floats) -> Floats:
+def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
     """Return the curvatures of a table, 1/m: zero, four decades up to the largest, the slip onsets.
 
     Parameters
@@ -138,7 +145,7 @@ def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
     """Return the distinct curvatures at which strands begin to slip; 0 for immediate slip."""
     min_onset_share = 1e-6  # of the largest curvature: strands that slip earlier never stick
     curvatures = np.sort(
-        slip_onsets(
+        find_slip_onsets(
             built.section, built.contacts, tension=spec.tension, orientation=spec.orientation
         )
     )
@@ -150,7 +157,7 @@ def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
 
 def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
     try:
-        curve = moment_curvature(
+        curve = compute_moment_curve(
             built.section,
             built.contacts,
             curvature,
@@ -171,7 +178,7 @@ def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
     return curve
 
 
-def straight_range(spec: WireSpec) -> float:
+def find_linear_range(spec: WireSpec) -> float:
     """Return the curvature up to which the insulation counts as linear, 1/m.
 
     Infinite for a wire with a stress table of its insulation: the range of its law ends with the
@@ -224,7 +231,7 @@ class BuiltWire:
     notes: tuple[QualityNote, ...]
 
 
-def build(spec: WireSpec) -> BuiltWire:
+def build_wire(spec: WireSpec) -> BuiltWire:
     """Lay out the strands of a wire and give them their materials and contacts.
 
     Parameters
@@ -255,21 +262,21 @@ def build(spec: WireSpec) -> BuiltWire:
             require_positive("largest_curvature", spec.largest_curvature)
         section, layout_notes = _section(spec)
         notes += [*layout_notes, *_helix_notes(section, spec)]
-        contacts = insulated(
+        contacts = make_contacts(
             len(section.layers) - int(section.has_core),
             strand=spec.friction_strand,
             insulation=spec.friction_insulation,
             radial_force=spec.radial_force,
         )
-        strain = axial_strain(section, spec.tension)  # refuses a negative tension
+        strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
     except ValueError as error:
         raise WireError(str(error)) from error
-    range_of(spec, strain=strain)  # refuses a tension beyond the stress table
+    find_range(spec, strain=strain)  # refuses a tension beyond the stress table
     notes += _section_notes(section, spec, strain)
     return BuiltWire(section, contacts, strain, tuple(notes))
 
 
-def material_of(spec: WireSpec) -> Material:
+def make_material(spec: WireSpec) -> Material:
     """Return the strands' stress-strain curve: the table if there is one, else Ramberg-Osgood.
 
     Raises
@@ -284,7 +291,7 @@ def material_of(spec: WireSpec) -> Material:
     )
 
 
-def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
+def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     """Return the layers from the axis outwards; a core has no lay angle.
 
     Raises
@@ -292,7 +299,7 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
     ValueError
         If there is not one lay angle per ring and one strand diameter per layer.
     """
-    material = material_of(spec)
+    material = make_material(spec)
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     if not len(angles) == len(spec.layer_counts) == len(spec.strand_diameters):
         message = (
@@ -317,13 +324,13 @@ def _section(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
         curve = StressTable(*spec.insulation_table, source="insulation table of the wire sheet")
     modulus = spec.insulation_modulus if curve is None else curve.modulus
     tube = Insulation(bore, spec.insulation_thickness, modulus, spec.insulation_poisson, curve)
-    layers = layers_of(spec)
+    layers = make_layers(spec)
     if spec.layout == "compressed":
-        return compressed(layers, tube, radii=spec.layer_radii), []
+        return place_sectors(layers, tube, radii=spec.layer_radii), []
     if spec.layout != AUTO:
         return lay_out(layers, tube, kind=cast("Kind", spec.layout)), []
     try:
-        return hexagonal(layers, tube), []
+        return place_hexagon(layers, tube), []
     except ValueError as error:
         section, reason = lay_out(layers, tube), str(error)
     return section, [
@@ -346,7 +353,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
     if section.kind == "packed" and offset > max_silent_offset * bore:
         turns = np.linspace(0.0, np.pi, 180, endpoint=False)
-        stiffness = [stick_stiffness(section, orientation=turn) for turn in turns]
+        stiffness = [compute_stick_stiffness(section, orientation=turn) for turn in turns]
         yield QualityNote.of(
             "mechanics.wire.layout_eccentric",
             spec.place,
@@ -363,7 +370,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
             percent=100.0 * section.overlap / bore,
             allowed=100.0 * MAX_OVERLAP_SHARE,
         )
-    material = material_of(spec)
+    material = make_material(spec)
     elastic = material.modulus * strain
     carried = float(material.stress(np.array([strain]))[0])
     if elastic > max_elastic_factor * carried:
@@ -393,7 +400,7 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]
             f"are {copper * 1e6:.4g} mm^2, and the bore has {bore * 1e6:.4g} mm^2"
         )
         raise ValueError(message)
-    overlap = 0.0 if section.kind == "compressed" else helix_overlap(section)
+    overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
     percent = 100.0 * overlap
@@ -404,7 +411,7 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]
     yield QualityNote.of("mechanics.wire.helices_overlap", spec.place, percent=percent)
 
 
-def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
+def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
     """Return the curvature up to which the law of a wire is tabulated.
 
     Parameters
