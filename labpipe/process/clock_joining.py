@@ -184,8 +184,8 @@ def _measure_repeat(
     waves = compute_drift_modes(time - time[0], drift)
     lags = [lag_of(time, values + wave) for wave in (np.zeros_like(time), *waves)] if waves else []
     known = [lag.value for lag in lags if not isinstance(lag, Failure)]
-    wander = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
-    return Repeat(moved.value, pulled.value, error, wander)
+    drift_error = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
+    return Repeat(moved.value, pulled.value, error, drift_error)
 
 
 def _block_means(values: Floats) -> Floats:

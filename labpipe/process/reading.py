@@ -25,7 +25,7 @@ from labpipe.readers.text_cells import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
 """Entries of programs for an unknown unit."""
@@ -115,7 +115,7 @@ def _known_unit(stated: str) -> str:
 def _same_unit(one: str, other: str, si_unit: str) -> bool:
     """Check whether two units of a dimension are equal."""
     try:
-        return isclose(si_factor(one, si_unit), si_factor(other, si_unit), rel_tol=1e-9)
+        return isclose(find_si_factor(one, si_unit), find_si_factor(other, si_unit), rel_tol=1e-9)
     except ValueError:
         return False
 
@@ -374,7 +374,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
     unit = _si_unit(source, source.unit or channel.unit_in_file)
-    factor = si_factor(source.unit or channel.unit_in_file, unit)
+    factor = find_si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)

@@ -218,7 +218,8 @@ def make_space_hinges(
         f"{chain.nodes} nodes, rotated from node to node by {angles} deg. MuJoCo has no vector "
         f"sliders: in the worst direction of bending, the moment of {len(TURNS)} nodes has an "
         f"error of {format_percent(mean.error)} and a lateral part of "
-        f"{format_percent(mean.sideways)} (one node: {format_percent(few.error)}, {format_percent(few.sideways)}).",
+        f"{format_percent(mean.sideways)} (one node: {format_percent(few.error)}, "
+        f"{format_percent(few.sideways)}).",
         twist,
     )
     return hinges, lines
