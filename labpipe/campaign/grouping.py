@@ -14,7 +14,7 @@ from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Difference, Group, Sample
 from labpipe.records.quality import QualityNote
 from labpipe.statistics.group_fields import (
-    NOT_SAID,
+    NOT_STATED,
     TYPE,
     divide_samples,
     find_differing_fields,
@@ -227,7 +227,7 @@ def sort_keys(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
 
     def turn(key: Key) -> tuple[object, ...]:
         sort_values: list[object] = [
-            word if name == TYPE else make_field_sort_key(name, word or NOT_SAID)
+            word if name == TYPE else make_field_sort_key(name, word or NOT_STATED)
             for name, word in zip(by, key.field_values, strict=True)
         ]
         return (

@@ -65,7 +65,7 @@ def test_what_is_left_out_says_why() -> None:
     assert list(number.values) == ["s0-1"]
     assert {test: join_reasons(reasons) for test, reasons in number.left_out.items()} == {
         "s1-0": "too_few_samples: 3 samples",
-        "s1-1": "other_unit: in N/mm, where the first sample is in N/m",
+        "s1-1": "other_unit: in N/mm; the first sample is in N/m",
         "s1-2": "no_result: the test has no stiffness",
         "s1-3": "not_finite: the value is inf",
     }
@@ -245,7 +245,7 @@ def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
     assert list(find_other_methods(made[1:])["k"]) == ["c"]
     (note,) = make_method_notes(find_other_methods(made), made)
     assert (note.code, note.severity, note.where) == ("protocols_differ", Severity.WARNING, "k")
-    assert note.message == f"not in the mean, as it was made otherwise: b ({why.message})"
+    assert note.message == f"not in the mean, since the method differs: b ({why.message})"
     (number,) = build_group("A", "p", made).numbers
     assert (list(number.values), number.left_out) == (["a", "c"], {"b": (why,)})
 
