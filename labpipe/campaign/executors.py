@@ -23,7 +23,7 @@ from labpipe.process.run import (
     Task,
     attempt,
     find_results_folder,
-    name_of,
+    read_test_name,
     refuse,
 )
 from labpipe.records.result import Status
@@ -259,12 +259,15 @@ def process_tests(
     tasks: dict[Path, Task | Refused] = {}
     for test in tests:
         try:
-            goal = find_results_folder(test, out, partial(name_of, test))
+            goal = find_results_folder(test, out, partial(read_test_name, test))
             tasks[test] = Task(test, goal, figures(test), png=png, follow_links=follow_links)
         except LabpipeError as error:
             tasks[test] = Refused(test, error.code, str(error))
     possible = [task for task in tasks.values() if isinstance(task, Task)]
-    goals = [(str(task.goal and task.goal.absolute()), task.sheet) for task in possible]
+    goals = [
+        (str(task.results_folder and task.results_folder.absolute()), task.sheet)
+        for task in possible
+    ]
     refuse_duplicates(goals, "folder of results")
     if len(tests) == 1:
         for test, task in tasks.items():

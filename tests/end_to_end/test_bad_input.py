@@ -356,4 +356,4 @@ def test_a_unit_in_the_export_that_is_said_to_be_wrong(pull: TensileLab, run: Ru
     assert run("process", pull.raw, "--no-figures").status == 0
     pounds = pull.results["peak_force.1"]["value"]
     assert pounds == pytest.approx(newtons * 4.4482216152605 / 1e3, rel=0.01)
-    assert re.match("the export says 'kN', the protocol 'lbf'", pull.notes["unit_overridden"])
+    assert re.match("the export states 'kN', the protocol 'lbf'", pull.notes["unit_overridden"])
