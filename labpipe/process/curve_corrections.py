@@ -24,7 +24,7 @@ from labpipe.records.estimates import Failure, return_failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import (
-    add_back,
+    add_slips_back,
     find_piece_starts,
     make_trace,
     replicate_curves,
@@ -333,7 +333,7 @@ def _make_slip_note(where: str, slip: Slip) -> Finding:
 
 def _add_slips_back(test: ReducedTest, curve: Curve) -> ReducedTest:
     """Add the drops back, except after the failure of the specimen."""
-    force = add_back(curve.force, test.slips)
+    force = add_slips_back(curve.force, test.slips)
     if isinstance(test.failure, FailurePoint):
         broken = slice(test.failure.sample + 1, None)
         force[broken] = curve.force[broken]

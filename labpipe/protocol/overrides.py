@@ -14,7 +14,7 @@ from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
 from labpipe.protocol.sheet_grammar import COPY_REMEDY, TestSheet
 from labpipe.protocol.yaml_text import Document, Location, get_block, get_list, suggest_word
 from labpipe.records.declarations import Step, TravelFromSpeed
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
 SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
 """Keys of the sheet's specimen that override those of the protocol."""
@@ -120,7 +120,7 @@ def _key_in(node: object, part: str) -> str | int | None:
         return part
     if not isinstance(node, list):
         return None
-    number = whole_number(part)
+    number = parse_count(part)
     if number is not None:
         return number if number < len(node) else None
     # The name of a result first, then its kind: one stiffness of several may be `stiffness`.

@@ -23,7 +23,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from labpipe.protocol.yaml_text import refused
 from labpipe.records.declarations import PatternText, Quantity, Span, WholeNumber
-from labpipe.units import DimensionError, NotFiniteError, parse_quantity, si_factor
+from labpipe.units import DimensionError, NotFiniteError, find_si_factor, parse_quantity
 
 SI_UNITS: Final = MappingProxyType(
     {
@@ -102,7 +102,7 @@ def suggest_unit(unit: str, si_unit: str) -> str:
     for a unit whose dimension has no name here.
     """
     try:
-        si_factor(unit or si_unit, si_unit)
+        find_si_factor(unit or si_unit, si_unit)
     except DimensionError:
         own_unit = find_si_unit(unit)
         if (own_unit, si_unit) == ("kg", "N"):
@@ -183,7 +183,7 @@ class QuantityText:
     def format(self, value: float) -> str:
         """Format a value in SI with its unit, to 12 digits."""
         number, unit = (
-            value / si_factor(self.quantity.shown, self.quantity.unit),
+            value / find_si_factor(self.quantity.shown, self.quantity.unit),
             self.quantity.shown,
         )
         if not math.isfinite(number):

@@ -256,7 +256,7 @@ class BendingStiffness(FromStiffness):
         key, formula = _FORMULAS[self.support]
         return (f"{self.of} x {formula}, L = specimen.{key}",)
 
-    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the bending stiffness from a stiffness and its length."""
         key, sizes = _FORMULAS[self.support][0], test.setup.sizes
         if key not in sizes:
@@ -267,7 +267,7 @@ class BendingStiffness(FromStiffness):
             combine_numbers(partial(self._of_trace, window=stiffness.window), stiffness.decide)
         )
 
-    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Name the corrections with their sizes."""
         ratio = return_failure(self._ratio)(test.setup.sizes, stiffness.window)
         return Context(remark="" if isinstance(ratio, Failure) else ratio[1])

@@ -117,7 +117,7 @@ class Tangents:
         -------
         N/m, shape (...).
         """
-        slope: Floats = self.path.force(force, displacement) @ self.rows[0]
+        slope: Floats = self.path.move_force(force, displacement) @ self.rows[0]
         return slope
 
     def level_at(self, place: float, force: Floats) -> float:
@@ -128,7 +128,7 @@ class Tangents:
         place : m
         force : shape (n,), N
         """
-        path_force = self.path.force(force)
+        path_force = self.path.move_force(force)
         return float(path_force @ self.first + path_force @ self.rows[0] * (place - self.places[0]))
 
     def onset(
@@ -163,7 +163,7 @@ class Tangents:
         >>> round(1e3 * float(place), 1), round(float(force), 2)
         (27.7, 6.09)
         """
-        f = self.path.force(force, displacement)
+        f = self.path.move_force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
         share = slope_below * np.broadcast_to(initial, shape).reshape(-1)
         place = _first_place_with(self.places, f @ self.rows.T, share)
@@ -191,7 +191,7 @@ class Tangents:
         tangent beyond the place, N/m. A tangent smears a corner over its length, which moves the
         onset; the parabola for the force cuts it.
         """
-        f = self.path.force(force, displacement)
+        f = self.path.move_force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
         onset, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (onset, slope))
         # One place for all curves: noise moves it by a small part of a tangent.

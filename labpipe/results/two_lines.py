@@ -215,7 +215,7 @@ class Hinges:
         from sums of y and x y between places. Noise of the displacement counts as noise of the
         force (`CommonPath`).
         """
-        y = self.path.force(force, displacement)
+        y = self.path.move_force(force, displacement)
         shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
         scan, (mean, spread) = self.scan, self.scan.spread
         inside = scan.x[_MIN_SEGMENT_SAMPLES - 1], scan.x[-_MIN_SEGMENT_SAMPLES]

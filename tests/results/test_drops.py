@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
-from labpipe.results.curve_replicates import add_back
+from labpipe.results.curve_replicates import add_slips_back
 from labpipe.results.failures import (
     LossOfForce,
     find_loss_start,
@@ -153,7 +153,7 @@ def test_the_two_slips_of_the_source() -> None:
         assert D_SLIPS[slip.start] <= slip.position <= D_SLIPS[slip.stop]
         ends = slip.position_interval.lower, slip.position_interval.upper
         assert ends == pytest.approx((D_SLIPS[slip.start], D_SLIPS[slip.stop]), abs=2 * D_SLIPS[1])
-    repaired = add_back(force, (one, two))
+    repaired = add_slips_back(force, (one, two))
     assert np.abs(repaired - SMOOTH - noise()).max() < 0.3
 
 
@@ -200,10 +200,10 @@ def ledger(start: int, stop: int, drop: float) -> Slip:
 
 def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
     force = np.array([0.0, 1.0, 0.7, 1.0, 2.0, 2.5, 3.5])
-    repaired = add_back(force, (ledger(1, 3, 1.0), ledger(4, 5, 0.5)))
+    repaired = add_slips_back(force, (ledger(1, 3, 1.0), ledger(4, 5, 0.5)))
     assert repaired == pytest.approx([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
     force[2] = np.nan
-    assert np.isnan(add_back(force, (ledger(1, 3, 1.0),))[2])
+    assert np.isnan(add_slips_back(force, (ledger(1, 3, 1.0),))[2])
     assert count_samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
     assert count_samples_before((), 7) == 7
 
