@@ -188,11 +188,7 @@ def _measure_repeat(
     )
     known = [lag.value for lag in lags if not isinstance(lag, Failure)]
     drift_error = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
-<<<<<<< HEAD
     return Repeat(moved.value, force_lag.value, error, drift_error)
-=======
-    return Repeat(moved.value, pulled.value, error, drift_error)
->>>>>>> main
 
 
 def _average_blocks(values: Floats) -> Floats:

@@ -115,11 +115,9 @@ def _find_known_spelling(stated: str) -> str:
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
     """Check whether two units are equal and of the dimension of an SI unit."""
     try:
-<<<<<<< HEAD
-        return isclose(si_factor(unit, si_unit), si_factor(other_unit, si_unit), rel_tol=1e-9)
-=======
-        return isclose(find_si_factor(one, si_unit), find_si_factor(other, si_unit), rel_tol=1e-9)
->>>>>>> main
+        return isclose(
+            find_si_factor(unit, si_unit), find_si_factor(other_unit, si_unit), rel_tol=1e-9
+        )
     except ValueError:
         return False
 
@@ -382,13 +380,8 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
-<<<<<<< HEAD
     unit = _find_si_unit(source, source.unit or channel.unit_in_file)
-    factor = si_factor(source.unit or channel.unit_in_file, unit)
-=======
-    unit = _si_unit(source, source.unit or channel.unit_in_file)
     factor = find_si_factor(source.unit or channel.unit_in_file, unit)
->>>>>>> main
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)
