@@ -140,7 +140,7 @@ def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make)
         assert corrected[name]["value"] > plain[name]["value"]
         alone = truth[f"specimen_stiffness_{region}"]
         assert corrected[name]["value"] == pytest.approx(alone, rel=0.006)
-    said = f"{1e6 * found:.4g} um/N x force subtracted from the displacement, "
+    said = f"{1e6 * found:.4g} um/N x force was subtracted from the displacement, "
     assert lab.notes["compliance_removed"].startswith(said)
 
 
