@@ -144,6 +144,7 @@ class WireRow(Block):
     insulation_strain: Annotated[float | None, Column("", 1e-4, 1.0)] = None
     copper_k_mpa: Annotated[float | None, Column("MPa", 1.0, 1e4)] = None
     copper_n: Annotated[float | None, Column("", 0.01, 0.99)] = None
+    isotropic_share: Annotated[float | None, Column("", 0.0, 1.0)] = None
     friction_strand: Annotated[float | None, Column("", 0.0, 10.0)] = None
     friction_insulation: Annotated[float | None, Column("", 0.0, 10.0)] = None
     radial_force_n: Annotated[float | None, Column("N", 0.0, 1e6)] = None
