@@ -333,7 +333,7 @@ def fit_three_point_shape(
             span=span,
             radius=settings.centre_offset,
             facing=step.facing,
-            bent_most=_flag_bent_frames(sections),
+            is_bent=_flag_bent_frames(sections),
         )
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
