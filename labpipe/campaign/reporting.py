@@ -222,7 +222,7 @@ def make_campaign(
 def _campaign_of(
     read: _ReadTests, files: Sequence[Path], title: str, options: ReportOptions
 ) -> Campaign:
-    wires = None if options.wires is None else read_wire_sheet(options.wires)
+    wires = None if options.wires is None else read_wire_sheet(options.wires).specs
     check_fields(options.by, read.samples, "--by")
     check_fields(list(filter(None, [options.alone])), read.samples, "--compare")
     groups, by = _groups(read, options.by), options.by or (TYPE,)

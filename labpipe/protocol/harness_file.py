@@ -489,8 +489,10 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     of a sweep for the shortest line of it that is too short. One for each that holds the line
     nearer to a plane than half the diameter that the file states; that of a wire sheet is not
     known here. One for each turn of half a turn or more in a step, which is one the other way, too,
-    and for a curl that elements are too long for.
+    and for a curl that elements are too long for. One for each ring that the line cannot reach, for
+    each release before the line arrives, and for a line that falls because nothing holds it.
     """
+    yield from _find_release_faults(harness)
     yield from _in_planes(harness)
     yield from _turned_too_far(harness)
     yield from _curled_too_far(harness)
@@ -510,6 +512,35 @@ def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterato
         if math.isfinite(place) and place > length * REACH_FACTOR:
             here = path or ("boundaries", number, "at")
             yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=1e3 * place)
+
+
+def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
+    """Find releases before the line arrives, and the step from which nothing holds the line."""
+    releases: dict[int, int | None] = {}
+    for number, held in enumerate(harness.boundaries):
+        if isinstance(held, HELD):
+            releases[number] = held.release
+            arrival = (
+                min((point.step for point in held.path), default=None)
+                if isinstance(held, Grip)
+                else held.by
+            )
+            if held.release is not None and arrival is not None and held.release <= arrival:
+                path = ("boundaries", number, "release")
+                yield Fault.of(
+                    "protocol.early_release",
+                    path,
+                    arrival=arrival,
+                    name=held.name,
+                    found=held.release,
+                )
+    section = harness.line.section
+    has_weight = section.bending_stiffness is None or section.mass_per_length
+    has_support = any(not isinstance(part, (*HELD, Load)) for part in harness.boundaries)
+    steps = {number: step for number, step in releases.items() if step is not None}
+    if has_weight and any(harness.gravity) and not has_support and len(steps) == len(releases):
+        last = max(steps, key=lambda number: steps[number])
+        yield Fault.of("protocol.falls", ("boundaries", last, "release"), step=steps[last])
 
 
 def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
@@ -612,3 +643,15 @@ def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fau
                 found=1e3 * distances.max(),
                 step=distances.argmax(),
             )
+    fixed = [place for place in places if not place.thread]
+    for number, ring in enumerate(harness.boundaries):
+        if isinstance(ring, Ring) and fixed:
+            far = [math.dist(ring.position, place.path[-1]) for place in fixed]
+            spans = [(far[0], fixed[0].along), (far[-1], length - fixed[-1].along)]
+            between = zip(pairwise(far), pairwise(fixed), strict=True)
+            spans += [(sum(ways), other.along - one.along) for ways, (one, other) in between]
+            needed, reach = min(spans, key=lambda span: span[0] - span[1])
+            if needed > reach * REACH_FACTOR:
+                here, needed, reach = path or ("boundaries", number), 1e3 * needed, 1e3 * reach
+                name = ring.name
+                yield Fault.of("protocol.ring_too_far", here, reach=reach, found=needed, ring=name)

@@ -44,7 +44,7 @@ ORIGINS = {
     "statistics": "groups",
     "mechanics.wire": "wires",
     "mechanics.rod": "wires",
-    "mechanics.studies": "wires",
+    "mechanics.studies": "calibration",
 }
 """Who makes the notes of a room, if their template has no ``origin``; else ``processing``."""
 PAGES = ("protocol.md", "quality-notes.md", "results.md")

@@ -20,7 +20,7 @@ from labpipe.mechanics.rod.rotations import (
 from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.statics import RodSettings, follow
 from labpipe.mechanics.rod.supports import Grip, supports_of
-from labpipe.mechanics.studies.harness_numbers import residual_curvature
+from labpipe.mechanics.studies.harness_numbers import compute_residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
     LENGTH,
@@ -199,7 +199,7 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(max_turn: float
     settings = RodSettings(max_turn=max_turn)
     path = follow(line, [clamp(line), grip], steps=41, settings=settings)
     held, free = path.states[40:]
-    kept = residual_curvature(held, line.section.law)
+    kept = compute_residual_curvature(held, line.section.law)
     assert np.max(held.bendings) > 8.0
     left = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
     np.testing.assert_allclose(left, kept, atol=1e-6)
