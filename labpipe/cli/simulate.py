@@ -13,9 +13,9 @@ from labpipe.virtual_lab import (
     CONDUIT_TYPES,
     TAPED_TYPES,
     CantileverScenario,
-    conduit_scenario,
+    build_conduit_scenario,
+    build_taped_scenario,
     simulate_test,
-    taped_scenario,
 )
 
 _TYPES = {"wire": (), "taped-bundle": TAPED_TYPES, "conduit-bundle": CONDUIT_TYPES}
@@ -50,11 +50,11 @@ def _simulate(options: argparse.Namespace) -> Path:
         raise ValueError(", ".join(wrong))
     goal = options.out / options.name
     if options.kind == "conduit-bundle":
-        conduit = conduit_scenario(specimen_type)
+        conduit = build_conduit_scenario(specimen_type)
         clocks = replace(conduit.clocks, rate=rate, fps=fps)
         return simulate_test(replace(conduit, name=options.name, clocks=clocks), goal, options.seed)
     wire = CantileverScenario(specimen_type=_WIRE, spool=f"{_WIRE}-s1")
-    bent = wire if options.kind == "wire" else taped_scenario(specimen_type)
+    bent = wire if options.kind == "wire" else build_taped_scenario(specimen_type)
     bent = replace(
         bent,
         name=options.name,

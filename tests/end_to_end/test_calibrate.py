@@ -25,7 +25,7 @@ from labpipe.store.write import write_result
 from labpipe.virtual_lab import simulate_campaigns, simulate_test
 from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
 from labpipe.virtual_lab.specimens import WIRES as SPECIMENS
-from labpipe.virtual_lab.tensile import corrugated_tube
+from labpipe.virtual_lab.tensile import build_corrugated_tube
 from tests.approved import Approve
 from tests.builders.small_tests import Run, RunSummary, state
 from tests.builders.tensile_tests import make_tensile
@@ -249,7 +249,7 @@ def test_tests_that_cannot_be_taken(
     campaign: Path, tmp_path: Path, calibrate: Callable[..., RunSummary], approved: Approve
 ) -> None:
     """Alone they end a calibration; beside another test they are left out and named."""
-    lab = make_tensile(tmp_path / "pulled", corrugated_tube("CT-10-3"), 1)
+    lab = make_tensile(tmp_path / "pulled", build_corrugated_tube("CT-10-3"), 1)
     assert main(["process", str(lab.raw), "--no-figures"]) == 0
     first = campaign / "A2-085-1"
     broken = tmp_path / "broken" / "A2-085-2"

@@ -144,4 +144,4 @@ def test_a_heavy_line_without_holds_falls(tmp_path: Path) -> None:
     heavy = heavy.replace("250 mm, 0 mm]}", "250 mm, 0 mm], by: 9, release: 30}")
     with pytest.raises(ProtocolError, match="from step 30 on, found nothing"):
         load(tmp_path, heavy)
-    assert load(tmp_path, f"{heavy}gravity: [0, 0, 0]\n")
+    assert load(tmp_path, heavy + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")

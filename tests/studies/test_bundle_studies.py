@@ -217,7 +217,7 @@ def test_bounds_without_a_loop(tmp_path: Path) -> None:
         content = json.loads((tmp_path / "out" / "bundle.json").read_text())
         assert content["no_friction"] == reason
     bare = replace(whole, specimen=replace(whole.specimen, dimensions={}))
-    with pytest.raises(ValueError, match=r"^the test sheet has neither length nor span$"):
+    with pytest.raises(ValueError, match=r"^the test sheet states neither length nor span$"):
         extract_loop(bare)
 
 
