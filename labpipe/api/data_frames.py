@@ -26,7 +26,7 @@ from labpipe.store.layout import (
     list_datasets,
     make_link_name,
 )
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,7 +63,7 @@ class Units:
     def of(self, quantity: str, unit: str) -> Scale:
         """Return factor and unit of a quantity such as ``force``."""
         target = unit if self.display is None else self.display.get(quantity, unit)
-        return Scale(1.0 / si_factor(target, unit), target)
+        return Scale(1.0 / find_si_factor(target, unit), target)
 
 
 def _table(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:

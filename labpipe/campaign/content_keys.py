@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import labpipe
 from labpipe.errors import Fault, LabpipeError
-from labpipe.process.reading import dialect_cards, named_exports
+from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
 from labpipe.process.run import PROCESSING_VERSION, key_of
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
@@ -179,10 +179,10 @@ class ContentKeys:
             stamps |= {name: stamp_of(folder / name, before(name)) for name in names}
         try:
             resolved, protocol = self._resolve(sheet, sheet_path, text)
-            cards = dialect_cards(protocol)
+            cards = fingerprint_dialect_cards(protocol)
         except LabpipeError:
             return replace(self._unfit_content(folder, stamps, sheet.protocol), about=_about(sheet))
-        exports = named_exports(sheet, protocol)
+        exports = list_named_exports(sheet, protocol)
         inputs = [(role, name, stamps[name].sha256) for role, name in exports]
         inputs += [(card.role, card.file, card.sha256) for card in cards]
         key = key_of([(role, sha256) for role, _, sha256 in inputs], text, resolved)

@@ -15,16 +15,16 @@ import psutil
 
 from labpipe.campaign.workers import ProcessDied, as_completed, in_processes
 from labpipe.errors import LabpipeError, UsageError
-from labpipe.process.output_paths import refuse_repeated
+from labpipe.process.output_paths import refuse_duplicates
 from labpipe.process.run import (
     Processed,
     Refused,
     Say,
     Task,
     attempt,
+    find_results_folder,
     name_of,
     refuse,
-    results_folder_of,
 )
 from labpipe.records.result import Status
 
@@ -259,13 +259,13 @@ def process_tests(
     tasks: dict[Path, Task | Refused] = {}
     for test in tests:
         try:
-            goal = results_folder_of(test, out, partial(name_of, test))
+            goal = find_results_folder(test, out, partial(name_of, test))
             tasks[test] = Task(test, goal, figures(test), png=png, follow_links=follow_links)
         except LabpipeError as error:
             tasks[test] = Refused(test, error.code, str(error))
     possible = [task for task in tasks.values() if isinstance(task, Task)]
     goals = [(str(task.goal and task.goal.absolute()), task.sheet) for task in possible]
-    refuse_repeated(goals, "folder of results")
+    refuse_duplicates(goals, "folder of results")
     if len(tests) == 1:
         for test, task in tasks.items():
             say = begin(test)

@@ -11,8 +11,14 @@ from pathlib import Path
 
 from labpipe.errors import LabpipeError, ProtocolError, StoreError
 from labpipe.messages import format_sentence
-from labpipe.process.protocol_match import all_protocols, majority
-from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
+from labpipe.process.protocol_match import find_majority, load_all_protocols
+from labpipe.process.sheet_inference import (
+    InferredTest,
+    count_protocols,
+    infer_test,
+    read_neighbours,
+    safe_name,
+)
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
@@ -266,9 +272,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
         if by_name:
             return PairingOutcome(None, missing=tuple(by_name))
     copies = _copy_exports(candidate)
-    neighbours = neighbours_in(candidate.folder.resolve().parent)
+    neighbours = read_neighbours(candidate.folder.resolve().parent)
     seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=neighbours)
-    missing = _missing(seen, plan, neighbours.protocols_beside(candidate.folder), waited)
+    missing = _missing(seen, plan, count_protocols(neighbours, candidate.folder), waited)
     if seen.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unread=seen.unread)
@@ -348,9 +354,9 @@ def _required_and_awaited(
         needed = _required_roles(sources)
         return needed, [role for role in sources if role not in needed]
     of_others = [_sources(name, seen.folder) for name in others if name]
-    of_any = (protocol.sources for protocol in all_protocols())
+    of_any = (protocol.sources for protocol in load_all_protocols())
     may_be = _accepting(seen, of_others) or _accepting(seen, of_any)
-    usual = _sources(majority(others), seen.folder)
+    usual = _sources(find_majority(others), seen.folder)
     sources = usual if usual in may_be else _sources(seen.values.get("protocol", ""), seen.folder)
     needed = _required_roles(sources)
     wanted = {role for sources in may_be for role in _required_roles(sources)}

@@ -45,8 +45,8 @@ from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.process.output_paths import (
     find_copies,
     find_results,
-    recording_of,
-    refuse_repeated,
+    identify_recording,
+    refuse_duplicates,
     shared_folder,
 )
 from labpipe.protocol.load import parse_protocol
@@ -291,12 +291,12 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests
         read.wishes[result.protocol] = protocol.groups
         read.kinds[result.protocol] = number_kinds(protocol)
         read.settings[str(file)] = settings_of(protocol)
-        recordings.append((file, recording_of(result, protocol)))
+        recordings.append((file, identify_recording(result, protocol)))
         read.samples.append(sample)
     if not read.samples:
         rejections = [f"{file}: rejected: {why}" for file, why in read.rejected.items()]
         raise UsageError("\n".join([*read.left_out.values(), *rejections]))
-    refuse_repeated([(sample.test, Path(sample.source)) for sample in read.samples], "name")
+    refuse_duplicates([(sample.test, Path(sample.source)) for sample in read.samples], "name")
     copies = find_copies(recordings)
     read.samples = [sample for sample in read.samples if sample.source not in copies]
     read.left_out |= copies

@@ -31,7 +31,7 @@ from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server
 from labpipe.report.page_tables import name_page_file
 from labpipe.report.wording import write_count
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
 LOOPBACK: Final = "127.0.0.1"
 REPORT: Final = "report"
@@ -231,7 +231,7 @@ class _Handler(BaseHTTPRequestHandler):
         # of a request body
         max_bytes = 5_000_000
         header = self.headers.get("Content-Length", "")
-        length = whole_number(header)
+        length = parse_count(header)
         if length is None or length > max_bytes:
             self.close_connection = True
             limits = f"expected at most {max_bytes} bytes, found {header[:20] or 'no length'}."

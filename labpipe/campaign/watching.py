@@ -35,7 +35,7 @@ from labpipe.campaign.running import read_overview, run_test
 from labpipe.campaign.workers import ProcessDied, WorkerProcess
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
-from labpipe.process.protocol_match import all_protocols
+from labpipe.process.protocol_match import load_all_protocols
 from labpipe.process.run import SUMMARY_FILE, draw_figures
 from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
 
@@ -121,7 +121,7 @@ class WarmWorker:
 def _import_all() -> None:
     for name in _MODULES:
         import_module(name)
-    all_protocols()  # parses protocols and units once
+    load_all_protocols()  # parses protocols and units once
 
 
 REMINDER_DELAY = 3600.0
@@ -570,7 +570,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         draw = worker.draw if figures else (lambda _: None)
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; press Ctrl+C to stop")
-        all_protocols()  # loads units and grammar before the first verdict
+        load_all_protocols()  # loads units and grammar before the first verdict
         while True:
             began = time.monotonic()
             if not watcher.look():  # on a slow drive, at most a third of the time

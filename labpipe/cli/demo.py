@@ -23,7 +23,7 @@ from labpipe.mechanics.studies.harness_solution import FollowedHarness
 from labpipe.mechanics.studies.harness_study import follow_harness
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed
-from labpipe.protocol.load import load_test_sheet, shipped_folder
+from labpipe.protocol.load import find_shipped_folder, load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.records.result import Status
 from labpipe.virtual_lab import (
@@ -174,7 +174,7 @@ def _follow_harnesses(
     raw: Path, out: Path, calibration: Path, options: argparse.Namespace
 ) -> list[FollowedHarness]:
     """Compute the example lines; those of the calibrated wire use its law."""
-    examples = shipped_folder("examples")
+    examples = find_shipped_folder("examples")
     raw.mkdir(parents=True, exist_ok=True)
     copyfile(examples / DEFAULT_SHEET, raw / DEFAULT_SHEET)
     copyfile(calibration, raw / calibration.name)

@@ -7,13 +7,13 @@ import shutil
 
 from labpipe.cli.terminal import from_here
 from labpipe.errors import UsageError
-from labpipe.protocol.load import shipped_folder
+from labpipe.protocol.load import find_shipped_folder
 from labpipe.store.replace import storing
 
 
 def run(options: argparse.Namespace) -> int:
     """Copy a wire sheet, a calibration plan, harnesses and the protocols."""
-    examples, protocols = shipped_folder("examples"), shipped_folder("protocols")
+    examples, protocols = find_shipped_folder("examples"), find_shipped_folder("protocols")
     files = {options.folder / path.name: path for path in sorted(examples.iterdir())}
     files |= {
         options.folder / "protocols" / path.name: path for path in sorted(protocols.iterdir())

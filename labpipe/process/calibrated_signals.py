@@ -51,7 +51,7 @@ class Take:
     rest: Flags | None = None
     scale_error: float = 0.0
 
-    def signal_of(self, time: Floats, values: Floats) -> Signal:
+    def make_signal(self, time: Floats, values: Floats) -> Signal:
         """Make a signal of a length (m) on the clock of the cameras, with their scale error."""
         return Signal(time, values, "m", self.role, relative_error=self.scale_error)
 
@@ -113,7 +113,7 @@ def calibrate(
         for channel in recording.channels:
             clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
-            signal = _signal(channel, source, clock, role)
+            signal = _signal(channel, source, clock, role, protocol.specimen.gauge_length)
             if channel.name in reversed_channels:
                 signal = replace(signal, values=-signal.values)
             signals = signals.add_signal(channel.name, signal)
@@ -123,8 +123,16 @@ def calibrate(
     return Prepared(signals, take), findings
 
 
-def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) -> Signal:
+def _signal(
+    channel: Channel, source: ChannelSource, clock: Clock, role: str, gauge_length: float | None
+) -> Signal:
     values = channel.values
+    if source.is_extension and channel.unit == "1":
+        if gauge_length is None:
+            raise ProcessingError.about(
+                "process.strain_without_gauge", role, f"channel {channel.path!r}"
+            )
+        values = gauge_length * values
     if source.calibration is not None:
         values = source.gain * values + source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():

@@ -13,15 +13,21 @@ from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, format_overrides, sort_by_likeness
 from labpipe.protocol.source import (
-    KEYS,
+    DIMENSION_KINDS,
     MARKER_READERS,
-    PLAUSIBLE,
+    PLAUSIBLE_RANGES,
     READERS,
     ROLES,
-    filled_ranges,
+    complete_ranges,
 )
-from labpipe.protocol.values import SI_UNITS, in_si, quantity_remedy, si_unit_like, unit_remedy
-from labpipe.protocol.yaml_text import Values, block_in, list_in, not_among, one_of
+from labpipe.protocol.values import (
+    SI_UNITS,
+    find_si_unit,
+    parse_or_none,
+    suggest_quantity,
+    suggest_unit,
+)
+from labpipe.protocol.yaml_text import Values, build_choice_fault, get_block, get_list, list_nearest
 from labpipe.records.declarations import STEPS, list_defaults, list_references
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
@@ -87,7 +93,9 @@ class Outline:
 
     def __init__(self, data: Values) -> None:
         self.data = data
-        self.sources = {role: block_in(data, "sources", role) for role in block_in(data, "sources")}
+        self.sources = {
+            role: get_block(data, "sources", role) for role in get_block(data, "sources")
+        }
         self.channels = [
             channel for role, source in self.sources.items() for channel in _channels(role, source)
         ]
@@ -127,7 +135,7 @@ class Outline:
 
     def block(self, *path: str) -> Values:
         """Return the block under a path; empty if there is none."""
-        return block_in(self.data, *path)
+        return get_block(self.data, *path)
 
     def made_by(self, tag: str, step: Values) -> tuple[str, ...]:
         """List the channels that a step makes; a frame without a clamp makes none."""
@@ -163,9 +171,9 @@ def _channels(role: str, source: Values) -> Iterator[Channel]:
     if _channel_keys(role, source):
         name = role if role in ROLES else sort_by_likeness(role, list(ROLES), limit=1)[0]
         yield Channel(name, role, ("sources", role), source)
-    for name in block_in(source, "channels"):
+    for name in get_block(source, "channels"):
         path = ("sources", role, "channels", name)
-        yield Channel(name, role, path, block_in(source, "channels", name))
+        yield Channel(name, role, path, get_block(source, "channels", name))
 
 
 def _channel_keys(role: str, source: Values) -> list[str]:
@@ -178,12 +186,12 @@ def _tagged(data: Values, key: str, tag: str) -> list[tuple[int, str, Values]]:
     """List number, tag and content of the blocks of a list that have a tag."""
     return [
         (number, item[tag], item)
-        for number, item in enumerate(list_in(data, key))
+        for number, item in enumerate(get_list(data, key))
         if isinstance(item, Mapping) and isinstance(item.get(tag), str)
     ]
 
 
-def result_names(tag: str, entry: Values) -> tuple[str, ...]:
+def list_result_names(tag: str, entry: Values) -> tuple[str, ...]:
     """List what an entry is called in the summary; of several cycles or slips, the first.
 
     Parameters
@@ -195,7 +203,7 @@ def result_names(tag: str, entry: Values) -> tuple[str, ...]:
     return () if kind is None else tuple(output.name_in(kind, entry) for output in kind.outputs)
 
 
-def cross_faults(data: Values) -> Faults:
+def find_cross_faults(data: Values) -> Faults:
     """Find contradictions between the parts of a protocol.
 
     Parameters
@@ -207,7 +215,7 @@ def cross_faults(data: Values) -> Faults:
     The faults, with their paths in `data`.
     """
     outline = Outline(data)
-    yield from plausible_faults(data, ("specimen", "rig", "markers", "results"))
+    yield from find_implausible_sizes(data, ("specimen", "rig", "markers", "results"))
     for check in (
         *(_source_faults, _step_faults, _align_faults, _curve_faults),
         *(_result_faults, _figure_faults, _display_faults, _group_faults),
@@ -246,7 +254,7 @@ def _content_faults(role: str, source: Values) -> Faults:
     valid = MARKER_READERS if role == "markers" else {*READERS} - MARKER_READERS
     if not {*readers} <= valid:
         what = "marker tracks" if role == "markers" else "channels"
-        found, words = ", ".join(map(repr, readers)), one_of("", valid)
+        found, words = ", ".join(map(repr, readers)), list_nearest("", valid)
         here = (*path, "reader")
         yield Fault.of("protocol.wrong_reader", here, what=what, found=found, valid=words)
     elif role == "markers":
@@ -261,9 +269,9 @@ def _content_faults(role: str, source: Values) -> Faults:
 def _channel_faults(channel: Channel) -> Faults:
     path, values, quantity = channel.path, channel.values, channel.quantity
     if quantity is None:
-        yield Fault.of("protocol.no_measurand", path, valid=one_of(channel.name, SI_UNITS))
+        yield Fault.of("protocol.no_measurand", path, valid=list_nearest(channel.name, SI_UNITS))
     elif quantity not in SI_UNITS:
-        yield not_among((*path, "quantity"), quantity, SI_UNITS, "one of the quantities")
+        yield build_choice_fault((*path, "quantity"), quantity, SI_UNITS, "one of the quantities")
     else:
         peak = (*path, "plausible_peak")
         yield from _range_faults(values.get("plausible_peak"), peak, SI_UNITS[quantity])
@@ -282,10 +290,10 @@ def _unit_faults(path: KeyPath, values: Values, quantity: str) -> Faults:
         if calibration is not None:
             yield Fault.of("protocol.no_unit_before", path)
         return
-    before = si_unit_like(str(unit)) if calibration is not None else target
+    before = find_si_unit(str(unit)) if calibration is not None else target
     if before is None:
         yield Fault.of("protocol.no_unit", (*path, "unit"), quantity="V", found=repr(unit))
-    elif remedy := unit_remedy(str(unit), before):
+    elif remedy := suggest_unit(str(unit), before):
         yield Fault.of(
             "protocol.wrong_unit",
             (*path, "unit"),
@@ -295,11 +303,11 @@ def _unit_faults(path: KeyPath, values: Values, quantity: str) -> Faults:
             remedy=remedy,
         )
     else:
-        block, path = block_in(calibration), (*path, "calibration")
+        block, path = get_block(calibration), (*path, "calibration")
         yield from _no_quantity(block.get("offset"), target, (*path, "offset"), "0.5")
         gain, key = block.get("gain"), (*path, "gain")
         yield from _no_quantity(gain, f"{target}/({before})", key, "0.5")
-        if in_si(gain, f"{target}/({before})") == 0.0:
+        if parse_or_none(gain, f"{target}/({before})") == 0.0:
             yield Fault.of("protocol.no_gain", key, found=repr(gain))
 
 
@@ -344,7 +352,7 @@ def _no_channel(
     if name in later:
         yield Fault.of("protocol.channel_later", path, name=name)
     elif names:
-        yield not_among(path, name, names, "one of the channels")
+        yield build_choice_fault(path, name, names, "one of the channels")
     else:
         yield Fault.of("protocol.no_channel_at_all", path, name=name)
 
@@ -365,7 +373,7 @@ def _curve_faults(outline: Outline) -> Faults:
         other = outline.unit_of(name)
         if other not in (None, unit):
             yield Fault.of("protocol.channel_unit", path, unit=unit, name=name, other=other)
-    for quantity in list_in(curve, "reverse"):
+    for quantity in get_list(curve, "reverse"):
         name = curve.get(quantity) if isinstance(quantity, str) else None
         if name in outline.made and name not in outline.measured:
             yield Fault.of("protocol.reverse_of_made", ("curve", "reverse"), name=name)
@@ -391,7 +399,7 @@ def _result_faults(outline: Outline) -> Faults:
         settings = {**list_defaults(kind), **entry}
         for key in list_references(kind, "stiffness"):
             yield from _no_stiffness(settings.get(key), (*path, key), stiffnesses)
-        names = result_names(tag, entry)
+        names = list_result_names(tag, entry)
         yield from _duplicate_name_faults(names, tag, seen, (*path, "result"))
         seen |= dict.fromkeys(names, tag)
         stiffnesses += [
@@ -404,7 +412,7 @@ def _result_faults(outline: Outline) -> Faults:
 def _no_stiffness(name: object, path: KeyPath, earlier: Sequence[str]) -> Faults:
     """Find a result that refers to a stiffness not listed above it."""
     if isinstance(name, str) and earlier and name not in earlier:
-        yield not_among(path, name, earlier, "one of the stiffnesses above,")
+        yield build_choice_fault(path, name, earlier, "one of the stiffnesses above,")
     elif isinstance(name, str) and not earlier:
         yield Fault.of("protocol.no_stiffness", path, name=name)
 
@@ -439,7 +447,7 @@ def _need_faults(outline: Outline, kind: type[Kind], path: KeyPath) -> Faults:
 
 
 def _figure_faults(outline: Outline) -> Faults:
-    figures = list_in(outline.data, "report", "figures")
+    figures = get_list(outline.data, "report", "figures")
     for number, figure in enumerate(figures):
         path: KeyPath = ("report", "figures", number)
         if isinstance(figure, str) and figure in _FIGURE_NEEDS:
@@ -453,25 +461,25 @@ def _display_faults(outline: Outline) -> Faults:
         path: KeyPath = ("report", "display", quantity)
         si_unit = SI_UNITS.get(quantity)
         if si_unit is None:
-            fault = not_among(path, quantity, SI_UNITS, "one of the quantities")
+            fault = build_choice_fault(path, quantity, SI_UNITS, "one of the quantities")
             yield replace(fault, at="key")
-        elif in_si(f"1 {unit}", si_unit) is None:
+        elif parse_or_none(f"1 {unit}", si_unit) is None:
             such = f"{quantity} such as {si_unit}"
             yield Fault.of("protocol.no_unit", path, quantity=such, found=repr(unit))
 
 
 def _group_faults(outline: Outline) -> Faults:
     """Find a number that the report is to show first and that no result gives."""
-    names = [name for _, tag, entry in outline.results for name in result_names(tag, entry)]
+    names = [name for _, tag, entry in outline.results for name in list_result_names(tag, entry)]
     cycle = re.compile(r"\.\d+$")
     of_any_cycle = {cycle.sub("", name) for name in names if cycle.search(name)}
-    for number, name in enumerate(list_in(outline.data, "groups", "main")):
+    for number, name in enumerate(get_list(outline.data, "groups", "main")):
         path: KeyPath = ("groups", "main", number)
         stem = cycle.sub("", str(name))
         if name in names or (stem != name and stem in of_any_cycle):
             continue
         if names:
-            yield not_among(path, name, names, "one of the results")
+            yield build_choice_fault(path, name, names, "one of the results")
         else:
             yield Fault.of("protocol.no_results", path, name=name)
 
@@ -479,8 +487,8 @@ def _group_faults(outline: Outline) -> Faults:
 def _length_faults(specimen: Values, entry: Values, path: KeyPath) -> Faults:
     """Find an uncertainty of a length that a result states otherwise than the specimen."""
     key = "length" if entry.get("support") == "cantilever" else "span"
-    here, there = entry.get("length_uncertainty"), block_in(specimen, "uncertainty").get(key)
-    values = in_si(here, "m"), in_si(there, "m")
+    here, there = entry.get("length_uncertainty"), get_block(specimen, "uncertainty").get(key)
+    values = parse_or_none(here, "m"), parse_or_none(there, "m")
     if None not in values and values[0] != values[1]:
         path = (*path, "length_uncertainty")
         yield Fault.of("protocol.length_twice", path, key=key, here=here, there=there)
@@ -488,24 +496,24 @@ def _length_faults(specimen: Values, entry: Values, path: KeyPath) -> Faults:
 
 def _no_quantity(text: object, unit: str, path: KeyPath, number: str) -> Faults:
     """Find a text that is no quantity of a unit."""
-    if isinstance(text, str) and in_si(text, unit) is None:
+    if isinstance(text, str) and parse_or_none(text, unit) is None:
         such = unit.replace("(", "").replace(")", "")
-        remedy = quantity_remedy(text, unit, f"{number} {such}")
+        remedy = suggest_quantity(text, unit, f"{number} {such}")
         kind = f"quantity with a unit such as {such}"
         yield Fault.of("protocol.no_quantity", path, kind=kind, found=repr(text), remedy=remedy)
 
 
 def _range_faults(stated: object, path: KeyPath, unit: str) -> Faults:
     """Find a plausible range without a unit, or with its ends the wrong way round."""
-    texts = [block_in(stated).get(key) for key in ("from", "to")]
+    texts = [get_block(stated).get(key) for key in ("from", "to")]
     for key, text in zip(("from", "to"), texts, strict=True):
         yield from _no_quantity(text, unit, (*path, key), "20")
-    low, high = (in_si(text, unit) for text in texts)
+    low, high = (parse_or_none(text, unit) for text in texts)
     if low is not None and high is not None and not 0.0 <= low < high:
         yield Fault.of("protocol.range_reversed", path, low=low, high=high, unit=unit)
 
 
-def plausible_faults(
+def find_implausible_sizes(
     data: Values,
     blocks: Collection[str],
     *,
@@ -523,15 +531,19 @@ def plausible_faults(
     ranges : of another file, by kind of dimension; those of the file itself if None
     in_file : whether a range is widened in the file itself, which no test sheet can override
     """
-    for kind, ends in block_in(data, "plausible").items():
-        if kind in PLAUSIBLE:
-            yield from _range_faults(ends, ("plausible", kind), PLAUSIBLE[kind][0])
-    valid = filled_ranges(data.get("plausible") or {} if ranges is None else ranges)
+    for kind, ends in get_block(data, "plausible").items():
+        if kind in PLAUSIBLE_RANGES:
+            yield from _range_faults(ends, ("plausible", kind), PLAUSIBLE_RANGES[kind][0])
+    valid = complete_ranges(data.get("plausible") or {} if ranges is None else ranges)
     for block in blocks:
         for path, text in _sizes(data.get(block), (block,)):
             key = next(str(part) for part in reversed(path) if isinstance(part, str))
-            kind = KEYS.get(key) or KEYS.get(key.rpartition("_")[2]) or ("other" * (key in others))
-            ends = block_in(valid, kind)
+            kind = (
+                DIMENSION_KINDS.get(key)
+                or DIMENSION_KINDS.get(key.rpartition("_")[2])
+                or ("other" * (key in others))
+            )
+            ends = get_block(valid, kind)
             yield from _outside(kind, text, path, ends, in_file=in_file) if ends else ()
 
 
@@ -548,7 +560,9 @@ def _sizes(node: object, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
 
 
 def _outside(kind: str, text: str, path: KeyPath, ends: Values, *, in_file: bool) -> Faults:
-    size, low, high = (in_si(x, PLAUSIBLE[kind][0]) for x in (text, ends["from"], ends["to"]))
+    size, low, high = (
+        parse_or_none(x, PLAUSIBLE_RANGES[kind][0]) for x in (text, ends["from"], ends["to"])
+    )
     if size is None or low is None or high is None or low <= abs(size) <= high or low >= high:
         return
     end = "from" if abs(size) < low else "to"

@@ -19,13 +19,20 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
-from labpipe.protocol.cross_checks import plausible_faults
+from labpipe.protocol.cross_checks import find_implausible_sizes
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible
-from labpipe.protocol.values import Line as TextLine
-from labpipe.protocol.values import QuantityText, Remark, Text, in_si, quantity_remedy, row_of
-from labpipe.protocol.yaml_text import Values, block_in, list_in, refused, same_names
+from labpipe.protocol.values import (
+    QuantityText,
+    Remark,
+    SingleLine,
+    Text,
+    build_row_validator,
+    parse_or_none,
+    suggest_quantity,
+)
+from labpipe.protocol.yaml_text import Values, find_repeated_names, get_block, get_list, refused
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -60,19 +67,19 @@ def _of_unit_length(vector: Vector3) -> Vector3:
 
 
 Position: TypeAlias = Annotated[
-    tuple[Coordinate, Coordinate, Coordinate], row_of(3, "[120 mm, 0 mm, 0 mm]")
+    tuple[Coordinate, Coordinate, Coordinate], build_row_validator(3, "[120 mm, 0 mm, 0 mm]")
 ]
 Direction: TypeAlias = Annotated[
     tuple[Component, Component, Component],
-    row_of(3, "[1, 0, 0]"),
+    build_row_validator(3, "[1, 0, 0]"),
     AfterValidator(_of_unit_length),
 ]
 ForceVector: TypeAlias = Annotated[
-    tuple[LoadComponent, LoadComponent, LoadComponent], row_of(3, "[0 N, 0 N, -2 N]")
+    tuple[LoadComponent, LoadComponent, LoadComponent], build_row_validator(3, "[0 N, 0 N, -2 N]")
 ]
 Acceleration: TypeAlias = Annotated[
     tuple[AccelerationComponent, AccelerationComponent, AccelerationComponent],
-    row_of(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
+    build_row_validator(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
 ]
 
 _ALONG = QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
@@ -86,13 +93,13 @@ def _place(value: object) -> float:
     try:
         return _ALONG.parse(value)
     except ValueError as error:
-        remedy = quantity_remedy(value, "m", "120 mm")
+        remedy = suggest_quantity(value, "m", "120 mm")
         raise refused("protocol.no_place", found=value, remedy=remedy) from error
 
 
 def _written_place(place: float) -> str:
     """Name a place on the line, m from its start, as YAML does."""
-    return {at: word for word, at in _WORDS.items()}.get(place) or _ALONG.written(place)
+    return {at: word for word, at in _WORDS.items()}.get(place) or _ALONG.format(place)
 
 
 Place: TypeAlias = Annotated[float, PlainValidator(_place), PlainSerializer(_written_place)]
@@ -162,7 +169,7 @@ class SectionBlock(Block):
         return next(name for name in _KINDS if getattr(self, name) is not None)
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Ask for one source of the law, all that it needs, and nothing that it does not take."""
         kinds = [name for name in _KINDS if data.get(name) is not None]
         if len(kinds) != 1:
@@ -209,7 +216,7 @@ class Clip(Block):
     """Holds the line in position and direction; the line is brought there first."""
 
     kind: Literal["clip"]
-    name: TextLine
+    name: SingleLine
     at: Place
     position: Position
     direction: Direction | None = Field(
@@ -224,7 +231,7 @@ class Pin(Block):
     """Holds the line in position alone; the line is brought there first."""
 
     kind: Literal["pin"]
-    name: TextLine
+    name: SingleLine
     at: Place
     position: Position
     by: Step | None = Field(None, description="Step at which the line is there; else the last")
@@ -244,7 +251,7 @@ class Grip(Block):
     """Holds the line and moves it along a path."""
 
     kind: Literal["grip"]
-    name: TextLine
+    name: SingleLine
     at: Place
     path: tuple[Waypoint, ...] = Field((), description="From where the line lies at the start")
     holds: Literal["pose", "position"] = Field(
@@ -253,9 +260,9 @@ class Grip(Block):
     release: Step | None = Field(None, description="Step from which it lets go")
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Ask for waypoints in order, and for none of a direction that is not held."""
-        points = [block_in(point) for point in list_in(data, "path")]
+        points = [get_block(point) for point in get_list(data, "path")]
         steps = [str(point.get("step")) for point in points]
         for number, (one, other) in enumerate(pairwise(steps), start=1):
             if one.isdecimal() and other.isdecimal() and int(other) <= int(one):
@@ -273,7 +280,7 @@ class Ring(Block):
     """A clip that the line slides through without friction; it is brought there with the line."""
 
     kind: Literal["ring"]
-    name: TextLine
+    name: SingleLine
     position: Position
     direction: Direction = Field(description="Of its opening in the picture; the line turns in it")
     by: Step | None = Field(None, description="Step at which it is there; else the last")
@@ -283,7 +290,7 @@ class String(Block):
     """A thread that ties a place of the line to an anchor; it pulls and never pushes."""
 
     kind: Literal["string"]
-    name: TextLine
+    name: SingleLine
     at: Place
     anchor: Position
     length: Length
@@ -296,7 +303,7 @@ class Load(Block):
     """A force that keeps its direction; it grows from nothing."""
 
     kind: Literal["load"]
-    name: TextLine
+    name: SingleLine
     at: Place
     force: ForceVector
     by: Step | None = Field(None, description="Step at which it is whole; else the last")
@@ -306,7 +313,7 @@ class Plane(Block):
     """A table or a wall: the line lies on it, its axis half its diameter above."""
 
     kind: Literal["plane"]
-    name: TextLine
+    name: SingleLine
     point: Position
     normal: Direction = (0.0, 0.0, 1.0)
     friction: Ratio = Field(0.0, description="Coefficient of Coulomb friction")
@@ -326,7 +333,7 @@ class Sweep(Block):
     length: tuple[Length, ...] = Field(max_length=50, json_schema_extra={"minItems": 2})
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Ask for more than one length."""
         lengths = data.get("length")
         if isinstance(lengths, list) and len(lengths) < 2:
@@ -354,12 +361,12 @@ class HarnessFile(Block):
     plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Check steps, names and places against the whole, and that something holds the line."""
-        yield from plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)
-        boundaries = [block_in(boundary) for boundary in list_in(data, "boundaries")]
+        yield from find_implausible_sizes(data, ("line", "boundaries", "sweep"), in_file=True)
+        boundaries = [get_block(boundary) for boundary in get_list(data, "boundaries")]
         yield from _late_steps(data, boundaries)
-        yield from same_names(boundaries, "boundaries", "boundary")
+        yield from find_repeated_names(boundaries, "boundaries", "boundary")
         yield from _same_places(boundaries)
         kinds = {boundary.get("kind") for boundary in boundaries}
         if isinstance(data.get("boundaries"), list) and not kinds & {*_HOLDING, None}:
@@ -370,12 +377,12 @@ def _late_steps(data: Values, boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find steps after the last one."""
     last = str(data.get("steps", HarnessFile.model_fields["steps"].default))
     steps: dict[KeyPath, object] = {
-        ("show", i): step for i, step in enumerate(list_in(data, "show"))
+        ("show", i): step for i, step in enumerate(get_list(data, "show"))
     }
     for number, boundary in enumerate(boundaries):
         steps |= {("boundaries", number, key): boundary.get(key) for key in ("by", "release")}
-        for i, point in enumerate(list_in(boundary, "path")):
-            steps["boundaries", number, "path", i, "step"] = block_in(point).get("step")
+        for i, point in enumerate(get_list(boundary, "path")):
+            steps["boundaries", number, "path", i, "step"] = get_block(point).get("step")
     for path, step in steps.items():
         if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last):
             yield Fault.of("protocol.late_step", path, last=last, found=step)
@@ -386,7 +393,7 @@ def _same_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
     first: dict[object, object] = {}
     for number, boundary in enumerate(boundaries):
         at = str(boundary.get("at"))
-        place = at if at in _WORDS else in_si(at, "m")
+        place = at if at in _WORDS else parse_or_none(at, "m")
         if boundary.get("kind") not in _HELD_KINDS or place is None:
             continue
         if place in first:
@@ -399,7 +406,7 @@ REACH_FACTOR = 1.0 + 1e-9
 """On the length, so that a line may be straight between two clips."""
 
 
-def file_beside(name: str, path: Path) -> Path:
+def find_named_file(name: str, path: Path) -> Path:
     """Find a file that a harness names: beside it, or else from the working folder.
 
     Parameters
@@ -411,7 +418,7 @@ def file_beside(name: str, path: Path) -> Path:
     return beside if beside.exists() else Path(name)
 
 
-def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
+def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
     """Find files that a harness names and that are not there.
 
     Parameters
@@ -421,14 +428,14 @@ def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
     """
     for key in ("sheet", "calibration", "sliders"):
         name = getattr(harness.line.section, key)
-        if name is not None and not file_beside(name, path).is_file():
+        if name is not None and not find_named_file(name, path).is_file():
             here, place = path.parent / name, ("line", "section", key)
             yield Fault.of(
                 "protocol.no_harness_file", place, name=name, here=here, there=Path(name)
             )
 
 
-def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
+def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     """Where the line begins at the start, m, and in which direction it lies.
 
     Parameters
@@ -446,7 +453,7 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     return position, direction or (1.0, 0.0, 0.0)
 
 
-def path_of(boundary: Held | String, start: Sequence[float] | Floats, steps: int) -> Floats:
+def compute_path(boundary: Held | String, start: Sequence[float] | Floats, steps: int) -> Floats:
     """Find where something that holds the line is in each step, straight from pose to pose.
 
     Parameters
@@ -476,7 +483,7 @@ def path_of(boundary: Held | String, start: Sequence[float] | Floats, steps: int
     return np.column_stack([np.interp(rows, at, axis) for axis in np.array(corners).T])
 
 
-def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
+def find_unreachable_places(harness: HarnessFile) -> Iterator[Fault]:
     """Find what the line is too short for, and what else cannot be.
 
     Parameters
@@ -615,12 +622,12 @@ class _Place:
 
 
 def _places(harness: HarnessFile, length: float, *kinds: type[Held | String]) -> list[_Place]:
-    start, direction = map(np.array, start_of(harness))
+    start, direction = map(np.array, find_line_start(harness))
     places = []
     for number, boundary in enumerate(harness.boundaries):
         if isinstance(boundary, kinds):
             along = min(boundary.at, length)
-            path = path_of(boundary, start + along * direction, harness.steps)
+            path = compute_path(boundary, start + along * direction, harness.steps)
             path = path[: getattr(boundary, "release", None) or harness.steps + 1]
             thread = boundary.length if isinstance(boundary, String) else 0.0
             places.append(_Place(number, boundary.name, along, path, thread))

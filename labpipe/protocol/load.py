@@ -11,24 +11,24 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import yaml
 
 from labpipe.errors import Fault, ProtocolError, sort_by_likeness
-from labpipe.protocol.cross_checks import plausible_faults
+from labpipe.protocol.cross_checks import find_implausible_sizes
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.overrides import (
-    absent_faults,
-    are_followed,
-    link_faults,
-    with_overrides,
-    without_absent,
+    allows_links,
+    apply_overrides,
+    find_absent_needs,
+    find_link_faults,
+    remove_absent_sources,
 )
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, wires_in_words
+from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, parse_wires
 from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import (
     Document,
     Values,
-    block_in,
-    error_of_faults,
-    not_among,
+    build_choice_fault,
+    build_error,
+    get_block,
     parse_yaml,
     read_text,
 )
@@ -42,7 +42,7 @@ _SUFFIXES = (".yaml", ".yml")
 _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 
 
-def protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
+def list_protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
     """List the folders that hold protocols, in the order in which they are searched.
 
     Parameters
@@ -54,12 +54,12 @@ def protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
     The lab's folder, and that of labpipe, as far as they exist.
     """
     lab_folder = Path("protocols") if protocols is None else protocols
-    folders = (shipped_folder("protocols"), lab_folder)
+    folders = (find_shipped_folder("protocols"), lab_folder)
     unique = {folder.resolve(): folder for folder in folders if folder.is_dir()}
     return tuple(reversed(unique.values()))
 
 
-def shipped_folder(name: str) -> Path:
+def find_shipped_folder(name: str) -> Path:
     """Find a folder of files that come with labpipe.
 
     Parameters
@@ -75,19 +75,19 @@ def shipped_folder(name: str) -> Path:
     return installed if installed.is_dir() else package.parent / name
 
 
-def known_protocols(protocols: Path | None = None) -> dict[str, Path]:
+def list_protocols(protocols: Path | None = None) -> dict[str, Path]:
     """List the protocols that can be named, with their files.
 
     Parameters
     ----------
-    protocols : as for `protocol_folders`
+    protocols : as for `list_protocol_folders`
     """
-    known_protocols: dict[str, Path] = {}
-    for folder in protocol_folders(protocols):
+    list_protocols: dict[str, Path] = {}
+    for folder in list_protocol_folders(protocols):
         for path in sorted(folder.iterdir()):
             if path.suffix in _SUFFIXES:
-                known_protocols.setdefault(path.stem, path)
-    return known_protocols
+                list_protocols.setdefault(path.stem, path)
+    return list_protocols
 
 
 def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -> Path | Fault:
@@ -97,7 +97,7 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     ----------
     wanted : its name, or a path: beside the test sheet, or else from the working folder
     beside : folder of the test sheet
-    protocols : as for `protocol_folders`
+    protocols : as for `list_protocol_folders`
 
     Returns
     -------
@@ -105,18 +105,18 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     """
     if wanted.endswith(_SUFFIXES) or "/" in wanted or "\\" in wanted:
         places = [beside / wanted, Path(wanted)]
-        files = [place for place in places if is_there(place)]
+        files = [place for place in places if path_exists(place)]
         fault = Fault.of("protocol.no_protocol_at", ("protocol",), name=wanted, places=places)
         return files[0] if files else fault
-    protocol_files = known_protocols(protocols)
+    protocol_files = list_protocols(protocols)
     if wanted in protocol_files:
         return protocol_files[wanted]
     if protocol_files:
-        return not_among(("protocol",), wanted, protocol_files, "one of the protocols")
+        return build_choice_fault(("protocol",), wanted, protocol_files, "one of the protocols")
     return Fault.of("protocol.no_protocols", ("protocol",), name=wanted)
 
 
-def is_there(path: Path) -> bool:
+def path_exists(path: Path) -> bool:
     """Check whether there is a file or a folder of a name, which the system may refuse."""
     try:
         return path.exists()
@@ -163,14 +163,14 @@ def parse_protocol(text: str, name: str) -> Protocol:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    return _sound_protocol(text) or checked(Protocol, parse_yaml(text, name))
+    return _sound_protocol(text) or validate_document(Protocol, parse_yaml(text, name))
 
 
 @lru_cache(maxsize=64)
 def _sound_protocol(text: str) -> Protocol | None:
     """Read a protocol once for all results that hold it; None if anything is wrong with it."""
     try:
-        return checked(Protocol, parse_yaml(text, ""))
+        return validate_document(Protocol, parse_yaml(text, ""))
     except ProtocolError:
         return None
 
@@ -191,7 +191,7 @@ def load_test_sheet(path: Path) -> TestSheet:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    return checked(TestSheet, parse_yaml(read_text(path), str(path)))
+    return validate_document(TestSheet, parse_yaml(read_text(path), str(path)))
 
 
 def load_calibration_plan(path: Path) -> CalibrationPlan:
@@ -212,7 +212,7 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     """
     from labpipe.protocol.plans import CalibrationPlan  # tests do without it
 
-    return checked(CalibrationPlan, parse_yaml(read_text(path), str(path)))
+    return validate_document(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
 def load_campaign_plan(path: Path) -> CampaignPlan:
@@ -233,7 +233,7 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
     """
     from labpipe.protocol.plans import CampaignPlan  # tests do without it
 
-    return checked(CampaignPlan, parse_yaml(read_text(path), str(path)))
+    return validate_document(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
 
 def load_harness(path: Path) -> HarnessFile:
@@ -253,13 +253,17 @@ def load_harness(path: Path) -> HarnessFile:
         If anything is wrong with it, or a file that it names is not there; the message has one line
         per fault.
     """
-    from labpipe.protocol.harness_file import HarnessFile, file_faults, reach_faults
+    from labpipe.protocol.harness_file import (
+        HarnessFile,
+        find_missing_files,
+        find_unreachable_places,
+    )
 
     document = parse_yaml(read_text(path), str(path))
-    harness = checked(HarnessFile, document)
-    faults = [*file_faults(harness, path), *reach_faults(harness)]
+    harness = validate_document(HarnessFile, document)
+    faults = [*find_missing_files(harness, path), *find_unreachable_places(harness)]
     if faults:
-        raise error_of_faults(list(map(document.place, faults)))
+        raise build_error(list(map(document.place, faults)))
     return harness
 
 
@@ -295,14 +299,14 @@ def resolve(
     sheet_document = parse_yaml(read_text(sheet_path), str(sheet_path))
     protocol_file = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
     if isinstance(protocol_file, Fault):
-        raise error_of_faults([sheet_document.place(protocol_file)])
+        raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
     plain, merged = parse_yaml(text, name), parse_yaml(text, name)
-    with_overrides(merged, sheet_document)
-    followed = follow_links or are_followed(plain)
+    apply_overrides(merged, sheet_document)
+    followed = follow_links or allows_links(plain)
     sheet_faults = [
         *_role_faults(sheet, merged.block),
-        *link_faults(sheet, sheet_path.parent, followed=followed),
+        *find_link_faults(sheet, sheet_path.parent, followed=followed),
         *_implausible_sizes(sheet, sheet_document, merged.block),
     ]
     placed = [*merged.faults, *map(sheet_document.place, sheet_faults)]
@@ -310,23 +314,23 @@ def resolve(
     if isinstance(protocol, list):
         is_sound = isinstance(Protocol.read(plain.data), Protocol)
         for fault in protocol:
-            by_sheet = is_sound and merged.spot_at(fault.path)[0].file != str(sheet_path)
+            by_sheet = is_sound and merged.find_location(fault.path)[0].file != str(sheet_path)
             remark = f"(With what {sheet_path} changes.)" if by_sheet else ""
             placed.append(merged.place(fault, remark))
-        raise error_of_faults(placed)
+        raise build_error(placed)
     steps = tuple(
-        step.numbered(int(merged.spot_at(("steps", number))[0].name))
+        step.numbered(int(merged.find_location(("steps", number))[0].name))
         for number, step in enumerate(protocol.steps)
     )
     protocol = protocol.model_copy(update={"steps": steps})
-    reduced = without_absent(protocol, sheet.files)
-    placed += [sheet_document.place(fault) for fault in absent_faults(reduced, protocol)]
+    reduced = remove_absent_sources(protocol, sheet.files)
+    placed += [sheet_document.place(fault) for fault in find_absent_needs(reduced, protocol)]
     if placed:
-        raise error_of_faults(placed)
+        raise build_error(placed)
     return reduced
 
 
-def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
+def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
     """Find exports that a test sheet names and that are not there.
 
     Parameters
@@ -343,7 +347,7 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
         (role, name)
         for role, names in sheet.files.items()
         for name in names
-        if not is_there(folder / name)
+        if not path_exists(folder / name)
     ]
     if not missing:
         return None
@@ -354,7 +358,7 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
         like = ", ".join(map(repr, sort_by_likeness(name, others, limit=3))) or "no files"
         fault = Fault.of("protocol.no_such_export", ("files", role), name=name, like=like)
         placed.append(document.place(fault))
-    return error_of_faults(placed, code="missing_export")
+    return build_error(placed, code="missing_export")
 
 
 def dump_protocol(protocol: Protocol) -> str:
@@ -372,7 +376,7 @@ def dump_protocol(protocol: Protocol) -> str:
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000))
 
 
-def checked(model: type[_B], document: Document) -> _B:
+def validate_document(model: type[_B], document: Document) -> _B:
     """Validate a document.
 
     Parameters
@@ -388,16 +392,16 @@ def checked(model: type[_B], document: Document) -> _B:
     block = model.read(document.data)
     faults = block if isinstance(block, list) else []
     if placed := [*document.faults, *map(document.place, faults)]:
-        raise error_of_faults(placed)
+        raise build_error(placed)
     return cast("_B", block)
 
 
 def _implausible_sizes(sheet: TestSheet, document: Document, protocol: Values) -> Iterator[Fault]:
     """Find sizes of the specimen that are outside the ranges of protocol and overrides."""
-    specimen = dict(block_in(document.data, "specimen"))
-    if bundle := block_in(specimen, "bundle"):
-        specimen["bundle"] = {**bundle, "wires": wires_in_words(bundle.get("wires"))}
-    return plausible_faults(
+    specimen = dict(get_block(document.data, "specimen"))
+    if bundle := get_block(specimen, "bundle"):
+        specimen["bundle"] = {**bundle, "wires": parse_wires(bundle.get("wires"))}
+    return find_implausible_sizes(
         {"specimen": specimen},
         ["specimen"],
         others=sheet.specimen.dimensions,
@@ -407,11 +411,11 @@ def _implausible_sizes(sheet: TestSheet, document: Document, protocol: Values) -
 
 def _role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:
     """Find roles that only one of test sheet and protocol has."""
-    sources = block_in(protocol, "sources")
+    sources = get_block(protocol, "sources")
     for role in sheet.files:
         if sources and role not in sources:
-            fault = not_among(("files", role), role, sources, "a role of the protocol:")
+            fault = build_choice_fault(("files", role), role, sources, "a role of the protocol:")
             yield replace(fault, at="key")
     for missing in sorted(set(sources) & set(ROLES) - set(sheet.files)):
-        if str(block_in(sources, missing).get("optional")).lower() != "true":
+        if str(get_block(sources, missing).get("optional")).lower() != "true":
             yield Fault.of("protocol.no_file_of_role", ("files",), role=missing)

@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import Final
 
 from labpipe.errors import Fault, KeyPath
-from labpipe.protocol.cross_checks import result_names
+from labpipe.protocol.cross_checks import list_result_names
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
-from labpipe.protocol.sheet_grammar import COPY_IT, TestSheet
-from labpipe.protocol.yaml_text import Document, Spot, block_in, did_you_mean, list_in
+from labpipe.protocol.sheet_grammar import COPY_REMEDY, TestSheet
+from labpipe.protocol.yaml_text import Document, Location, get_block, get_list, suggest_word
 from labpipe.records.declarations import Step, TravelFromSpeed
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
-SHEET_DIMENSIONS = ("length", "span", "mass_per_length")
+SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
 """Keys of the sheet's specimen that override those of the protocol."""
 _LISTS = (("steps",), ("results",))
 """Blocks that a protocol may leave out and that are lists."""
 
 
-def with_overrides(protocol: Document, sheet: Document) -> None:
+def apply_overrides(protocol: Document, sheet: Document) -> None:
     """Apply the overrides of a test sheet to the protocol.
 
     Changed values get the positions of the sheet; overrides of unknown keys become faults. An item
@@ -35,11 +35,11 @@ def with_overrides(protocol: Document, sheet: Document) -> None:
     sheet : a valid test sheet as written
     """
     removed: dict[KeyPath, object] = {}
-    specimen, overrides = block_in(sheet.data, "specimen"), block_in(sheet.data, "overrides")
+    specimen, overrides = get_block(sheet.data, "specimen"), get_block(sheet.data, "overrides")
     own: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key) for key in SHEET_DIMENSIONS if specimen.get(key)
     }
-    for key in block_in(specimen, "uncertainty"):
+    for key in get_block(specimen, "uncertainty"):
         own[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
     changes = {**own}
     for key in overrides:
@@ -63,18 +63,18 @@ def with_overrides(protocol: Document, sheet: Document) -> None:
 
 
 def _remove_items(merged: Document, removed: Mapping[KeyPath, object]) -> None:
-    """Remove items from their lists; the spots of the others keep their numbers as written."""
+    """Remove items from their lists; the locations of the others keep their numbers as written."""
     names = {name for item in removed.values() for name in _names(item)}
     shown_first: list[KeyPath] = [
         ("groups", "main", number)
-        for number, name in enumerate(list_in(merged.data, "groups", "main"))
+        for number, name in enumerate(get_list(merged.data, "groups", "main"))
         if str(name).partition(".")[0] in names
     ]
     for path in sorted({*removed, *shown_first}, key=lambda path: path[-1], reverse=True):
-        spot, _ = merged.spot_at(path[:-1])
+        location, _ = merged.find_location(path[:-1])
         del merged.at(path[:-1])[path[-1]]
-        left = [inner for number, inner in spot.inner.items() if number != path[-1]]
-        spot.inner = dict(enumerate(left))
+        left = [inner for number, inner in location.inner.items() if number != path[-1]]
+        location.inner = dict(enumerate(left))
 
 
 def _set_value(
@@ -84,9 +84,9 @@ def _set_value(
 
     An item of a list that is set to nothing goes into `removed`, as it was.
     """
-    value, (value_spot, _) = sheet.at(source), sheet.spot_at(source)
-    key_spot, _ = sheet.spot_at(source[:2])
-    node, spot = merged.data, merged.spot
+    value, (value_location, _) = sheet.at(source), sheet.find_location(source)
+    key_location, _ = sheet.find_location(source[:2])
+    node, location = merged.data, merged.location
     path: KeyPath = ()
     parts = dotted.split(".")
     for part in parts:
@@ -102,13 +102,15 @@ def _set_value(
                     "protocol.override_of_no_list", source[:2], at="key", key=dotted, block=key
                 )
             node[key] = {}  # a block that the protocol leaves out
-            spot.inner[key] = Spot(key_spot.file, key, key_spot.key, value_spot.value)
-        node, spot = node[key], spot.inner[key]
+            location.inner[key] = Location(
+                key_location.file, key, key_location.key, value_location.value
+            )
+        node, location = node[key], location.inner[key]
     if isinstance(key, int) and value is None:
         removed[path] = node[key]
     node[key] = copy.deepcopy(value)
-    written = spot.inner[key].name if key in spot.inner else key
-    spot.inner[key] = replace(value_spot, name=written, key=key_spot.key)
+    written = location.inner[key].name if key in location.inner else key
+    location.inner[key] = replace(value_location, name=written, key=key_location.key)
     return None
 
 
@@ -118,7 +120,7 @@ def _key_in(node: object, part: str) -> str | int | None:
         return part
     if not isinstance(node, list):
         return None
-    number = whole_number(part)
+    number = parse_count(part)
     if number is not None:
         return number if number < len(node) else None
     # The name of a result first, then its kind: one stiffness of several may be `stiffness`.
@@ -131,14 +133,14 @@ def _key_in(node: object, part: str) -> str | int | None:
 
 def _tags(item: object) -> list[str]:
     """List the tags of a step or result."""
-    tags = (block_in(item).get(tag) for tag in ("step", "result"))
+    tags = (get_block(item).get(tag) for tag in ("step", "result"))
     return [tag for tag in tags if isinstance(tag, str)]
 
 
 def _names(item: object) -> list[str]:
     """List the names of the results of an item, without cycle numbers."""
-    block = block_in(item)
-    return [name.partition(".")[0] for name in result_names(str(block.get("result")), block)]
+    block = get_block(item)
+    return [name.partition(".")[0] for name in list_result_names(str(block.get("result")), block)]
 
 
 def _unknown_key(node: object, part: str, path: KeyPath) -> Fault:
@@ -146,7 +148,7 @@ def _unknown_key(node: object, part: str, path: KeyPath) -> Fault:
     if not isinstance(node, list):
         return Fault.of("protocol.below_a_value", path, at="key", key=part)
     valid = [word for item in node for word in dict.fromkeys([*_tags(item), *_names(item)])]
-    remedy = "Use its number." if valid.count(part) > 1 else did_you_mean(part, valid)
+    remedy = "Use its number." if valid.count(part) > 1 else suggest_word(part, valid)
     last = len(node) - 1
     return Fault.of("protocol.no_item", path, at="key", key=part, last=last, remedy=remedy)
 
@@ -155,7 +157,7 @@ FOLLOW: Final = "follow_links"
 """Key of a protocol whose exports may be links into a store elsewhere."""
 
 
-def are_followed(protocol: Document) -> bool:
+def allows_links(protocol: Document) -> bool:
     """Return whether a protocol allows exports that are links out of the folder of the test.
 
     Parameters
@@ -165,7 +167,7 @@ def are_followed(protocol: Document) -> bool:
     return str(protocol.block.get(FOLLOW)).lower() == "true"
 
 
-def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[Fault]:
+def find_link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[Fault]:
     """Find exports that a link takes out of the folder of the test, or nowhere.
 
     Parameters
@@ -187,14 +189,14 @@ def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[F
             yield Fault.of("protocol.link_to_itself", path, name=name)
             continue
         if not (is_inside or followed):
-            yield Fault.of("protocol.link_out", path, name=name, copy=COPY_IT)
+            yield Fault.of("protocol.link_out", path, name=name, copy=COPY_REMEDY)
 
 
 _MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
 """Figures that need a source of marker tracks."""
 
 
-def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
+def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protocol:
     """Take out of a protocol what a test without an optional export cannot have.
 
     Parameters
@@ -237,12 +239,12 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     return reduced.model_copy(update=update)
 
 
-def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
+def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
     """Find what a test cannot do without, although its source is optional.
 
     Parameters
     ----------
-    protocol : as `without_absent` gives it
+    protocol : as `remove_absent_sources` gives it
     full_protocol : the same with all its sources
 
     Returns
@@ -296,4 +298,4 @@ def _is_made_from_speed(protocol: Protocol) -> bool:
 
 
 def _result_names(entries: tuple[ResultEntry, ...]) -> set[str]:
-    return {name for entry in entries for name in result_names(entry.result, asdict(entry))}
+    return {name for entry in entries for name in list_result_names(entry.result, asdict(entry))}

@@ -22,20 +22,20 @@ from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Version
 from labpipe.protocol.sheet_grammar import Override, TestSheet
 from labpipe.protocol.source import Role
-from labpipe.protocol.values import Remark, Text, file_inside, in_si
+from labpipe.protocol.values import Remark, Text, build_path_validator, parse_or_none
 from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
-    block_in,
-    list_in,
+    find_repeated_names,
+    get_block,
+    get_list,
     refused,
-    same_names,
 )
 from labpipe.records.declarations import Duration, Length, Quantity, WholeNumber
 
 
 def _unit_like(si_unit: str, value: object) -> str:
-    if in_si(f"1 {value}", si_unit) is None:
+    if parse_or_none(f"1 {value}", si_unit) is None:
         raise refused("protocol.no_unit_like", found=value, si_unit=si_unit)
     return str(value)
 
@@ -46,7 +46,7 @@ def _sign(value: object) -> int:
     return int(str(value))
 
 
-COPY_IT = "Copy the curve into the folder of the plan and name it from there."
+COPY_REMEDY = "Copy the curve into the folder of the plan and name it from there."
 
 LengthUnit = Annotated[str, BeforeValidator(partial(_unit_like, "m")), Field(examples=["mm"])]
 ForceUnit = Annotated[str, BeforeValidator(partial(_unit_like, "N")), Field(examples=["N"])]
@@ -78,7 +78,7 @@ class Comparison(Block):
     """A curve from elsewhere: finite elements, a digitised figure, another lab."""
 
     name: Text
-    file: Annotated[str, file_inside("the folder of the plan", COPY_IT)] = Field(
+    file: Annotated[str, build_path_validator("the folder of the plan", COPY_REMEDY)] = Field(
         description="csv or xlsx in the folder of the plan, or below it"
     )
     wire: Text = Field(description="Wire of the sheet that it is of")
@@ -112,7 +112,7 @@ class _Parameter(Block):
     because: Remark = Field("", description="Where a prior or a fixed value comes from")
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Ask of a prior what it needs, and of the others that they do not have it."""
         enters, stated = data.get("enters", "free"), {key for key in data if data[key]}
         needed = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
@@ -167,9 +167,9 @@ class CalibrationPlan(Block):
     )
 
     @classmethod
-    def between(cls, data: Values) -> Iterable[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
         """Ask each comparison for a name of its own."""
-        return same_names(list_in(data, "comparisons"), "comparisons", "comparison")
+        return find_repeated_names(get_list(data, "comparisons"), "comparisons", "comparison")
 
 
 WORDS = ("test", "type", "spool", "sample", "operator", "date")
@@ -291,7 +291,7 @@ def _field(written: str) -> tuple[str, str]:
     if match is None or match[1] in WORDS:
         fields = ", ".join(f"{{{word}}}" for word in WORDS)
         raise refused("protocol.no_field", found=f"{{{written}}}", fields=fields)
-    if in_si(f"1 {match[2]}", "m") is None:
+    if parse_or_none(f"1 {match[2]}", "m") is None:
         raise refused("protocol.no_length_unit", found=f"{{{written}}}", dimension=match[1])
     return match[1], match[2]
 
@@ -394,9 +394,9 @@ class CampaignPlan(Block):
     look_every: Duration = Field(0.25, description="How often a watch looks")
 
     @classmethod
-    def between(cls, data: Values) -> Iterable[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
         """Check what goes into every test sheet as the sheet would be checked."""
-        specimen = dict(block_in(data, "specimen"))
+        specimen = dict(get_block(data, "specimen"))
         sheet = {
             "test": "x",
             "protocol": "x",

@@ -22,12 +22,12 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from labpipe.messages import list_rooms, read_templates
-from labpipe.protocol.grammar import Block, block_of
+from labpipe.protocol.grammar import Block, build_block
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.plans import CampaignPlan
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.protocol.source import KEYS, PLAUSIBLE
+from labpipe.protocol.source import DIMENSION_KINDS, PLAUSIBLE_RANGES
 from labpipe.records.declarations import Limits, Needs, list_references
 from labpipe.records.quality import Severity
 from labpipe.results import KINDS
@@ -76,7 +76,7 @@ def json_schema(model: type[Block]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class KindOfNote:
+class NoteKind:
     """What quality notes of one code mean.
 
     Parameters
@@ -95,7 +95,7 @@ class KindOfNote:
     doubts: str = ""
 
 
-def kinds_of_notes() -> tuple[KindOfNote, ...]:
+def list_note_kinds() -> tuple[NoteKind, ...]:
     """Read every kind of quality note: from ``quality_notes.toml`` and the rooms' templates.
 
     Returns
@@ -114,7 +114,7 @@ def kinds_of_notes() -> tuple[KindOfNote, ...]:
         if "meaning" in template
     ]
     return tuple(
-        KindOfNote(origin, code, _severities(entry), entry["meaning"], entry.get("doubts", ""))
+        NoteKind(origin, code, _severities(entry), entry["meaning"], entry.get("doubts", ""))
         for origin, code, entry in sorted(kinds, key=lambda kind: kind[:2])
     )
 
@@ -127,7 +127,7 @@ def _severities(entry: dict[str, str | list[str]]) -> tuple[Severity, ...]:
 
 def tables() -> dict[str, str]:
     """Write every derived table in Markdown, by name: one for each origin of notes, and others."""
-    notes = kinds_of_notes()
+    notes = list_note_kinds()
     origins = dict.fromkeys(note.origin for note in notes)
     written = {
         origin: table_of_notes([note for note in notes if note.origin == origin])
@@ -140,7 +140,7 @@ def tables() -> dict[str, str]:
     }
 
 
-def table_of_notes(notes: Sequence[KindOfNote]) -> str:
+def table_of_notes(notes: Sequence[NoteKind]) -> str:
     """Write the table of quality notes of one origin.
 
     Parameters
@@ -157,15 +157,15 @@ def table_of_notes(notes: Sequence[KindOfNote]) -> str:
 def table_of_ranges() -> str:
     """Write the table of the plausible ranges: kind of dimension, keys that are one, ends."""
     rows = [("kind", "keys that are, or end with", "from", "to")]
-    for kind, (_, lowest, highest) in PLAUSIBLE.items():
-        keys = ", ".join(f"`{key}`" for key, of in KEYS.items() if of == kind)
+    for kind, (_, lowest, highest) in PLAUSIBLE_RANGES.items():
+        keys = ", ".join(f"`{key}`" for key, of in DIMENSION_KINDS.items() if of == kind)
         rows.append((f"`{kind}`", keys or "other lengths of a specimen", lowest, highest))
     return _table(rows)
 
 
 def table_of_limits() -> str:
     """Write the table of the lab's limits: key, default, and what is doubtful beyond it."""
-    defaults = block_of(Limits)().model_dump(mode="json")
+    defaults = build_block(Limits)().model_dump(mode="json")
     hints = get_type_hints(Limits, include_extras=True)
     rows = [
         (f"`{key}`", value, next(part for part in get_args(hints[key]) if isinstance(part, str)))

@@ -15,8 +15,8 @@ from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.values import DEVICE, NUMBER, number_remedy
-from labpipe.protocol.yaml_text import FaultsError, Values, not_among, refused
+from labpipe.protocol.values import NUMBER, WINDOWS_DEVICE_NAME, suggest_number
+from labpipe.protocol.yaml_text import FaultsError, Values, build_choice_fault, refused
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]
@@ -91,14 +91,14 @@ class Column:
     def _number(self, part: str, cell: str) -> float:
         fits = re.fullmatch(NUMBER, part) and self.minimum <= float(part) <= self.maximum
         if not fits or (self.is_integer and float(part) % 1.0):
-            remedy = number_remedy(part) or "Correct the cell; is the unit right?"
+            remedy = suggest_number(part) or "Correct the cell; is the unit right?"
             if self.several and "," in part and ";" not in cell:
                 remedy = f"Separate numbers by ';': {part.replace(',', ';')}."
             raise refused("protocol.no_number", found=cell, allowed=self.allowed, remedy=remedy)
         value = math.fmod(float(part), self.period)
         return int(value) if self.is_integer else value
 
-    def in_si(self, value: float) -> float:
+    def to_si(self, value: float) -> float:
         """Turn a number of the column into SI; twelve digits, so that 1.4 mm is 0.0014 m."""
         return value if self.is_integer else float(f"{value * self.factor:.12g}")
 
@@ -112,7 +112,7 @@ def _name(value: object) -> str:
     name = str(value)
     if not name:
         raise FaultsError(Fault.of("protocol.blank_name"))
-    if _NOT_IN_NAMES.search(name) or DEVICE.fullmatch(name) or len(name) > max_length:
+    if _NOT_IN_NAMES.search(name) or WINDOWS_DEVICE_NAME.fullmatch(name) or len(name) > max_length:
         raise refused("protocol.no_wire_name", found=value, most=max_length)
     return name
 
@@ -158,7 +158,7 @@ class WireRow(Block):
     remark: str = ""
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Refuse stress tables together with the numbers that they replace."""
         for table, numbers in _NUMBERS_OF.items():
             stated = [name for name in numbers if data.get(name)]
@@ -307,7 +307,7 @@ def _density(stated: float | None, field: str) -> float:
     return _SPEC_DEFAULTS[field] if stated is None else stated
 
 
-def wire_spec(
+def build_wire_spec(
     row: WireRow,
     blank: Collection[str],
     place: str,
@@ -329,23 +329,23 @@ def wire_spec(
     """
     values: dict[str, Any] = {"layer_counts": row.counts, "stress_table": curve}
     values["insulation_table"] = insulation
-    values["strand_diameters"] = tuple(map(COLUMNS["strand_diameter_mm"].in_si, row.diameters))
+    values["strand_diameters"] = tuple(map(COLUMNS["strand_diameter_mm"].to_si, row.diameters))
     for name, column in COLUMNS.items():
         value = getattr(row, name)
         if isinstance(value, float) and name not in SIZES:
-            values[field_of(name)] = column.in_si(value)
+            values[get_spec_field(name)] = column.to_si(value)
     for name in ("lay_angles_deg", *(["layer_radii_mm"] if row.layer_radii_mm else [])):
-        values[field_of(name)] = tuple(map(COLUMNS[name].in_si, getattr(row, name)))
+        values[get_spec_field(name)] = tuple(map(COLUMNS[name].to_si, getattr(row, name)))
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
     needless = {*(_OF_THE_CURVE if curve else ()), *(_OF_THE_WALL if insulation else ())}
     needless |= {*(_DENSITIES if row.has_mass else ())}
     defaults = {
-        field_of(name): default_words(name) + " (blank in this row)" * (name in blank)
+        get_spec_field(name): describe_default(name) + " (blank in this row)" * (name in blank)
         for name in WireRow.model_fields
         if name not in needless
-        and field_of(name) not in values
-        and (field_of(name) in _SPEC_DEFAULTS or name == "largest_curvature_per_m")
+        and get_spec_field(name) not in values
+        and (get_spec_field(name) in _SPEC_DEFAULTS or name == "largest_curvature_per_m")
     }
     return WireSpec(name=row.wire, **values, defaults=defaults, place=place)
 
@@ -357,19 +357,19 @@ _SPEC_DEFAULTS: Final[Mapping[str, Any]] = {
 }
 
 
-def field_of(name: str) -> str:
+def get_spec_field(name: str) -> str:
     """Return the field of `WireSpec` that a column fills: its name without the unit."""
     return name.removesuffix(_UNITS[COLUMNS[name].unit][0]) if name in COLUMNS else name
 
 
-def default_words(name: str) -> str:
+def describe_default(name: str) -> str:
     """Return the value used if a column is blank, such as ``tension 0 N``.
 
     Parameters
     ----------
     name : of a column whose field of `WireSpec` has a default
     """
-    field = field_of(name)
+    field = get_spec_field(name)
     if field == "largest_curvature":
         return "largest curvature at a bending radius of five wire diameters"
     value, column = _SPEC_DEFAULTS[field], COLUMNS.get(name)
@@ -377,12 +377,12 @@ def default_words(name: str) -> str:
     return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
 
-def column_name(heading: str) -> str:
+def normalise_heading(heading: str) -> str:
     """Return the column name of a heading: in small letters, blanks as underscores."""
     return re.sub(r"[\s-]+", "_", heading.casefold())
 
 
-def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
+def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     """Find unknown, repeated and missing columns of a wire sheet.
 
     Parameters
@@ -393,13 +393,15 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     ------
     The number of the column, counted from 0, and what is wrong with it.
     """
-    names = [column_name(heading) for heading in headings]
+    names = [normalise_heading(heading) for heading in headings]
     intended = set(names)
     for number, name in enumerate(names):
         if name not in WireRow.model_fields:
             meant = next((x for x in COLUMNS if _is_in_another_unit(name, x)), "")
             intended |= {meant, *difflib.get_close_matches(name, WireRow.model_fields, n=1)}
-            fault = not_among((), headings[number], WireRow.model_fields, "one of the columns")
+            fault = build_choice_fault(
+                (), headings[number], WireRow.model_fields, "one of the columns"
+            )
             remedy = f"Give it in {COLUMNS[meant].unit} as {meant!r}." if meant else fault.remedy
             yield number, replace(fault, remedy=remedy)
         elif name in names[:number]:
@@ -413,7 +415,7 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
 
 def _is_in_another_unit(name: str, column: str) -> bool:
     """Recognise wire_diameter_in, or wire_diameter alone, for wire_diameter_mm."""
-    stem = field_of(column)
+    stem = get_spec_field(column)
     rest = name.removeprefix(stem)
     return stem != column and rest != name and bool(re.fullmatch(r"(_per)?(_[a-z0-9]{1,8})?", rest))
 
@@ -430,7 +432,7 @@ class StressPoint(Block):
     stress_mpa: Annotated[float, Column("MPa", 0.0, 1e5)]
 
 
-def curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault] | None:
+def find_curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault] | None:
     """Find the first point that makes no curve: strains grow, stresses never fall, nor stiffen.
 
     Parameters
@@ -478,9 +480,9 @@ def _step_fault(
     return None
 
 
-def curve_of(points: Sequence[StressPoint]) -> Curve:
+def convert_points(points: Sequence[StressPoint]) -> Curve:
     """Strains and stresses (Pa) beyond zero."""
-    stress = StressPoint.model_fields["stress_mpa"].metadata[0].in_si
+    stress = StressPoint.model_fields["stress_mpa"].metadata[0].to_si
     beyond = [point for point in points if point.strain > 0.0]
     return tuple(point.strain for point in beyond), tuple(
         stress(point.stress_mpa) for point in beyond

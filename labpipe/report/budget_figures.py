@@ -16,6 +16,7 @@ from labpipe.report.figure_page import (
     add_title,
     make_empty_page,
     make_page,
+    read_look,
 )
 from labpipe.report.wording import (
     Scale,
@@ -32,7 +33,7 @@ from labpipe.report.wording import (
     write_number,
     write_title,
 )
-from labpipe.statistics.means import SCATTER, sort_causes, summarise_budget
+from labpipe.statistics.means import sort_causes, summarise_budget
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,38 +45,6 @@ _FRAME_MM = 26.0
 """Height of axis and heading."""
 MAX_BARS = 20
 SMALLER = "causes under 2 % in every bar"
-COLOURS_OF_CAUSES: Mapping[str, str] = {
-    SCATTER: "#4d4d4d",
-    cause_names.NOISE: "#8c8c8c",
-    cause_names.FIT: "#c9bfae",
-    cause_names.NOISE_OF_FORCE: "#8c8c8c",
-    cause_names.NOISE_OF_DISPLACEMENT: "#c4c4c4",
-    cause_names.SCALE_OF_FORCE: "#d55e00",
-    cause_names.ZERO_OF_FORCE: "#f4b183",
-    cause_names.DRIFT_OF_ZERO: "#ffd9c2",
-    cause_names.SCALE_OF_DISPLACEMENT: "#0072b2",
-    cause_names.ZERO_OF_DISPLACEMENT: "#8ec3e6",
-    cause_names.SHAPE: "#cc79a7",
-    cause_names.COMPLIANCE: "#009e73",
-    cause_names.TURN: "#93d5c0",
-    cause_names.SPEED: "#00674b",
-    cause_names.GRIP: "#f3d38a",
-    cause_names.PULL: "#e69f00",
-    cause_names.CENTRE: "#946700",
-    cause_names.MARKER_SIDE: "#8a4f72",
-    cause_names.CLOCK_OFFSET: "#6f4aa8",
-    cause_names.CLOCK_DRIFT: "#bba7dd",
-    cause_names.LENGTH: "#c49a6c",
-    cause_names.SPAN: "#c49a6c",
-    cause_names.SECTION: "#7a3b1d",
-    cause_names.SLACK: "#56b4e9",
-    cause_names.REPAIRED_SLIPS: "#b0124f",
-    cause_names.RESOLUTION: "#5c5c9e",
-    cause_names.STEP: "#f2a6bd",
-    cause_names.TANGENT: "#3a4a8c",
-}
-"""One family of colours for each instrument; a cause has the same colour in every figure."""
-OTHER_COLOUR = "#ededed"
 
 
 class Bar(NamedTuple):
@@ -185,7 +154,7 @@ def _write_share(axes: Axes, middle: float, height: float, share: float, cause: 
     dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
 
-    ground = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
+    ground = find_cause_colour(cause)
     red, green, blue = to_rgb(ground)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
     is_hatched = cause_names.IS_COMMON.get(cause, False)
@@ -195,6 +164,12 @@ def _write_share(axes: Axes, middle: float, height: float, share: float, cause: 
         bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip
     label.set_in_layout(False)  # it lies on its bar
+
+
+def find_cause_colour(cause: str) -> str:
+    """Return the colour of a cause: the same in every figure, light grey for an unknown one."""
+    colour: str = read_look("colours_of_causes").get(cause, "#ededed")
+    return colour
 
 
 def sort_shares(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
@@ -232,7 +207,7 @@ _HATCHED: dict[str, Any] = {
 
 def _bar_style(cause: str) -> dict[str, Any]:
     hatch = _HATCHED["hatch"] if cause_names.IS_COMMON.get(cause, False) else None
-    return {**_HATCHED, "facecolor": COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR), "hatch": hatch}
+    return {**_HATCHED, "facecolor": find_cause_colour(cause), "hatch": hatch}
 
 
 def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -24,16 +24,11 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.report.figure_page import Look, choose_dash
 from labpipe.report.wording import SUPERSCRIPTS, Scale, write_count, write_number
 
 DEFLECTION = Scale(1e3, "mm")
 FORCE = Scale(1.0, "N")
 SMALL_FORCE = Scale(1e3, "mN")
-MODEL, BAND = "#0072B2", "#a6cbe3"
-"""The model and its band; measured samples are black and grey beside it."""
-
-_COLOURS = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
 _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
@@ -123,19 +118,6 @@ def write_percent(share: float) -> str:
 def write_length(length: float) -> str:
     """Write a length, such as ``85 mm``."""
     return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
-
-
-def choose_length_looks(lengths: Sequence[float]) -> dict[float, Look]:
-    """Give the samples of each length a colour and a dash that also differ in grey.
-
-    Parameters
-    ----------
-    lengths : m, in any order, with repetitions
-    """
-    return {
-        length: Look(_COLOURS[number % len(_COLOURS)], choose_dash(number))
-        for number, length in enumerate(sorted(set(lengths)))
-    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import base64
 import math
 import textwrap
+import tomllib
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -48,6 +50,32 @@ class Look(NamedTuple):
 
     color: str
     linestyle: Any
+
+
+def read_look(name: str, **more: Any) -> dict[str, Any]:
+    """Read the look of a line, an area or a mark.
+
+    Parameters
+    ----------
+    name : in ``looks.toml``
+    more : further settings of matplotlib; they replace those of the file
+
+    Raises
+    ------
+    KeyError
+        If the file has no such look.
+    """
+    return {**_read_looks()[name], **more}
+
+
+@cache
+def _read_looks() -> dict[str, dict[str, Any]]:
+    looks = tomllib.loads((files("labpipe.report") / "looks.toml").read_text(encoding="utf-8"))
+    for look in looks.values():
+        if isinstance(look.get("linestyle"), list):  # matplotlib reads dashes from tuples alone
+            offset, lengths = look["linestyle"]
+            look["linestyle"] = (offset, tuple(lengths))
+    return looks
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Plots of comparisons, and figures of groups and comparisons as files, drawn by matplotlib."""
+"""Figures of groups and of their comparisons as files, and the plots of comparisons."""
 
 from __future__ import annotations
 
@@ -19,11 +19,7 @@ from labpipe.report.comparisons import (
     name_field,
 )
 from labpipe.report.figure_page import (
-    DASHED,
-    DOTTED,
     DOUBLE_COLUMN,
-    GREY,
-    RED,
     WIDTH,
     FigureToSave,
     add_key,
@@ -33,6 +29,7 @@ from labpipe.report.figure_page import (
     make_empty_page,
     make_page,
     make_panels,
+    read_look,
 )
 from labpipe.report.group_plots import (
     N_COLOURS,
@@ -61,43 +58,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_DOT: dict[str, Any] = {"linestyle": "", "zorder": 5}
-_LOOKS: Mapping[str, dict[str, Any]] = {
-    "curve": {"linewidth": 0.7, "zorder": 2},
-    "unloading": {"linewidth": 0.5, "alpha": 0.3, "zorder": 1.5},
-    "shape": {"linewidth": 0.4, "marker": "o", "markersize": 2.0},
-    "mean": {"linewidth": 1.5, "zorder": 4},
-    "band": {"alpha": 0.16, "linewidth": 0, "zorder": 1},
-    "whole": {"linewidth": 0.6, "linestyle": DASHED, "zorder": 3},
-    "interval": {"linewidth": 1.2, "zorder": 4},
-    "measured": {"color": GREY, "linewidth": 0.8, "linestyle": DASHED},
-    "rejected": {"color": "#9a9a9a", "linewidth": 0.5},
-    "window": {
-        "color": "#946700",
-        "linewidth": 4.0,
-        "alpha": 0.4,
-        "solid_capstyle": "butt",
-        "zorder": 3,
-    },
-    "segment": {"linewidth": 0.8, "linestyle": DOTTED, "zorder": 4},
-    "slip": {"color": RED, "marker": "v", **_DOT},
-    "failure": {"color": RED, "marker": "x", **_DOT},
-    "sample": {"marker": "o", "markersize": 3.0, **_DOT},
-    "doubtful": {"marker": "o", "markerfacecolor": "white", **_DOT},
-    "dot": {"marker": "D", **_DOT},
-    "ring": {"color": RED, "marker": "o", "markerfacecolor": "none", "markersize": 8, **_DOT},
-}
-"""Style of each class of lines; those without a colour are black or in the colour of a spool."""
-
 
 def draw_plots(title: str, plots: Sequence[Plot], *, columns: int = 2) -> Figure:
-    """Draw plots of the page on paper.
+    """Draw plots of the page as a figure of a file.
 
     Parameters
     ----------
     title : of the figure
-    plots : a panel each; their captions are the footnote
-    columns : of panels, at most
+    plots : at least one, a panel each; their captions are the footnote
+    columns : largest number of panels side by side
     """
     frame_mm, mm_per_point, single_mm = 14.0, 0.3, 68.0
     plot = plots[0]
@@ -139,9 +108,9 @@ def plot_lines(plot: Plot, axes: Axes) -> None:
 
 
 def _look(classes: str) -> dict[str, Any]:
-    """Return the style of a line by its classes on the page."""
+    """Return the look of a line by its classes on the page."""
     kind, _, colour = classes.partition(" ")
-    look = {"color": "black", **_LOOKS[kind]}
+    look = {"color": "black", **read_look(kind)}
     if colour:
         number, colours = int(colour[1:]), list_style_colours()
         look["color"] = colours[number % len(colours)]
@@ -151,7 +120,7 @@ def _look(classes: str) -> dict[str, Any]:
 
 
 def list_group_figures(group: Group) -> Iterator[FigureToSave]:
-    """List the figures for which a group has data; curves are always included.
+    """List the figures for which a group has data.
 
     Parameters
     ----------
@@ -159,7 +128,8 @@ def list_group_figures(group: Group) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    The figures of `make_file_plots`, and budgets, by names without that of the group.
+    The figures of `make_file_plots`, and ``budgets`` of the intervals, by names without the group.
+    Without curves, the figure ``curves`` says why it is empty.
     """
     title = write_group_title(group)
     figures = make_file_plots(group)
@@ -180,7 +150,7 @@ def list_group_figures(group: Group) -> Iterator[FigureToSave]:
 
 
 def list_family_figures(campaign: Campaign) -> Iterator[FigureToSave]:
-    """List the figures of the groups that differ in one field alone.
+    """List a figure for each family of groups that differ in one field alone.
 
     Parameters
     ----------
@@ -206,7 +176,7 @@ def list_family_figures(campaign: Campaign) -> Iterator[FigureToSave]:
 def make_family_plots(
     family: Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
 ) -> list[Plot]:
-    """Return the plots of a family: mean curves, and the main number of each group.
+    """Make the plots of a family: mean curves, and the main number of each group.
 
     Parameters
     ----------
@@ -267,7 +237,7 @@ def _force_axis(name: str, bands: Sequence[Band], scale: Scale) -> Axis:
 
 
 def find_main_number(family: Family) -> str:
-    """Return the number by which groups are compared: bending stiffness or the first common one.
+    """Find the number by which groups are compared: bending stiffness, or the first common one.
 
     Parameters
     ----------
@@ -275,7 +245,7 @@ def find_main_number(family: Family) -> str:
 
     Returns
     -------
-    Empty without a common number.
+    Name of the number; empty if the groups have none in common.
     """
     has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
     shared = [

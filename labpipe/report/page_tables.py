@@ -15,8 +15,7 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import (
-    COLOURS_OF_CAUSES,
-    OTHER_COLOUR,
+    find_cause_colour,
     list_shown_causes,
     make_group_bars,
     sort_shares,
@@ -300,7 +299,7 @@ def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str,
 
 
 def _cause_look(cause: str) -> dict[str, Any]:
-    colour = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
+    colour = find_cause_colour(cause)
     return {"cause": cause, "colour": colour, "is_common": IS_COMMON.get(cause, False)}
 
 

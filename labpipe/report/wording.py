@@ -14,7 +14,7 @@ from labpipe.records.group import MeanInterval
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.results import KINDS
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
@@ -45,7 +45,7 @@ def choose_unit(result: TestResult, quantity: str, si_unit: str) -> Scale:
     Factor from SI to the display unit, and the unit's name.
     """
     unit = result.display.get(quantity, si_unit)
-    return Scale(1.0 / si_factor(unit, si_unit), unit)
+    return Scale(1.0 / find_si_factor(unit, si_unit), unit)
 
 
 def write_title(result: TestResult) -> str:
@@ -142,6 +142,7 @@ _QUANTITIES = {
     "1/m": "curvature",
     "N*m^2": "bending_stiffness",
     "rad": "angle",
+    "1": "strain",
 }
 """Quantity of the display unit by SI unit."""
 _PER_PEAK = "_per_peak_force"
@@ -247,7 +248,7 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     if name == "clock_drift":
         return Scale(1e6, "ppm")
     wanted = display.get(_QUANTITIES.get(unit, ""))
-    return Scale(1.0, unit) if wanted is None else Scale(1.0 / si_factor(wanted, unit), wanted)
+    return Scale(1.0, unit) if wanted is None else Scale(1.0 / find_si_factor(wanted, unit), wanted)
 
 
 def find_display(group: Group) -> Mapping[str, str]:
@@ -259,7 +260,7 @@ def find_group_unit(group: Group, quantity: str) -> Scale:
     """Return the display unit of displacement, force, curvature or moment in a group."""
     si_unit = {"displacement": "m", "force": "N", "curvature": "1/m", "moment": "N*m"}[quantity]
     unit = find_display(group).get(quantity, si_unit)
-    return Scale(1.0 / si_factor(unit, si_unit), typeset_unit(unit))
+    return Scale(1.0 / find_si_factor(unit, si_unit), typeset_unit(unit))
 
 
 def typeset_unit(unit: str) -> str:

@@ -23,6 +23,14 @@ from labpipe.results.stiffness import (
     NormalisedStiffness,
     UnloadingStiffness,
 )
+from labpipe.results.tension import (
+    BreakElongation,
+    ElasticModulus,
+    MaximumForceElongation,
+    ProofStress,
+    TensileStrength,
+    YieldStress,
+)
 from labpipe.results.two_lines import Kink, TwoSegments
 
 KINDS: tuple[type[Kind], ...] = (
@@ -31,6 +39,8 @@ KINDS: tuple[type[Kind], ...] = (
     *(NormalisedStiffness, Modulus, ComplianceResult, TwoSegments, Kink),
     *(PeakForce, PeakDisplacement, Energy, ResidualDisplacement, FailureResult, EnergyToBreak),
     *(SlipResults, SlackResult, Plateau, BendingStiffness),
+    *(ElasticModulus, ProofStress, YieldStress, TensileStrength),
+    *(MaximumForceElongation, BreakElongation),
     *(TipTravel, MomentCurvature, MidSpan, Twist),
 )
 """In the order of the reference page."""

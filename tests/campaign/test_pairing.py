@@ -134,7 +134,7 @@ def test_one_folder_per_test(lab: Lab) -> None:
     assert [candidate.name for candidate in listed.candidates] == ["T1"]
     assert listed.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
     written = pair_test(listed.candidates[0], plan)
-    assert written.open == ("type", "spool", "sample")
+    assert written.open == ("protocol", "type", "spool", "sample")
     with pytest.raises(ProtocolError, match=r"specimen\.spool"):
         load_test_sheet(lab.sheet)
 

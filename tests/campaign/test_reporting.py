@@ -21,8 +21,9 @@ from labpipe.campaign.reporting import (
 from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
-from labpipe.protocol.load import known_protocols, load_protocol
-from labpipe.protocol.schema import Section, SpecimenBlock
+from labpipe.protocol.load import list_protocols, load_protocol
+from labpipe.protocol.schema import SpecimenBlock
+from labpipe.protocol.source import Section
 from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import Letterhead
@@ -256,6 +257,6 @@ def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them
 def test_numbers_that_the_rig_sets_and_that_can_be_negative(
     name: str, signed: set[str], is_set: bool
 ) -> None:
-    found = number_kinds(load_protocol(known_protocols()[name]))
+    found = number_kinds(load_protocol(list_protocols()[name]))
     assert found.signed == signed
     assert found.set_by_rig == ({"peak_displacement"} if is_set else set())

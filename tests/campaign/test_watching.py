@@ -31,7 +31,7 @@ from labpipe.campaign.quick_look import (
 from labpipe.campaign.running import decide, read_overview
 from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
-from labpipe.protocol.reference import kinds_of_notes
+from labpipe.protocol.reference import list_note_kinds
 from labpipe.records.quality import Severity
 from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.small_tests import Lab
@@ -355,7 +355,7 @@ def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -
 def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:
     doubting = {
         kind.code
-        for kind in kinds_of_notes()
+        for kind in list_note_kinds()
         if kind.origin == "processing" and (kind.doubts or Severity.ERROR in kind.severities)
     }
     page = (repository / "docs" / "reference" / "results.md").read_text(encoding="utf-8")
@@ -365,5 +365,5 @@ def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None
 
     missing = (doubting | failing | set(CODES)) - set(actions()) - {"mid_span", "code"}
     assert not missing
-    known = {kind.code for kind in kinds_of_notes()} | said | set(CODES)
+    known = {kind.code for kind in list_note_kinds()} | said | set(CODES)
     assert not set(actions()) - known  # no action for a code that there is not

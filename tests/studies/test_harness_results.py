@@ -336,11 +336,11 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     assert list(marks) == ["bench", "gripper", "thread", "weight"]
     node = result.prepared.nodes["gripper"]
     assert marks["gripper"].position == pytest.approx(result.path.last.positions[node])
-    assert (marks["gripper"].holds, marks["bench"].holds) == (False, True)
-    assert marks["gripper"].way[-1] == pytest.approx([0.06, 0.0, 0.045])
-    assert not marks["bench"].way.size
+    assert (marks["gripper"].is_holding, marks["bench"].is_holding) == (False, True)
+    assert marks["gripper"].path[-1] == pytest.approx([0.06, 0.0, 0.045])
+    assert not marks["bench"].path.size
     assert marks["bench"].direction == pytest.approx([1.0, 0.0, 0.0])
-    assert marks["thread"].way[0] == pytest.approx(result.path.last.positions[-1])
+    assert marks["thread"].path[0] == pytest.approx(result.path.last.positions[-1])
     ((point, normal),) = drawn.planes
     assert (point[2], normal.tolist()) == (-0.06, [0.0, 0.0, 1.0])
     assert [shape.step for shape in drawn.shapes] == [8, 10]

@@ -29,7 +29,7 @@ from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.protocol.load import load_test_sheet, parse_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
+from labpipe.protocol.sheet_grammar import SHEET_NAME, parse_bundle
 from labpipe.records.arrays import Ints
 from labpipe.records.curve import Curve, Interval
 from labpipe.records.group import BundlePlace, Group, Sample
@@ -293,7 +293,7 @@ def _read_bundle(
         sheet = load_test_sheet(path)
         name, bundle = sheet.test, sheet.specimen.record.bundle
     else:
-        bundle = bundle_in_words(target, arrangement=arrangement or PACKED)
+        bundle = parse_bundle(target, arrangement=arrangement or PACKED)
         name = bundle.composition.replace(" + ", " ")
         return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
     if bundle is None:

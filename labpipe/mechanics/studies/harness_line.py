@@ -41,8 +41,8 @@ from labpipe.protocol.harness_file import (
     String,
     Vector3,
     Waypoint,
-    path_of,
-    start_of,
+    compute_path,
+    find_line_start,
 )
 from labpipe.records.arrays import Floats
 
@@ -125,7 +125,7 @@ def _place_nodes(harness: HarnessFile) -> Floats:
 
 
 def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
-    begin, direction = (np.array(vector) for vector in start_of(harness))
+    begin, direction = (np.array(vector) for vector in find_line_start(harness))
     spool = harness.line.spool
     if spool is None:
         positions = begin + stations[:, None] * direction
@@ -173,7 +173,7 @@ def _build_boundaries(
                 yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
                 node = nodes[boundary.name]
-                first = path_of(boundary, line.positions[node], steps)[0]
+                first = compute_path(boundary, line.positions[node], steps)[0]
                 path = _build_path(first, boundary.anchor, boundary.by or steps, steps)
                 yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
@@ -223,7 +223,7 @@ def _build_ramp(by: int, steps: int) -> Floats:
 
 
 def _build_held(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
-    position = path_of(boundary, line.positions[node], steps)
+    position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
         frame = _interpolate_frames(boundary, line.frame_at(node), steps)

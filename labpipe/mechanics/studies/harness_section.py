@@ -34,7 +34,7 @@ from labpipe.mechanics.wire.law_family import (
     with_values,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
-from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock, find_named_file
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
@@ -101,7 +101,7 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
     if block.wire is not None:
         material = _read_wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _read_deck_material(block, file_beside(block.sliders, file))
+        material = _read_deck_material(block, find_named_file(block.sliders, file))
     else:
         material = _build_stiffness_material(block)
     return replace(material, distributions=_add_stated(material.distributions, harness))
@@ -164,12 +164,12 @@ def find_wire(name: str, sheet: Path, *, where: str) -> WireSpec:
 
 
 def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
-    sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
+    sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
     spec = find_wire(str(block.wire), sheet, where=f"{file}, line.section.wire")
     files = [describe_file("wires", sheet)]
     calibrated = None
     if block.calibration is not None:
-        path = file_beside(block.calibration, file)
+        path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(describe_file("calibration", path))
     specs = _build_solution_specs(spec, calibrated)

@@ -27,11 +27,11 @@ from labpipe.protocol.wire_rows import (
     Curve,
     StressPoint,
     WireRow,
-    column_name,
-    curve_fault,
-    curve_of,
-    heading_faults,
-    wire_spec,
+    build_wire_spec,
+    convert_points,
+    find_curve_fault,
+    find_heading_faults,
+    normalise_heading,
 )
 from labpipe.readers.workbooks import (
     Cell,
@@ -69,7 +69,9 @@ class Conditions(Block):
     temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
 
 
-_POINT, _PROOF, _CONDITIONS = (list(kind.keys()) for kind in (StressPoint, ProofStress, Conditions))
+_POINT, _PROOF, _CONDITIONS = (
+    list(kind.list_keys()) for kind in (StressPoint, ProofStress, Conditions)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +181,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         If there is no such table, or if it has faults; the message names the cell of each.
     """
     table, file = _find_table(column, name, path)
-    names = [column_name(cell.text) for cell in table.heading]
+    names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     raise_faults(file, _find_heading_faults(table.heading, names))
     conditions = _read_conditions(rows, file)
@@ -187,12 +189,12 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         numbers = _read_numbers(rows, column, file)
         return StatedCurve(name.text, compute_ramberg_osgood(numbers), numbers, conditions)
     points = _parse_rows(StressPoint, rows, file)
-    if curve_error := curve_fault(points, column):
+    if curve_error := find_curve_fault(points, column):
         number, fault = curve_error
         before = points[number - 1].strain if number else 0.0
         wrong = "strain" if points[number].strain <= before else "stress_mpa"
         raise_faults(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
-    return StatedCurve(name.text, curve_of(points), None, conditions)
+    return StatedCurve(name.text, convert_points(points), None, conditions)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
@@ -397,9 +399,9 @@ def read_wire_sheet(path: Path) -> WireSheet:
     cells, where = _read_cells(path)
     raise_faults(path, _find_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
-    wrong = heading_faults([cell.text for cell in table.heading])
+    wrong = find_heading_faults([cell.text for cell in table.heading])
     raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
-    names = [column_name(cell.text) for cell in table.heading]
+    names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = format_faults(path, _find_repeated_names([row["wire"] for row in rows]))
     curves: dict[tuple[str, str], StatedCurve] = {}
@@ -429,7 +431,9 @@ def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
 def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
     """Find a title above the heading, and a row of units below it."""
     filled = [row for row in cells if any(cell.text for cell in row)]
-    counts = [sum(column_name(cell.text) in WireRow.model_fields for cell in row) for row in filled]
+    counts = [
+        sum(normalise_heading(cell.text) in WireRow.model_fields for cell in row) for row in filled
+    ]
     heading = next((number for number, count in enumerate(counts) if count > 1), None)
     if heading is None:
         return
@@ -490,7 +494,7 @@ def _read_spec(
     tables = [
         named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
     ]
-    return wire_spec(read, blank, place, *tables)
+    return build_wire_spec(read, blank, place, *tables)
 
 
 def _select_tables(

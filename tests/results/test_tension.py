@@ -1,0 +1,200 @@
+"""Tension tests with an extensometer against Ramberg-Osgood curves, whose numbers are known.
+
+``strain = stress / E + 0.2 % (stress / Rp)^12``: the 0.2 % proof stress is Rp by definition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from labpipe.process.story import reduce_recordings
+from labpipe.protocol.load import parse_protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.estimates import UnavailableError
+from labpipe.records.recording import Channel, Clock, Recording
+from labpipe.records.result import Result, Status
+from labpipe.results.tension import compute_area, find_gauge_length
+
+MODULUS, PROOF, GAUGE, AREA = 200e9, 400e6, 25e-3, 20e-6
+PROTOCOL = """\
+version: 1
+name: p
+sources:
+  frame:
+    reader: load-frame
+    channels:
+      force: {channel: A, scale_uncertainty: 0.29 %}
+      displacement: {channel: B, unit: mm}
+      extension: {channel: C, scale_uncertainty: 0.29 %}
+specimen: {gauge_length: 25 mm, section: {area: 20 mm^2}}
+limits: {rest_force: 2 %}
+curve:
+  force: force
+  displacement: extension
+  failure: {force_below: 50 %, at_end_below: 85 %}
+  elastic_line: {LINE}
+branches: {channel: displacement, min_stroke: 0.2 mm}
+results:
+  - {result: elastic-modulus}
+  - {result: proof-stress, name: proof, offset: 0.2 %}
+  - {result: yield-stress}
+  - {result: tensile-strength}
+  - {result: elongation-at-maximum-force}
+  - {result: elongation-at-break}
+"""
+
+
+@dataclass(frozen=True)
+class Pulled:
+    """A pull at 5 samples per second: s, N, m and m."""
+
+    time: Floats
+    force: Floats
+    extension: Floats
+    travel: Floats
+
+
+def steel(seed: int = 0) -> Pulled:
+    """Pull a specimen that necks from 10 % of strain on, to 75 % of its largest force at 15 %."""
+    random, count = np.random.default_rng(seed), 800
+    strain = np.concatenate([np.linspace(0.0, 0.004, 200), np.linspace(0.004, 0.15, count - 200)])
+    stresses = np.linspace(0.0, 650e6, 20_001)
+    strains = stresses / MODULUS + 0.002 * (stresses / PROOF) ** 12
+    necked = np.clip((strain - 0.10) / 0.05, 0.0, 1.0)
+    force = np.interp(np.minimum(strain, 0.10), strains, stresses) * AREA * (1 - 0.25 * necked**2)
+    extension = strain * GAUGE
+    return Pulled(
+        np.arange(count) / 5.0,
+        force + random.normal(0.0, 3.0, count),
+        extension + random.normal(0.0, 3e-8, count),
+        1.3 * extension + 4e-8 * force,
+    )
+
+
+def measure_replicates(pulled: Pulled, line: str = "straight: 99.98 %") -> dict[str, Result]:
+    """Reduce a pull by the protocol above."""
+    units = {"force": ("A", "N"), "displacement": ("B", "m"), "extension": ("C", "m")}
+    values = {
+        "force": pulled.force,
+        "displacement": pulled.travel,
+        "extension": pulled.extension,
+    }
+    channels = tuple(
+        Channel(name, path, values[name], unit=unit) for name, (path, unit) in units.items()
+    )
+    clocks = (Clock("time", pulled.time),)
+    recording = Recording("load-frame", clocks=clocks, channels=channels)
+    protocol = parse_protocol(PROTOCOL.replace("LINE", line), "p.yaml")
+    return {x.name: x for x in reduce_recordings({"frame": recording}, protocol).results}
+
+
+def test_numbers_are_those_of_the_curve_and_intervals_hold_them() -> None:
+    truth = {"elastic_modulus": MODULUS, "proof": PROOF}
+    is_inside = dict.fromkeys(truth, 0)
+    for seed in range(20):
+        results = measure_replicates(steel(seed))
+        for name, value in truth.items():
+            result = results[name]
+            assert result.value == pytest.approx(value, rel=0.02)
+            assert result.interval is not None
+            is_inside[name] += result.interval.lower <= value <= result.interval.upper
+    assert min(is_inside.values()) >= 18
+
+
+def test_strength_and_elongations_are_those_of_samples() -> None:
+    pulled = steel()
+    results = measure_replicates(pulled)
+    last, peak = len(pulled.force) - 1, int(np.argmax(pulled.force))
+    strain = pulled.extension / GAUGE
+    assert results["tensile_strength"].value == pytest.approx(pulled.force.max() / AREA)
+    for name, sample in (("maximum_force", peak), ("break", last)):
+        total = results[f"elongation_at_{name}"].value
+        plastic = results[f"plastic_elongation_at_{name}"].value
+        assert total == pytest.approx(strain[sample], abs=1e-4)
+        assert total is not None
+        assert plastic == pytest.approx(total - pulled.force[sample] / AREA / MODULUS, abs=1e-4)
+    assert [x.code for x in results["upper_yield_stress"].reasons] == ["no_yield_point"]
+
+
+@pytest.mark.parametrize(
+    "line", ["from: 0.05 %, to: 0.12 %", "{from: 5 %, to: 40 %, of: strength}", "straight: 99.99 %"]
+)
+def test_a_stated_window_gives_the_modulus_too(line: str) -> None:
+    results = measure_replicates(steel(), line.strip("{}"))
+    assert results["elastic_modulus"].value == pytest.approx(MODULUS, rel=0.01)
+
+
+def with_extension(change: Callable[[Floats], Floats]) -> Callable[[Pulled], Pulled]:
+    return lambda pulled: replace(pulled, extension=change(pulled.extension.copy()))
+
+
+def shifted(at: int, by: float) -> Callable[[Pulled], Pulled]:
+    def change(extension: Floats) -> Floats:
+        extension[at:] += by
+        return extension
+
+    return with_extension(change)
+
+
+def ended(at: int, value: float) -> Callable[[Pulled], Pulled]:
+    def change(extension: Floats) -> Floats:
+        extension[at:] = value
+        return extension
+
+    return with_extension(change)
+
+
+def cut(count: int) -> Callable[[Pulled], Pulled]:
+    return lambda x: Pulled(x.time[:count], x.force[:count], x.extension[:count], x.travel[:count])
+
+
+@pytest.mark.parametrize(
+    ("change", "codes"),
+    [
+        (shifted(90, 5e-6), {"proof": "strain_jumps", "tensile_strength": ""}),
+        (shifted(90, -5e-6), {"proof": "strain_jumps", "elastic_modulus": "above_elastic_line"}),
+        (ended(90, np.nan), {"proof": "not_reached", "tensile_strength": ""}),
+        (ended(600, np.nan), {"elongation_at_break": "extensometer_off", "proof": ""}),
+        (ended(90, 0.0), {"proof": "not_reached", "elastic_modulus": "zero_jump"}),
+        (cut(500), {"tensile_strength": "ends_at_peak", "proof": ""}),
+        (cut(120), {"tensile_strength": "ends_at_peak", "proof": "not_reached"}),
+    ],
+    ids=["jump", "slip", "off-elastic", "off-plastic", "fallen", "cut", "cut-elastic"],
+)
+def test_bad_records(change: Callable[[Pulled], Pulled], codes: dict[str, str]) -> None:
+    results = measure_replicates(change(steel()))
+    for name, code in codes.items():
+        result = results[name]
+        if code:
+            assert code in {reason.code for reason in result.reasons}, (name, result.reasons)
+            assert result.status is not Status.OK
+        else:
+            assert result.status is Status.OK, (name, result.reasons)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "area"),
+    [
+        ({"area": 5e-6, "width": 1.0, "thickness": 1.0}, 5e-6),
+        ({"width": 0.02, "thickness": 0.006}, 1.2e-4),
+        ({"outer_diameter": 0.01, "inner_diameter": 0.008}, 2.8274334e-5),
+        ({"outer_diameter": 0.01, "wall": 0.001}, 2.8274334e-5),
+        ({"outer_diameter": 0.01}, 7.8539816e-5),
+    ],
+)
+def test_areas(sizes: dict[str, float], area: float) -> None:
+    assert compute_area(sizes) == pytest.approx(area)
+
+
+def test_sizes_that_are_missing() -> None:
+    with pytest.raises(UnavailableError) as no_area:
+        compute_area({"width": 0.02})
+    assert no_area.value.failure.code == "no_area"
+    with pytest.raises(UnavailableError) as no_length:
+        find_gauge_length({"area": 5e-6})
+    assert no_length.value.failure.code == "no_length"
+    assert find_gauge_length({"length": 0.1, "gauge_length": 0.05}) == 0.05
