@@ -8,18 +8,23 @@ import pytest
 from labpipe.mechanics.law.sliders import linear_moment_law
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
-from labpipe.mechanics.rod.contacts import nearest_place, point_at, thread, touch_plane
+from labpipe.mechanics.rod.contacts import (
+    evaluate_curve,
+    find_nearest_place,
+    hold_in_ring,
+    touch_plane,
+)
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
-    matrices,
     multiply,
-    rotation_vectors,
+    to_matrices,
+    to_rotation_vectors,
 )
 from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.statics import RodSettings, follow
-from labpipe.mechanics.rod.supports import Grip, supports_of
+from labpipe.mechanics.rod.supports import Grip, split_supports
 from labpipe.mechanics.studies.harness_numbers import compute_residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
@@ -41,12 +46,12 @@ TURN = from_rotation_vectors(np.array([0.7, -1.1, 2.0]))
 
 def test_nothing_depends_on_the_frame_of_space() -> None:
     plain, turned = (walked(*space_case(turn), 6) for turn in (None, TURN))
-    space = matrices(TURN)
+    space = to_matrices(TURN)
     for before, behind in zip(plain.states, turned.states, strict=True):
         np.testing.assert_allclose(behind.positions, before.positions @ space.T, atol=1e-9 * LENGTH)
         np.testing.assert_allclose(behind.rests, before.rests, atol=1e-9 * 5.0)
         np.testing.assert_allclose(behind.forces, before.forces @ space.T, atol=1e-9)
-        off = rotation_vectors(multiply(conjugate(multiply(TURN, before.frames)), behind.frames))
+        off = to_rotation_vectors(multiply(conjugate(multiply(TURN, before.frames)), behind.frames))
         np.testing.assert_allclose(off, 0.0, atol=1e-9)
     np.testing.assert_allclose(turned.lost, plain.lost, atol=1e-9 * plain.lost[-1])
 
@@ -261,7 +266,7 @@ def column(
     grips: tuple[Grip, ...], *, load: float = 0.0, moment: float = 0.0
 ) -> tuple[StabilityCheck, Balance, Shape]:
     """A straight line pressed along itself, or its free end turned by a moment along it."""
-    supports = supports_of(LINE, grips)
+    supports = split_supports(LINE, grips)
     strings = (np.zeros(0, dtype=np.int64), np.zeros(0))
     assembly = Assembly(LINE, supports, (), strings, n_rings=0, force=STIFFNESS / LENGTH**2)
     forces, moments, none = np.zeros((N + 1, 3)), np.zeros((N, 3)), np.zeros((0, 3))
@@ -340,13 +345,13 @@ def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float
     turn = np.linspace(0.0, 2.0, 21)
     nodes = np.stack([np.cos(turn), np.sin(turn), 0.2 * turn], axis=1)
     middle = 0.5 * (nodes[7] + nodes[8])
-    np.testing.assert_allclose(point_at(nodes, 7.5), middle, atol=1e-15)
-    np.testing.assert_array_equal(point_at(nodes, 20.0), nodes[-1])
-    along = point_at(nodes, place + 1e-6) - point_at(nodes, place - 1e-6)
+    np.testing.assert_allclose(evaluate_curve(nodes, 7.5), middle, atol=1e-15)
+    np.testing.assert_array_equal(evaluate_curve(nodes, 20.0), nodes[-1])
+    along = evaluate_curve(nodes, place + 1e-6) - evaluate_curve(nodes, place - 1e-6)
     across = np.cross(along, [0.3, 0.1, 1.0])
-    ring = point_at(nodes, place) + 0.02 * across / np.linalg.norm(across)
-    assert nearest_place(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
-    threaded = thread(nodes, ring, place, 50.0)
+    ring = evaluate_curve(nodes, place) + 0.02 * across / np.linalg.norm(across)
+    assert find_nearest_place(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
+    threaded = hold_in_ring(nodes, ring, place, 50.0)
     assert threaded.force @ along == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.norm(threaded.force) == pytest.approx(50.0 * 0.02)
     assert threaded.weights.sum() == pytest.approx(1.0)

@@ -19,7 +19,7 @@ from labpipe.mechanics.law.sliders import (
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
-from labpipe.mechanics.rod.rotations import matrices
+from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
     bound_residual_curvature,
@@ -70,7 +70,9 @@ def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
     wanted = (1.0 - share) * [0.2, 0.0, 0.0] + share * [0.18, 0.0, 0.03]
     assert right.position == pytest.approx(wanted, abs=1e-15)
     assert right.frame is not None
-    assert matrices(right.frame)[:, :, 2] == pytest.approx(np.tile([1.0, 0, 0], (5, 1)), abs=1e-12)
+    assert to_matrices(right.frame)[:, :, 2] == pytest.approx(
+        np.tile([1.0, 0, 0], (5, 1)), abs=1e-12
+    )
     assert held(prepared, "left").position == pytest.approx(np.zeros((5, 3)))
 
 
@@ -97,7 +99,7 @@ def test_a_grip_turns_and_twists_as_its_path_says(tmp_path: Path) -> None:
     grip = held(line_of(tmp_path, text.replace(path, turns)), "gripper")
     assert grip.release == 9
     assert grip.frame is not None
-    axes = matrices(grip.frame)
+    axes = to_matrices(grip.frame)
     root = np.sqrt(0.5)
     directions = [[1, 0, 0], [root, 0, root], *[[0, 0, 1]] * 9]
     assert axes[:, :, 2] == pytest.approx(np.array(directions), abs=1e-12)

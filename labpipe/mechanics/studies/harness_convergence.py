@@ -17,7 +17,7 @@ import numpy as np
 
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.rod.rotations import conjugate, multiply, rotation_vectors, unit
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors, unit
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import Doubt, Number, compute_numbers, estimate_size
@@ -122,7 +122,7 @@ def _find_corners(path: Floats | None, *, is_frame: bool) -> Iterator[int]:
         return
     moves = np.diff(path, axis=0)
     if is_frame:
-        moves = rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
+        moves = to_rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
     max_move = min_corner_share * float(np.max(np.linalg.norm(moves, axis=1)))
     yield from (
         np.flatnonzero(np.linalg.norm(np.diff(moves, axis=0), axis=1) > max_move) + 1

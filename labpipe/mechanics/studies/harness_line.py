@@ -16,14 +16,14 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.mechanics.rod import boundaries as rod
-from labpipe.mechanics.rod.contacts import nearest_place, point_at
-from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.contacts import evaluate_curve, find_nearest_place
+from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.rotations import (
+    find_shortest_turns,
     from_rotation_vectors,
-    matrices,
     multiply,
-    rotation_vectors,
-    shortest_turns,
+    to_matrices,
+    to_rotation_vectors,
     unit,
 )
 from labpipe.messages import format_sentence
@@ -104,7 +104,7 @@ def _find_bend_axes(line: Line, spool: Spool | None) -> Floats:
 
     A line that curls to a side t turns about d3 x t. Without a spool the side is that of d1.
     """
-    axes = matrices(line.frames[0])
+    axes = to_matrices(line.frames[0])
     side = np.array([1.0, 0.0])
     if spool is not None:
         side = (_find_side(spool, axes[:, 2]) @ axes)[:2]
@@ -131,14 +131,14 @@ def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Lin
         positions = begin + stations[:, None] * direction
         is_steep = abs(direction[2]) > 0.9
         up = (1.0, 0.0, 0.0) if is_steep else (0.0, 0.0, 1.0)
-        return line_along(positions, section, up=up)
+        return build_line(positions, section, up=up)
     towards = _find_side(spool, direction)
     middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
     steps = np.cos(middles)[:, None] * direction + np.sin(middles)[:, None] * towards
     positions = begin + np.vstack(
         [np.zeros(3), np.cumsum(np.diff(stations)[:, None] * steps, axis=0)]
     )
-    return line_along(positions, section, up=_to_tuple(towards), is_formed=True)
+    return build_line(positions, section, up=_to_tuple(towards), is_formed=True)
 
 
 def _find_side(spool: Spool, direction: Floats) -> Floats:
@@ -190,7 +190,7 @@ def _find_nearest_point(line: Line, ring: Ring) -> Floats:
     """Return the point of the line that is nearest to a ring."""
     goal = np.array(ring.position)
     near = int(np.argmin(np.linalg.norm(line.positions - goal, axis=1)))
-    return point_at(line.positions, nearest_place(line.positions, goal, float(near)))
+    return evaluate_curve(line.positions, find_nearest_place(line.positions, goal, float(near)))
 
 
 def _build_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
@@ -237,9 +237,9 @@ def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Flo
     for point in points:
         step = point.step if isinstance(point, Waypoint) else point.by or steps
         span = step - len(frames) + 1
-        start_direction = matrices(frames[-1])[:, 2]
+        start_direction = to_matrices(frames[-1])[:, 2]
         direction = start_direction if point.direction is None else np.array(point.direction)
-        full = rotation_vectors(shortest_turns(start_direction, direction))
+        full = to_rotation_vectors(find_shortest_turns(start_direction, direction))
         shares = np.arange(1, span + 1) / span
         moved = from_rotation_vectors(shares[:, None] * full)
         frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))

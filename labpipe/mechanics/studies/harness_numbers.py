@@ -19,7 +19,7 @@ from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.response import Fields, sizes
+from labpipe.mechanics.rod.response import Fields, compute_norms
 from labpipe.mechanics.rod.rotations import unit
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_section import Material
@@ -59,7 +59,7 @@ def compute_node_curvature(vectors: Floats) -> Floats:
     ----------
     vectors : curvature vectors, shape (..., n + 1, 2, 2)
     """
-    return np.asarray(sizes(vectors).max(axis=-1))
+    return np.asarray(compute_norms(vectors).max(axis=-1))
 
 
 def compute_heights(positions: Floats, prepared: PreparedLine) -> Floats:
@@ -151,7 +151,7 @@ def evaluate_number(
             return _find_max_curvature(field(RESIDUAL))
         case "energy_lost":
             return np.maximum(field(ENERGY_LOST), 0.0)
-    return sizes(field(name))
+    return compute_norms(field(name))
 
 
 def _find_max_curvature(vectors: Floats) -> Floats:
@@ -583,7 +583,7 @@ def _yield_numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
     yield Number(RADIUS_ON_PATH, overall.radius, "m", where)
     lowest = int(np.argmin(compute_heights(path.last.positions, prepared)))
     yield number(LOWEST_POINT, "m", place(lowest))
-    forces = np.array([sizes(state.reaction_forces) for state in path.states])
+    forces = np.array([compute_norms(state.reaction_forces) for state in path.states])
     for k, boundary in enumerate(prepared.boundaries):
         if isinstance(boundary, HOLDS):
             step = int(np.argmax(forces[:, k]))

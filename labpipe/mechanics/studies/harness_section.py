@@ -17,9 +17,9 @@ from labpipe.errors import ReadError, UsageError, sort_by_likeness
 from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
-    calibrated_distributions,
+    build_calibrated_distributions,
+    build_stated_distribution,
     join_distributions,
-    stated_distribution,
 )
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
@@ -117,7 +117,7 @@ def _add_stated(
     if harness.line.spool is not None:
         inputs |= dict.fromkeys(FREE_CURVATURES, (harness.line.spool.spread, "curl of the spool"))
     stated = [
-        stated_distribution(name, deviation, cause=cause)
+        build_stated_distribution(name, deviation, cause=cause)
         for name, (deviation, cause) in inputs.items()
         if deviation > 0.0
     ]
@@ -193,7 +193,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         notes=table.notes,
         distributions=()
         if calibrated is None
-        else calibrated_distributions(
+        else build_calibrated_distributions(
             calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
         ),
         stretch_limit=1e-3,  # copper yields beyond it

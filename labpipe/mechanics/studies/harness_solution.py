@@ -10,10 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ProcessingError
-from labpipe.mechanics.rod.bands import LineBands, StateBands, bands_of
+from labpipe.mechanics.rod.bands import LineBands, StateBands, predict_line_bands
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.rod.response import Band, Fields, Response, band_of, respond, sizes
+from labpipe.mechanics.rod.response import (
+    Band,
+    Fields,
+    Response,
+    compute_band,
+    compute_norms,
+    respond,
+)
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_convergence import check_convergence
 from labpipe.mechanics.studies.harness_line import Inputs, PreparedLine, prepare_line
@@ -293,7 +300,7 @@ def predict_bands(
     if not solves:
         return None
     limit = material.limit
-    line = bands_of(
+    line = predict_line_bands(
         [solve.path for solve in solves],
         material.distributions,
         steps=steps,
@@ -314,7 +321,7 @@ def predict_bands(
 
 def _compute_band(draws: Sequence[_DrawnNumbers], name: str) -> Band:
     by_response = {draw.response: draw for draw in draws}
-    return band_of(
+    return compute_band(
         list(by_response),
         lambda response: (by_response[response].value[name], by_response[response].drawn[name]),
     )
@@ -399,7 +406,7 @@ def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
     amounts = distribution.amounts
     if amounts.shape[1] < 2:
         return ()
-    order = np.argsort(sizes(amounts / np.std(amounts, axis=0)), kind="stable")
+    order = np.argsort(compute_norms(amounts / np.std(amounts, axis=0)), kind="stable")
     return tuple(int(order[int(rank * len(order))]) for rank in rank_shares)
 
 

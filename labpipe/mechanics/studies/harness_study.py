@@ -18,7 +18,7 @@ from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.rotations import matrices
+from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
@@ -312,7 +312,7 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
     sides.
     """
     curvature = compute_curvature(state, line)
-    axes = matrices(state.frames)[:, :, 2]
+    axes = to_matrices(state.frames)[:, :, 2]
     tension = np.einsum("nk,nk->n", state.forces, axes)
     before, behind = np.insert(tension, 0, tension[0]), np.append(tension, tension[-1])
     moments = state.moments
@@ -512,7 +512,7 @@ def _build_marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
                 if stated.kind == "grip":  # the path of a clip is of no interest
                     path = held_path
                 if boundary.frame is not None and is_holding:
-                    direction = matrices(boundary.frame[-1])[:, 2]
+                    direction = to_matrices(boundary.frame[-1])[:, 2]
             case rod.Ring():
                 place, direction = boundary.position[-1], boundary.direction
             case rod.String():
