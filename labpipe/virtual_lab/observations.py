@@ -200,10 +200,10 @@ def _list_overrides(scenario: Scenario) -> dict[str, dict[str, object]]:
         "markers.centre_offset": _format_mm(scenario.markers.centre_offset),
         **rig,
     }
-    usual = PROTOCOL_VALUES[scenario.protocol]
+    protocol_values = PROTOCOL_VALUES[scenario.protocol]
     return {
         key: {"value": values[key], "because": "the virtual rig is set so"}
-        for key, protocol_value in usual.items()
+        for key, protocol_value in protocol_values.items()
         if values[key] != protocol_value
     }
 
@@ -384,21 +384,23 @@ def observe(scenario: Scenario, seed: int) -> AnyObservation:
                 evaluate_cantilever(path, plan),
             )
         case ConduitScenario():
-            bent, plan = solve_three_point(scenario.test), plan_conduit(scenario)
+            bending_path, plan = solve_three_point(scenario.test), plan_conduit(scenario)
             force, travel, marker = _spawn_generators(seed, 3)
             has_frame = scenario.has_frame_export
             return BendingObservation(
                 scenario,
                 seed,
-                record_conduit_force(bent, scenario, plan, force),
-                film_conduit(bent, scenario, plan, marker),
-                evaluate_conduit(bent, scenario, plan),
-                record_crosshead(bent, scenario, plan, travel) if has_frame else None,
+                record_conduit_force(bending_path, scenario, plan, force),
+                film_conduit(bending_path, scenario, plan, marker),
+                evaluate_conduit(bending_path, scenario, plan),
+                record_crosshead(bending_path, scenario, plan, travel) if has_frame else None,
             )
         case TensileScenario():
-            pull = TensilePath(scenario)
-            record = record_frame(pull, np.random.default_rng(seed))
-            return TensileObservation(scenario, seed, record, evaluate_tensile(pull, record.time))
+            tensile_path = TensilePath(scenario)
+            record = record_frame(tensile_path, np.random.default_rng(seed))
+            return TensileObservation(
+                scenario, seed, record, evaluate_tensile(tensile_path, record.time)
+            )
 
 
 def _spawn_generators(seed: int, number: int) -> list[np.random.Generator]:

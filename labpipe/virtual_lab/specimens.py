@@ -473,9 +473,9 @@ def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
 
 def _compute_moment(law: PlayLaw, curvature: Floats) -> Floats:
     """Return the moment of first loading, N m, extrapolated linearly beyond the last corner."""
-    moment, bent, slopes = corners_of(law)
-    beyond = np.maximum(curvature - bent[-1], 0.0) / slopes[-1]
-    moments: Floats = np.interp(curvature, bent, moment) + beyond
+    moment, curvatures, slopes = corners_of(law)
+    beyond = np.maximum(curvature - curvatures[-1], 0.0) / slopes[-1]
+    moments: Floats = np.interp(curvature, curvatures, moment) + beyond
     return moments
 
 

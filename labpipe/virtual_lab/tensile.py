@@ -346,7 +346,7 @@ def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
     ----------
     gain_error : of the load cell
     """
-    usual = _build_instruments(10.0, gain_error)
+    instruments = _build_instruments(10.0, gain_error)
     return TensileScenario(
         name="stiff-bar-1",
         protocol="stiff-bar",
@@ -356,7 +356,7 @@ def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
         length=0.15,
         law=_BAR,
         frame=LoadFrame(speed=5e-6, stroke=0.35e-3, overrun=0.52, compliance=FRAME_COMPLIANCE),
-        instruments=replace(usual, displacement_noise=2e-8, displacement_tare=0.0),
+        instruments=replace(instruments, displacement_noise=2e-8, displacement_tare=0.0),
         export=ExportLayout("kN"),
         date="2026-03-11",
     )

@@ -376,24 +376,29 @@ def _solve_branch(
     """Solve up to a displacement; on unloading stop at zero force."""
     test, state = half.test, begin
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-    for wanted in (begin.displacement + share * (goal - begin.displacement)).tolist():
+    for goal_displacement in (begin.displacement + share * (goal - begin.displacement)).tolist():
         if is_unloading:
             released = half.release(state.plays)
-            if released.displacement >= wanted - _MIN_DISPLACEMENT_STEP:
+            if released.displacement >= goal_displacement - _MIN_DISPLACEMENT_STEP:
                 yield released
                 return
         state = _solve_displacement(
-            half, state, wanted, begin.displacement, is_unloading=is_unloading
+            half, state, goal_displacement, begin.displacement, is_unloading=is_unloading
         )
         yield state
 
 
 def _solve_displacement(
-    half: HalfBundle, state: HalfShape, wanted: float, turned_at: float, *, is_unloading: bool
+    half: HalfBundle,
+    state: HalfShape,
+    goal_displacement: float,
+    turned_at: float,
+    *,
+    is_unloading: bool,
 ) -> HalfShape:
     """Solve at a displacement, with halved steps where Newton's method fails."""
     while True:
-        ahead = wanted
+        ahead = goal_displacement
         while (
             solved := half.settle(state, ahead, half.friction(ahead - turned_at, is_unloading))
         ) is None:
@@ -401,9 +406,11 @@ def _solve_displacement(
             if abs(ahead - state.displacement) < _MIN_DISPLACEMENT_STEP:
                 last = state.displacement
                 raise ValueError(
-                    format_sentence("virtual_lab.no_equilibrium", displacement=wanted, last=last)
+                    format_sentence(
+                        "virtual_lab.no_equilibrium", displacement=goal_displacement, last=last
+                    )
                 )
-        if ahead == wanted:
+        if ahead == goal_displacement:
             return solved
         state = solved
 
@@ -472,7 +479,9 @@ class HalfBundle:
         x, y, angle = shape
         return HalfShape(travel, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
 
-    def settle(self, state: HalfShape, wanted: float, friction: float) -> HalfShape | None:
+    def settle(
+        self, state: HalfShape, goal_displacement: float, friction: float
+    ) -> HalfShape | None:
         """Solve for moments, roller force and contact by Newton's method; None if it fails."""
         max_iterations = 40
         tolerance = 1e-9
@@ -481,8 +490,10 @@ class HalfBundle:
         steps = 1e-30j * np.eye(len(unknowns))
         for _ in range(max_iterations):
             answer = respond(self.law, unknowns[:-2], state.plays)
-            bent = answer.curvature + answer.compliance * steps[:, :-2]
-            equations = self._compute_residuals(unknowns + steps, bent, wanted, friction)
+            curvatures = answer.curvature + answer.compliance * steps[:, :-2]
+            equations = self._compute_residuals(
+                unknowns + steps, curvatures, goal_displacement, friction
+            )
             change = -np.linalg.solve(equations.imag.T / 1e-30, equations[-1].real)
             largest = float(np.max(np.abs(self._integrate(answer.compliance * change[:-2]))))
             change *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
@@ -491,11 +502,11 @@ class HalfBundle:
                 return None
             moment = unknowns[:-2]
             if np.max(np.abs(change[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
-                return self._build_shape(unknowns, state.plays, wanted, friction)
+                return self._build_shape(unknowns, state.plays, goal_displacement, friction)
         return None
 
     def _build_shape(
-        self, unknowns: Floats, plays: Floats, wanted: float, friction: float
+        self, unknowns: Floats, plays: Floats, goal_displacement: float, friction: float
     ) -> HalfShape:
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
         answer = respond(self.law, moment, plays)
@@ -504,7 +515,7 @@ class HalfBundle:
         _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
         force = 2.0 * normal * float(fy)
         curvature, after = answer.curvature, answer.plays
-        return HalfShape(wanted, force, contact, x, y, angle, moment, curvature, after)
+        return HalfShape(goal_displacement, force, contact, x, y, angle, moment, curvature, after)
 
     def _integrate(self, values: Floats) -> Floats:
         """Integrate values at the stations from mid-span to each, by the trapezoidal rule."""
@@ -534,7 +545,7 @@ class HalfBundle:
         return np.stack([gap, y + reach * (1.0 - np.cos(angle))])
 
     def _compute_residuals(
-        self, unknowns: Floats, curvature: Floats, wanted: float, friction: float
+        self, unknowns: Floats, curvature: Floats, goal_displacement: float, friction: float
     ) -> Floats:
         """Compute the residuals of equilibrium and of both geometric conditions.
 
@@ -542,7 +553,7 @@ class HalfBundle:
         ----------
         unknowns : shape (n, stations + 2), complex: moments, normal force, contact
         curvature : shape (n, stations), 1/m, complex, of these moments
-        wanted, friction : displacement, m, and signed coefficient
+        goal_displacement, friction : displacement, m, and signed coefficient
 
         Returns
         -------
@@ -558,7 +569,11 @@ class HalfBundle:
         unit = np.where(inside.real > 0.0, lever, 0.0)
         unit += self.test.outer_radius * friction * np.clip(inside, 0.0, 1.0)
         gap, displacement = self._compute_gaps(touch)
-        lacks = [moment - normal[:, None] * unit, gap[:, None], displacement[:, None] - wanted]
+        lacks = [
+            moment - normal[:, None] * unit,
+            gap[:, None],
+            displacement[:, None] - goal_displacement,
+        ]
         return np.concatenate(lacks, axis=1)
 
 

@@ -177,9 +177,9 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     line = straight_line(0.02, 1, sliding_section())
     path = walked(line, [clamp(line), Moment(-1, ramp((0.0, 0.0, 6e-3), 12))], 12)
     curvature = float(path.last.bendings[0])
-    slid = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
-    assert np.all(slid > 0.0)
-    lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ slid
+    ring_stations = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
+    assert np.all(ring_stations > 0.0)
+    lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ ring_stations
     assert path.lost[-1] == pytest.approx(0.01 * lost, rel=1e-9)
     assert path.work[-1] == pytest.approx(path.stored[-1] + path.lost[-1], rel=2e-3)
 
@@ -276,8 +276,8 @@ def test_strings_rings_and_planes_have_their_reactions() -> None:
     assert state.reaction_forces[1, 2] > 1e-3
     assert state.reaction_forces[2, 2] < -1e-3
     np.testing.assert_allclose(state.reaction_forces.sum(axis=0), 0.0, atol=1e-10)
-    assert np.isfinite(state.slid).tolist() == [False, False, True, False]
-    assert state.slid[2] == pytest.approx(LENGTH / 2.0, abs=5e-3)
+    assert np.isfinite(state.ring_stations).tolist() == [False, False, True, False]
+    assert state.ring_stations[2] == pytest.approx(LENGTH / 2.0, abs=5e-3)
     assert state.contact_forces.shape == (1, 11, 3)
     assert state.positions[-1, 2] == pytest.approx(0.05, rel=0.1)
 

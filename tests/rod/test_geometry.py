@@ -171,14 +171,14 @@ def test_clamps_part_cells() -> None:
     assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
     assert supports.rest_curvature[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
     assert supports.ends.tolist() == [0, 1, 2]
-    assert supports.own == pytest.approx([1.0 - END_SHARE] * 3)
+    assert supports.own_weights == pytest.approx([1.0 - END_SHARE] * 3)
 
 
 def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
     supports = split_supports(uneven(), ((1, True), (2, True)))
     at = supports.ends.tolist().index(1)
-    assert supports.own[at] == pytest.approx(1.0 - 2.0 * END_SHARE)
-    assert sorted(supports.lent[supports.lent[:, 0] == at, 1].tolist()) == [0, 1]
+    assert supports.own_weights[at] == pytest.approx(1.0 - 2.0 * END_SHARE)
+    assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == at, 1].tolist()) == [0, 1]
 
 
 def some_vectors(number: int = 40) -> Floats:

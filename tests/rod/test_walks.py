@@ -311,7 +311,7 @@ def test_a_cantilever_turned_about_itself_whirls() -> None:
     check, balance, _ = column(FREE, moment=0.5 * np.pi * STIFFNESS / LENGTH)
     assembly = check._assembly
     whole = np.zeros((assembly.places.total,) * 2)
-    np.add.at(whole, assembly.pattern, balance.even)
+    np.add.at(whole, assembly.pattern, balance.symmetric_values)
     fixed = assembly.band.fixed
     whole[fixed, :] = np.eye(len(whole))[fixed]
     own = np.flatnonzero((assembly.drag > 0.0) & ~fixed)
@@ -364,11 +364,11 @@ def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -
     np.testing.assert_array_equal(above.contacts, [[1.0, 2.0, 1e-6]])
     sticking = touch_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, close=0.0)
     np.testing.assert_allclose(sticking.forces, [[-4.0, 0.0, 10.0]])
-    assert sticking.rubbed == 0.0
+    assert sticking.friction_loss == 0.0
     sliding = touch_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, close=0.0)
     np.testing.assert_allclose(sliding.forces, [[-5.0, 0.0, 10.0]])
     np.testing.assert_allclose(sliding.contacts[:, :2], [[4e-4, 0.0]])
-    assert sliding.rubbed == pytest.approx(5.0 * 4e-4)
+    assert sliding.friction_loss == pytest.approx(5.0 * 4e-4)
     back = touch_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, close=0.0)
     np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
 

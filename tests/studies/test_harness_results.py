@@ -294,8 +294,8 @@ def test_forces_of_every_step_in_balance() -> None:
     assert len(table) == 9 * 2
     last = table[-2:]
     assert [row["boundary"] for row in last] == ['le"ft, one', "right"]
-    carried = [float(np.sum(column(last, f"f{axis} [N]"))) for axis in "xyz"]
-    assert carried == pytest.approx([0.0, 0.0, 0.007 * 0.2 * 9.80665], abs=1e-6), "the weight"
+    rest_turns = [float(np.sum(column(last, f"f{axis} [N]"))) for axis in "xyz"]
+    assert rest_turns == pytest.approx([0.0, 0.0, 0.007 * 0.2 * 9.80665], abs=1e-6), "the weight"
     size = np.linalg.norm([float(last[0][f"f{axis} [N]"]) for axis in "xyz"])
     assert float(last[0]["force [N]"]) == pytest.approx(float(size))
     assert (last[-1]["fz_upper [N]"], table[0]["fz_upper [N]"]) == ("9", "")

@@ -139,26 +139,26 @@ class Balance:
     ----------
     residual : shape (unknowns,), N for positions, N m for stretches and turns, m for forces
     values : entries of the tangent
-    given : history before the step, and drag
-    even : entries of the tangent without friction that increases with pressure
+    inputs : history before the step, and drag
+    symmetric_values : entries of the tangent without friction that increases with pressure
     cells : of the line
     directions : of the elements
     memory : history after the step
-    touches : of the planes
+    plane_contacts : of the planes
     tensions : shape (strings, 3), N
-    threads : of the rings
+    ring_contacts : of the rings
     """
 
     residual: Floats
     values: Floats
-    given: tuple[LineMemory, ArtificialDrag | None]
-    even: Floats
+    inputs: tuple[LineMemory, ArtificialDrag | None]
+    symmetric_values: Floats
     cells: BentCells
     directions: Directions
     memory: LineMemory
-    touches: tuple[ContactForces, ...]
+    plane_contacts: tuple[ContactForces, ...]
     tensions: Floats
-    threads: tuple[RingContact, ...]
+    ring_contacts: tuple[RingContact, ...]
 
 
 class Assembly:
@@ -239,15 +239,15 @@ class Assembly:
         cells = self._cells(shape, demands, memory, drag)
         rotations = to_matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
-        lent = compute_clamp_directions(self.supports, demands.clamps)
-        directions = compute_directions(self.supports, rotations, lent, pulls)
+        clamp_pairs = compute_clamp_directions(self.supports, demands.clamps)
+        directions = compute_directions(self.supports, rotations, clamp_pairs, pulls)
         turns, by_turn = self._turns(cells, directions, rotations, demands)
-        nodes, by_position, touches, tensions = self._at_nodes(shape, demands, memory)
-        threads = tuple(
+        nodes, by_position, plane_contacts, tensions = self._at_nodes(shape, demands, memory)
+        ring_contacts = tuple(
             hold_in_ring(shape.positions, ring, float(place), self._stiff)
             for ring, place in zip(demands.rings, memory.places, strict=True)
         )
-        beside = self._threading(threads, nodes, by_position)
+        ring_tangents = self._threading(ring_contacts, nodes, by_position)
         chords = shape.positions[1:] - shape.positions[:-1]
         gaps = chords - lengths[:, None] * directions.along
         stretch, by_stretch, by_force = self._stretching(shape, directions, cells)
@@ -257,36 +257,38 @@ class Assembly:
         by_position[:, _AXES, _AXES] += drags * self._node_drag
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
-        mirrored = [
+        mirrored_blocks = [
             self._joined,
             by_force.ravel(),
             (-lengths[:, None, None] * directions.by_turn).ravel(),
             (directions.pull / (1.0 + shape.stretches)[:, None]).ravel(),
             cells.across[self._inner].ravel(),
             *self._coupled_values(cells),
-            *beside,
+            *ring_tangents,
         ]
         own = [self._give, by_stretch, by_turn.ravel(), by_position.ravel()]
-        values = even = np.concatenate([*mirrored, *mirrored, *own])
+        values = symmetric_values = np.concatenate([*mirrored_blocks, *mirrored_blocks, *own])
         if any(plane.friction > 0.0 for plane in self.planes):
-            own[-1] = (by_position - sum(touch.pressing for touch in touches)).ravel()
-            even = np.concatenate([*mirrored, *mirrored, *own])
+            own[-1] = (
+                by_position - sum(touch.friction_coupling for touch in plane_contacts)
+            ).ravel()
+            symmetric_values = np.concatenate([*mirrored_blocks, *mirrored_blocks, *own])
         after = LineMemory(
             cells.rests,
-            np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
-            np.array([t.place for t in threads]),
+            np.array([t.contacts for t in plane_contacts]).reshape(-1, self.n + 1, 3),
+            np.array([t.place for t in ring_contacts]),
         )
         return Balance(
             residual,
             values,
             (memory, drag),
-            even,
+            symmetric_values,
             cells,
             directions,
             after,
-            touches,
+            plane_contacts,
             tensions,
-            threads,
+            ring_contacts,
         )
 
     def moved(self, before: Shape, behind: Shape) -> Floats:
@@ -325,7 +327,7 @@ class Assembly:
             across = balance.cells.across
             self._push(right, s.behind, s.before, across, clamps)
             self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamps)
-            row, clamp = s.lent.T
+            row, clamp = s.clamp_pairs.T
             turns = np.matvec(to_matrices(demands.clamps), clamps)
             tilted = np.zeros((len(s.ends), 3))
             np.add.at(tilted, row, cross(turns[clamp], compute_clamp_directions(s, demands.clamps)))
@@ -345,12 +347,12 @@ class Assembly:
     def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
         """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
         s, cells = self.supports, balance.cells
-        moments = sum_at_nodes(s.lent[:, 1], balance.directions.lent_moments, len(s.clamps))
+        moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
         turned = to_matrices(demands.clamps)
-        for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
+        for elements, moments_on_frame in ((s.before, cells.before), (s.behind, cells.behind)):
             clamped = np.flatnonzero(elements < 0)
             clamp = -1 - elements[clamped]
-            np.add.at(moments, clamp, np.matvec(turned[clamp], feel[clamped]))
+            np.add.at(moments, clamp, np.matvec(turned[clamp], moments_on_frame[clamped]))
         return balance.residual[self.places.positions[s.held][:, None] + _AXES], moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
@@ -385,13 +387,13 @@ class Assembly:
         )
 
     def _turns(
-        self, cells: BentCells, way: Directions, turned: Floats, demands: Demands
+        self, cells: BentCells, directions: Directions, turned: Floats, demands: Demands
     ) -> tuple[Floats, Floats]:
         """Return the residuals of the turns, and their diagonal tangents."""
         s, (free_a, free_b) = self.supports, self._free
         pushed = np.vecmat(demands.moments, turned)
-        residual = way.pull - pushed
-        tangent = way.stiff - 0.5 * skew(pushed)
+        residual = directions.pull - pushed
+        tangent = directions.stiff - 0.5 * skew(pushed)
         # no element is twice on the same side of a cell, so that plain indexing suffices
         residual[s.before[free_a]] += cells.before[free_a]
         tangent[s.before[free_a]] += cells.by_before[free_a]
@@ -408,13 +410,13 @@ class Assembly:
         residual[:-1] -= shape.forces
         residual[1:] += shape.forces
         tangent = np.zeros((self.n + 1, 3, 3))
-        touches = tuple(
+        plane_contacts = tuple(
             touch_plane(
                 plane, self._stiff, shape.positions, contacts, close=touch_share * self._shortest
             )
             for plane, contacts in zip(self.planes, memory.contacts, strict=True)
         )
-        for touch in touches:
+        for touch in plane_contacts:
             residual -= touch.forces
             tangent += touch.stiffness
         nodes, lengths = self.strings
@@ -425,26 +427,28 @@ class Assembly:
             )
             np.subtract.at(residual, nodes, tensions)
             np.add.at(tangent, nodes, stiffness)
-        return residual, tangent, touches, tensions
+        return residual, tangent, plane_contacts, tensions
 
     def _threading(
-        self, threads: tuple[RingContact, ...], residual: Floats, tangent: Floats
+        self, ring_contacts: tuple[RingContact, ...], residual: Floats, tangent: Floats
     ) -> list[Floats]:
         """Add the forces of rings to the nodes; return the tangents between different nodes."""
         if not self._has_rings:
             return []
-        beside = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
-        for threaded in threads:
+        ring_tangents = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
+        for threaded in ring_contacts:
             places = slice(threaded.first, threaded.first + 3)
             residual[places] -= threaded.weights[:, None] * threaded.force
             for i in range(3):
                 tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
                 for step in range(1, 3 - i):
-                    beside[step - 1][threaded.first + i] += threaded.stiffness[i, :, i + step, :]
-        return [blocks.ravel() for blocks in beside]
+                    ring_tangents[step - 1][threaded.first + i] += threaded.stiffness[
+                        i, :, i + step, :
+                    ]
+        return [blocks.ravel() for blocks in ring_tangents]
 
     def _stretching(
-        self, shape: Shape, way: Directions, cells: BentCells
+        self, shape: Shape, directions: Directions, cells: BentCells
     ) -> tuple[Floats, Floats, Floats]:
         """Return the residuals of the stretches, and their tangents by stretch and force."""
         lengths = self.line.lengths
@@ -452,12 +456,12 @@ class Assembly:
             return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
         stiffness = self.line.section.axial_stiffness * lengths
         residual = stiffness * shape.stretches
-        residual -= lengths * np.vecdot(shape.forces, way.along)
+        residual -= lengths * np.vecdot(shape.forces, directions.along)
         if self._is_coupled:
             for side, free in enumerate(self._free):
                 places = self._sides[free, side]
                 residual[places] += self._shares[free, side] * cells.curvatures[free, 2]
-        return residual, stiffness, -lengths[:, None] * way.along
+        return residual, stiffness, -lengths[:, None] * directions.along
 
     def _coupled_values(self, cells: BentCells) -> list[Floats]:
         shares = self._shares / self.supports.lengths[:, None]
@@ -473,7 +477,7 @@ class Assembly:
         """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
         p, s = self.places, self.supports
         a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
-        mirrored = [
+        mirrored_blocks = [
             _identity_entries(p.positions[:-1], p.forces),
             _identity_entries(p.positions[1:], p.forces),
             list_block_entries(p.stretches, 1, p.forces, 3),
@@ -483,16 +487,20 @@ class Assembly:
         ]
         for stretch, turn, coupled in self._coupled:
             first = p.stretches[self._sides[coupled, stretch]]
-            mirrored.append(list_block_entries(first, 1, p.turns[self._sides[coupled, turn]], 3))
+            mirrored_blocks.append(
+                list_block_entries(first, 1, p.turns[self._sides[coupled, turn]], 3)
+            )
         for step in (1, 2) if self._has_rings else ():
-            mirrored.append(list_block_entries(p.positions[:-step], 3, p.positions[step:], 3))
+            mirrored_blocks.append(
+                list_block_entries(p.positions[:-step], 3, p.positions[step:], 3)
+            )
         own = [
             _identity_entries(p.forces, p.forces),
             list_block_entries(p.stretches, 1, p.stretches, 1),
             list_block_entries(p.turns, 3, p.turns, 3),
             list_block_entries(p.positions, 3, p.positions, 3),
         ]
-        blocks = [*mirrored, *((columns, rows) for rows, columns in mirrored), *own]
+        blocks = [*mirrored_blocks, *((columns, rows) for rows, columns in mirrored_blocks), *own]
         rows, columns = (np.concatenate(part) for part in zip(*blocks, strict=True))
         return rows, columns
 

@@ -72,9 +72,9 @@ def split_unknowns(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
 def list_block_entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
     """Return rows and columns of all entries of equal blocks, block by block."""
     shape = (len(rows), height, width)
-    down = rows[:, None, None] + np.arange(height)[:, None]
+    row_numbers = rows[:, None, None] + np.arange(height)[:, None]
     right = columns[:, None, None] + np.arange(width)
-    return np.broadcast_to(down, shape).ravel(), np.broadcast_to(right, shape).ravel()
+    return np.broadcast_to(row_numbers, shape).ravel(), np.broadcast_to(right, shape).ravel()
 
 
 class Band:

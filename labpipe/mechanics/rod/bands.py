@@ -242,5 +242,5 @@ def _note_jumps(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
     ]
     if differing:
         steps = solvers[0].snapped[0], differing[0]
-        here, other = (", ".join(map(str, step)) or "none" for step in steps)
-        yield QualityNote.of("mechanics.rod.jumps", "", steps=here, other=other)
+        best_steps, other = (", ".join(map(str, step)) or "none" for step in steps)
+        yield QualityNote.of("mechanics.rod.jumps", "", steps=best_steps, other=other)

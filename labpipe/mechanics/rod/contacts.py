@@ -30,17 +30,17 @@ class ContactForces:
     ----------
     forces : shape (nodes, 3), N
     stiffness : shape (nodes, 3, 3), N/m, of minus the force by the position
-    pressing : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction with
-        pressure. It has no potential, and stability is checked without it
+    friction_coupling : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction
+        with pressure. It has no potential, and stability is checked without it
     contacts : shape (nodes, 3), m, points at which the nodes stick
-    rubbed : J, lost by friction in this step
+    friction_loss : J, lost by friction in this step
     """
 
     forces: Floats
     stiffness: Floats
-    pressing: Floats
+    friction_coupling: Floats
     contacts: Floats
-    rubbed: float
+    friction_loss: float
 
 
 def touch_plane(
@@ -70,18 +70,18 @@ def touch_plane(
     held_share = np.where(is_sliding, largest / np.where(size > 0.0, size, 1.0), 1.0)
     held_share = np.where(is_in, held_share, 0.0)
     held_offset = held_share[:, None] * offset
-    pressing = np.zeros_like(tangent)
+    friction_coupling = np.zeros_like(tangent)
     if plane.friction > 0.0:
         forces = forces - stiffness * held_offset
         turning = is_sliding & is_in
         heading = np.where(turning, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)[:, None] * offset
         across = flat - heading[:, :, None] * heading[:, None, :]
         tangent = tangent + stiffness * held_share[:, None, None] * across
-        pressing = -stiffness * plane.friction * heading[:, :, None] * normal
-        tangent = tangent + pressing
+        friction_coupling = -stiffness * plane.friction * heading[:, :, None] * normal
+        tangent = tangent + friction_coupling
     moved = (offset - held_offset) * is_in[:, None]
-    rubbed = float(np.sum(plane.friction * press * np.linalg.norm(moved, axis=1)))
-    return ContactForces(forces, tangent, pressing, positions - held_offset, rubbed)
+    friction_loss = float(np.sum(plane.friction * press * np.linalg.norm(moved, axis=1)))
+    return ContactForces(forces, tangent, friction_coupling, positions - held_offset, friction_loss)
 
 
 def pull_strings(

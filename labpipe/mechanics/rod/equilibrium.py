@@ -42,7 +42,7 @@ def find_equilibrium(
     *,
     force: float,
     guess: LineMemory,
-    known: Balance | None = None,
+    known_balance: Balance | None = None,
     drag: ArtificialDrag | None = None,
 ) -> Equilibrium | None:
     """Find the equilibrium after the boundaries have moved, starting from the previous one.
@@ -56,7 +56,7 @@ def find_equilibrium(
     guess : history for the first iteration, either the present one or that before the last step.
         Both give equal forces; with the latter, sliders that slid continue to slide, which is the
         better guess if the motion continues
-    known : balance of the present shape, if it is known
+    known_balance : balance of the present shape, if it is known
     drag : artificial drag, if any
 
     Returns
@@ -70,7 +70,9 @@ def find_equilibrium(
     nodes = assembly.supports.held
     # held nodes and clamps move with the first step, or the share of it that is taken
     present_demands = replace(goal, held=now.held, clamps=now.clamps)
-    balance = _update_balance(known, now, goal, guess) if known and drag is None else None
+    balance = (
+        _update_balance(known_balance, now, goal, guess) if known_balance and drag is None else None
+    )
     if balance is None:
         balance = assembly.balance(shape, present_demands, guess, drag)
     least_turn, idle = math.inf, 0
@@ -94,23 +96,23 @@ def find_equilibrium(
             turned = multiply(present_demands.clamps, from_rotation_vectors(share * clamps))
             present_demands = replace(present_demands, clamps=unit(turned))
         balance = assembly.balance(shape, present_demands, memory, drag)
-        moved = max(turn, move / assembly.line.length)
-        if share == 1.0 and _is_balanced(assembly, balance, shape, moved, force):
+        relative_change = max(turn, move / assembly.line.length)
+        if share == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
             return Equilibrium(shape, balance, iteration)
     return None
 
 
 def _update_balance(
-    known: Balance, now: Demands, goal: Demands, guess: LineMemory
+    known_balance: Balance, now: Demands, goal: Demands, guess: LineMemory
 ) -> Balance | None:
     """Return a balance with the forces of new demands; None if it does not apply to them."""
-    memory, drag = known.given
+    memory, drag = known_balance.inputs
     others = ((now.moments, goal.moments), (now.anchors, goal.anchors), (now.rings, goal.rings))
     if memory is not guess or drag is not None or not all(np.array_equal(*pair) for pair in others):
         return None
     none = np.zeros((len(now.forces) - 1, 3))
     added = join_unknowns(now.forces - goal.forces, none[:, 0], none, none)
-    return replace(known, residual=known.residual + added)
+    return replace(known_balance, residual=known_balance.residual + added)
 
 
 def _limit_step(turn: float, move: float) -> float:
@@ -121,7 +123,7 @@ def _limit_step(turn: float, move: float) -> float:
 
 
 def _is_balanced(
-    assembly: Assembly, balance: Balance, shape: Shape, moved: float, force: float
+    assembly: Assembly, balance: Balance, shape: Shape, relative_change: float, force: float
 ) -> bool:
     """Return whether a shape is in balance; `moved` is the size of the last step, relative."""
     balance_tolerance = 1e-10  # of force, moment and length of the whole line
@@ -140,4 +142,6 @@ def _is_balanced(
     nodes, stretches, turns, gaps = (float(np.max(part)) for part in split_unknowns(residual))
     moments = max(turns, stretches) / (force * length)
     error = max(max(nodes - assembly.rounding, 0.0) / force, moments, gaps / length)
-    return error < balance_tolerance or (moved < step_tolerance and error < rounded_balance)
+    return error < balance_tolerance or (
+        relative_change < step_tolerance and error < rounded_balance
+    )

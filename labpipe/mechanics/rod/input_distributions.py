@@ -52,8 +52,8 @@ class InputDistribution(ArrayRecord):
 
     def inputs(self, amounts: Floats | None = None) -> dict[str, float]:
         """Return the inputs at amounts of the causes, shape (causes,), or the best values."""
-        moved = self.centre if amounts is None else self.centre + self.steps @ amounts
-        return dict(zip(self.names, moved.tolist(), strict=True))
+        changes = self.centre if amounts is None else self.centre + self.steps @ amounts
+        return dict(zip(self.names, changes.tolist(), strict=True))
 
 
 def build_stated_distribution(
@@ -135,7 +135,7 @@ def build_calibrated_distributions(
 
 def _build_solution_distribution(
     solution: Solution,
-    wide: float,
+    widening: float,
     *,
     specimen: str | None,
     draws: int,
@@ -151,11 +151,11 @@ def _build_solution_distribution(
     inner = mixture.covariance[:, acts[:, None], acts]
     roots = np.stack([_factor_covariance(covariance) for covariance in inner])
     normal_part = np.einsum("nij,nj->ni", roots[place], normal[:, 1:])
-    moved = wide * (mixture.shift[place][:, acts] + normal_part / student[:, None])
+    changes = widening * (mixture.shift[place][:, acts] + normal_part / student[:, None])
     spread = np.einsum("s,sij->ij", mixture.chance, inner)
     spread += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, acts]]))
     steps = _find_steps(spread)
-    names, amounts = [PARAMETERS[number] for number in acts], moved @ np.linalg.pinv(steps).T
+    names, amounts = [PARAMETERS[number] for number in acts], changes @ np.linalg.pinv(steps).T
     distribution = InputDistribution(
         tuple(names), (CALIBRATION,) * steps.shape[1], np.log(solution.values[acts]), steps, amounts
     )

@@ -38,7 +38,7 @@ class RodState(ArrayRecord):
     reaction_moments : shape (boundaries, 3), N m, of clamps, about their node; zero for others
     contacts : shape (planes, n + 1, 3), m, points at which nodes stick to planes: the history
     contact_forces : shape (planes, n + 1, 3), N, of the planes on the nodes
-    slid : shape (boundaries,), m, arc length at rest of the place in a ring; NaN for other
+    ring_stations : shape (boundaries,), m, arc length at rest of the place in a ring; NaN for other
         boundaries
     """
 
@@ -54,7 +54,7 @@ class RodState(ArrayRecord):
     reaction_moments: Annotated[Floats, "boundaries", 3]
     contacts: Annotated[Floats, "planes", "nodes", 3]
     contact_forces: Annotated[Floats, "planes", "nodes", 3]
-    slid: Annotated[Floats, "boundaries"]
+    ring_stations: Annotated[Floats, "boundaries"]
 
     @property
     def bendings(self) -> Floats:
@@ -126,7 +126,7 @@ class RodPath(ArrayRecord):
         step 0
     stored : shape (states,), J, elastic energy of bending, twist and stretch
     lost : shape (states,), J, lost in the sliders
-    rubbed : shape (states,), J, lost by friction on planes
+    friction_loss : shape (states,), J, lost by friction on planes
     jumped : shape (states,), J, lost as motion in jumps
     lost_in_jumps : shape (states,), J, part of `lost` that was lost in jumps
     """
@@ -138,7 +138,7 @@ class RodPath(ArrayRecord):
     work: Annotated[Floats, "states"]
     stored: Annotated[Floats, "states"]
     lost: Annotated[Floats, "states"]
-    rubbed: Annotated[Floats, "states"]
+    friction_loss: Annotated[Floats, "states"]
     jumped: Annotated[Floats, "states"]
     lost_in_jumps: Annotated[Floats, "states"]
 

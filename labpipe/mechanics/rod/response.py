@@ -53,8 +53,8 @@ class Response:
     def drawn(self, name: str) -> Floats:
         """Return draws of a field, shape (draws, ...)."""
         value = self.value[name]
-        moved = self._moved(name, np.ones(len(self.distribution.causes), dtype=np.bool_))
-        return np.asarray(value + moved.reshape(len(moved), *value.shape))
+        changes = self._moved(name, np.ones(len(self.distribution.causes), dtype=np.bool_))
+        return np.asarray(value + changes.reshape(len(changes), *value.shape))
 
     def _moved(self, name: str, which: Flags) -> Floats:
         """Return the change of a field by some of the causes, shape (draws, numbers)."""
@@ -120,15 +120,15 @@ def respond(solve: SolveFields, distribution: InputDistribution) -> Response | N
     slopes, bends, one_sided, silent = [], [], [], []
     reach = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
     reach = np.clip(reach, min_steps, max_steps)
-    for cause, far, step in zip(distribution.causes, reach, np.diag(reach), strict=True):
+    for cause, distance, step in zip(distribution.causes, reach, np.diag(reach), strict=True):
         ahead, behind = solve(distribution.inputs(step)), solve(distribution.inputs(-step))
         if ahead is None and behind is None:
             silent.append(cause)
         elif ahead is None or behind is None:
             one_sided.append(cause)
-        both = {name: _fit_parabola(value[name], ahead, behind, name) for name in value}
-        slopes.append({name: slope / far for name, (slope, _) in both.items()})
-        bends.append({name: bend / far**2 for name, (_, bend) in both.items()})
+        fits = {name: _fit_parabola(value[name], ahead, behind, name) for name in value}
+        slopes.append({name: slope / distance for name, (slope, _) in fits.items()})
+        bends.append({name: bend / distance**2 for name, (_, bend) in fits.items()})
     return Response(
         distribution,
         value,
@@ -150,8 +150,10 @@ def _fit_parabola(
     rise = None if ahead is None else ahead[name] - value
     fall = None if behind is None else value - behind[name]
     if rise is None or fall is None:
-        one = rise if rise is not None else fall
-        return (np.zeros_like(value) if one is None else np.asarray(one)), np.zeros_like(value)
+        change = rise if rise is not None else fall
+        return (np.zeros_like(value) if change is None else np.asarray(change)), np.zeros_like(
+            value
+        )
     return np.asarray(0.5 * (rise + fall)), np.asarray(0.5 * (rise - fall))
 
 
@@ -160,9 +162,9 @@ def _stack_causes(fields_by_cause: Sequence[Fields], name: str, value: Floats) -
     return np.stack(rows) if rows else np.zeros((0, *value.shape))
 
 
-def _estimate_variance(moved: Floats) -> Floats:
+def _estimate_variance(changes: Floats) -> Floats:
     """Estimate the variance from the central 68 % of the draws, robustly to heavy tails."""
-    low, high = np.quantile(moved, [0.15866, 0.84134], axis=0)
+    low, high = np.quantile(changes, [0.15866, 0.84134], axis=0)
     return np.asarray((0.5 * (high - low)) ** 2)
 
 

@@ -137,7 +137,7 @@ class StabilityCheck:
         """Return the entries of the tangent with a drag of `_SHIFT_DRAG`."""
         rows, columns = self._assembly.pattern
         places, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
-        values = balance.even.copy()
+        values = balance.symmetric_values.copy()
         values[first[1:]] += _SHIFT_DRAG * self._assembly.drag[places[1:]]
         return values
 
@@ -207,7 +207,7 @@ class StabilityCheck:
         stiffness = np.swapaxes(row, 1, 2) @ row * (stiff / line.lengths)[:, None, None]
         values = np.concatenate(
             [
-                balance.even[self._kept],
+                balance.symmetric_values[self._kept],
                 stiffness[:, :FORCE, :FORCE].ravel(),
                 stiffness[:, :FORCE, FORCE:].ravel(),
                 stiffness[:, FORCE:, FORCE:].ravel(),

@@ -67,15 +67,17 @@ def build_state(
             reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
     clamped = [grips[int(row)] for row in supports.clamps]
     reaction_moments[clamped] = clamp_moments
-    for k, touch in zip(schedule.planes, now.balance.touches, strict=True):
+    for k, touch in zip(schedule.planes, now.balance.plane_contacts, strict=True):
         reaction_forces[k] = touch.forces.sum(axis=0)
     reaction_forces[list(schedule.strings)] = now.balance.tensions
-    slid = np.full(len(schedule.boundaries), np.nan)
+    ring_stations = np.full(len(schedule.boundaries), np.nan)
     stations = assembly.line.stations
-    for k, thread in zip(schedule.rings, now.balance.threads, strict=True):
+    for k, thread in zip(schedule.rings, now.balance.ring_contacts, strict=True):
         reaction_forces[k] = thread.force
-        slid[k] = np.interp(thread.place, np.arange(n_nodes), stations)
-    touched = np.array([touch.forces for touch in now.balance.touches]).reshape(-1, n_nodes, 3)
+        ring_stations[k] = np.interp(thread.place, np.arange(n_nodes), stations)
+    touched = np.array([touch.forces for touch in now.balance.plane_contacts]).reshape(
+        -1, n_nodes, 3
+    )
     return RodState(
         positions=now.shape.positions,
         frames=now.shape.frames,
@@ -89,7 +91,7 @@ def build_state(
         reaction_moments=reaction_moments,
         contacts=now.balance.memory.contacts,
         contact_forces=touched,
-        slid=slid,
+        ring_stations=ring_stations,
     )
 
 
@@ -118,10 +120,12 @@ def _compute_moments(assembly: Assembly, now: WalkState) -> Floats:
     frames = np.concatenate([now.shape.frames, now.demands.clamps[::-1]])
     turned = to_matrices(frames[supports.behind])
     moments = np.einsum("nxy,ny->nx", turned, cells.behind)
-    for (row, clamp), lent in zip(supports.lent, now.balance.directions.lent_moments, strict=True):
+    for (row, clamp), clamp_pairs in zip(
+        supports.clamp_pairs, now.balance.directions.clamp_moments, strict=True
+    ):
         element, mark = supports.ends[row], -1 - clamp
-        moments[(supports.before == mark) & (supports.behind == element)] -= lent
-        moments[(supports.behind == mark) & (supports.before == element)] += lent
+        moments[(supports.before == mark) & (supports.behind == element)] -= clamp_pairs
+        moments[(supports.behind == mark) & (supports.before == element)] += clamp_pairs
     return np.asarray(moments)
 
 
@@ -176,7 +180,7 @@ def compute_work(
         tensions = balances[0].tensions + balances[1].tensions
         work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))
     if len(new.rings):
-        ring_forces = [np.array([thread.force for thread in b.threads]) for b in balances]
+        ring_forces = [np.array([thread.force for thread in b.ring_contacts]) for b in balances]
         work += 0.5 * float(np.sum((ring_forces[0] + ring_forces[1]) * (new.rings - old.rings)))
     return work
 

@@ -172,14 +172,14 @@ class _Walk:
         if grips == self.grips:
             return
         self.snapped.append(step)
-        free, lost = self._unaccounted_energy(), self.lost
+        unaccounted, lost = self._unaccounted_energy(), self.lost
         rests = split_sides(self.assembly.supports, now.memory.rests)
         self._set_up(grips, now.time, now.shape, replace(now.memory, rests=rests))
         jumped, slider_loss_in_jumps = self.jumped, self.slider_loss_in_jumps
         equilibrium = self._find_equilibrium(now.time)
         is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
         self._move_on(now.time, equilibrium, is_unstable=is_unstable)
-        self.jumped = jumped + self._unaccounted_energy() - free
+        self.jumped = jumped + self._unaccounted_energy() - unaccounted
         self.slider_loss_in_jumps = slider_loss_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ class _Walk:
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
             is_last = part <= smallest
-            equilibrium = self._find_equilibrium(time, both=is_last or not was_refused)
+            equilibrium = self._find_equilibrium(time, tries_sticking=is_last or not was_refused)
             is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
             was_refused, before = equilibrium is None or is_unstable, was_refused
             if was_refused and not is_last and not (is_unstable and self._accepted_unstable):
@@ -236,7 +236,7 @@ class _Walk:
         """Return whether an unstable equilibrium was accepted; smaller parts do not help then."""
         return self._has_reason("unstable") or self._has_reason("whirls")
 
-    def _find_equilibrium(self, time: float, *, both: bool = True) -> Equilibrium | None:
+    def _find_equilibrium(self, time: float, *, tries_sticking: bool = True) -> Equilibrium | None:
         """Find the equilibrium at a time; None if there is none near by.
 
         Newton's method starts with sliders that continue to slide; if `both`, it is tried again
@@ -244,12 +244,14 @@ class _Walk:
         """
         now = self.now
         goal = self.schedule.demands(time, self.grips)
-        for guess in [now.earlier or now.memory, now.memory][: 2 if both and now.earlier else 1]:
+        for guess in [now.earlier or now.memory, now.memory][
+            : 2 if tries_sticking and now.earlier else 1
+        ]:
             equilibrium = find_equilibrium(
                 *(self.assembly, now.shape, now.memory, (now.demands, goal)),
                 force=self.force,
                 guess=guess,
-                known=now.balance,
+                known_balance=now.balance,
             )
             if equilibrium is not None and self._is_near_enough(equilibrium):
                 return equilibrium
@@ -274,10 +276,10 @@ class _Walk:
             self.assembly, (now.demands, goal), (now.shape, equilibrium.shape), (now.balance, new)
         )
         self.lost += compute_lost_energy(self.assembly, now.memory.rests, new.memory.rests)
-        self.friction_loss += sum(touch.rubbed for touch in new.touches)
+        self.friction_loss += sum(touch.friction_loss for touch in new.plane_contacts)
         self.now = WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
-        most = self.settings.max_strain
-        check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=most)
+        max_strain = self.settings.max_strain
+        check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=max_strain)
         check_rings(self.schedule, new, self.step)
 
     def _stored_energy(self) -> float:
@@ -299,14 +301,14 @@ class _Walk:
     def _relax(self, time: float, *, is_unstable: bool) -> None:
         """Relax the line to a stable equilibrium at a time."""
         # of the line's length, or rad: perturbations of a line without a near equilibrium
-        kicks = (0.0, 1e-3, 1e-2)
+        perturbations = (0.0, 1e-3, 1e-2)
         if self.step not in self.snapped:
             self.snapped.append(self.step)
         saved = self.now, self.work, self.lost, self.friction_loss
-        free = self._unaccounted_energy()
-        for kick in kicks[1:] if is_unstable else kicks:
-            if self._relax_to_rest(time, kick):
-                self.jumped += self._unaccounted_energy() - free
+        unaccounted = self._unaccounted_energy()
+        for perturbation in perturbations[1:] if is_unstable else perturbations:
+            if self._relax_to_rest(time, perturbation):
+                self.jumped += self._unaccounted_energy() - unaccounted
                 self.slider_loss_in_jumps += self.lost - saved[2]
                 return
             self.now, self.work, self.lost, self.friction_loss = saved
@@ -319,7 +321,7 @@ class _Walk:
             raise NoEquilibriumError(reason)
         self._doubt_stability(is_whirling=False)
 
-    def _relax_to_rest(self, time: float, kick: float) -> bool:
+    def _relax_to_rest(self, time: float, perturbation: float) -> bool:
         """Relax the line with decreasing drag; return whether it comes to rest."""
         first_drag = 1.0
         # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays
@@ -330,7 +332,7 @@ class _Walk:
         rest_tolerance = 1e-6  # of the line's length
         max_steps = 400
         goal = self.schedule.demands(time, self.grips)
-        shape = self._perturbed_shape(kick)
+        shape = self._perturbed_shape(perturbation)
         size = first_drag
         rested: Floats | None = None
         for _ in range(max_steps):
@@ -448,10 +450,12 @@ class _Walk:
 def _find_start_places(schedule: Schedule, start: RodState | None) -> Floats:
     """Return the places at which the line passes through the rings, in nodes."""
     places = schedule.start_places
-    if start is None or len(start.slid) != len(schedule.boundaries):
+    if start is None or len(start.ring_stations) != len(schedule.boundaries):
         return places
     stations = schedule.line.stations
-    known_places = np.interp(start.slid[list(schedule.rings)], stations, np.arange(len(stations)))
+    known_places = np.interp(
+        start.ring_stations[list(schedule.rings)], stations, np.arange(len(stations))
+    )
     return np.where(np.isfinite(known_places), known_places, places)
 
 

@@ -47,9 +47,9 @@ class Supports:
     lengths : shape (cells,), m
     rest_curvature : shape (cells, 3), 1/m
     ends : shape (clamped elements,), elements beside a clamp
-    own : shape (clamped elements,), weight of their own frame in the direction
-    lent : shape (pairs, 2), row in `ends` and clamp of each contribution
-    carried : shape (pairs, 4), turns from the clamp to the element at rest: quaternions
+    own_weights : shape (clamped elements,), weight of their own frame in the direction
+    clamp_pairs : shape (pairs, 2), row in `ends` and clamp of each contribution
+    rest_turns : shape (pairs, 4), turns from the clamp to the element at rest: quaternions
     """
 
     n_nodes: int
@@ -62,9 +62,9 @@ class Supports:
     lengths: Floats
     rest_curvature: Floats
     ends: Ints
-    own: Floats
-    lent: Ints
-    carried: Floats
+    own_weights: Floats
+    clamp_pairs: Ints
+    rest_turns: Floats
 
 
 def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
@@ -82,13 +82,13 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
     before, behind, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
     node_numbers = np.array(nodes, dtype=np.int64)
     rest_curvature = line.rest_curvature_at_nodes
-    lent, turns = [], []
+    clamp_pairs, turns = [], []
     for node, number in clamp_at.items():
         for element, sign in ((node - 1, -0.5), (node, 0.5)):
             if 0 <= element < len(line.lengths):
-                lent.append((element, number))
+                clamp_pairs.append((element, number))
                 turns.append(sign * line.lengths[element] * rest_curvature[node])
-    pairs = np.array(lent, dtype=np.int64).reshape(-1, 2)
+    pairs = np.array(clamp_pairs, dtype=np.int64).reshape(-1, 2)
     ends, row = np.unique(pairs[:, 0], return_inverse=True)
     return Supports(
         n_nodes=len(line.positions),
@@ -101,9 +101,11 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
         lengths=np.array(lengths, dtype=np.float64),
         rest_curvature=rest_curvature[node_numbers],
         ends=ends,
-        own=np.asarray(1.0 - END_SHARE * np.bincount(row, minlength=len(ends)), dtype=np.float64),
-        lent=np.stack([row, pairs[:, 1]], axis=1),
-        carried=from_rotation_vectors(np.array(turns).reshape(-1, 3)),
+        own_weights=np.asarray(
+            1.0 - END_SHARE * np.bincount(row, minlength=len(ends)), dtype=np.float64
+        ),
+        clamp_pairs=np.stack([row, pairs[:, 1]], axis=1),
+        rest_turns=from_rotation_vectors(np.array(turns).reshape(-1, 3)),
     )
 
 
@@ -140,7 +142,7 @@ class Directions:
     stiff : shape (n, 3, 3), N m, its second derivative along turns, symmetric
     by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the directions
         contributed by clamps
-    lent_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
+    clamp_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
         clamps, pair by pair
     """
 
@@ -149,11 +151,11 @@ class Directions:
     pull: Floats
     stiff: Floats
     by_clamp: Floats
-    lent_moments: Floats
+    clamp_moments: Floats
 
 
 def compute_directions(
-    supports: Supports, frames: Floats, lent: Floats, pulls: Floats
+    supports: Supports, frames: Floats, clamp_pairs: Floats, pulls: Floats
 ) -> Directions:
     """Compute the directions of the elements.
 
@@ -161,7 +163,7 @@ def compute_directions(
     ----------
     supports : with the elements beside a clamp
     frames : shape (n, 3, 3), matrices of the elements
-    lent : shape (pairs, 3), contributions of clamps, see `compute_clamp_directions`
+    clamp_pairs : shape (pairs, 3), contributions of clamps, see `compute_clamp_directions`
     pulls : shape (n, 3), N m, g
     """
     along = frames[:, :, 2].copy()
@@ -169,12 +171,12 @@ def compute_directions(
     by_turn[:, :, 0], by_turn[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
     stiff = _differentiate_twice(np.vecmat(pulls, frames))
     by_clamp = np.zeros((len(supports.ends), 3, 3))
-    lent_moments = np.zeros_like(lent)
+    clamp_moments = np.zeros_like(clamp_pairs)
     if len(supports.ends):
-        ends, own_share = supports.ends, supports.own[:, None, None]
-        row = supports.lent[:, 0]
+        ends, own_share = supports.ends, supports.own_weights[:, None, None]
+        row = supports.clamp_pairs[:, 0]
         mixed = own_share[:, 0] * along[ends]
-        np.add.at(mixed, row, lent)
+        np.add.at(mixed, row, clamp_pairs)
         size = np.linalg.norm(mixed, axis=1)[:, None]
         along[ends] = mixed / size
         flat = (_EYE - along[ends, :, None] * along[ends, None, :]) / size[:, :, None]
@@ -189,9 +191,9 @@ def compute_directions(
         stiff[ends] += np.swapaxes(turn, 1, 2) @ second @ turn
         by_turn[ends] = flat @ turn
         by_clamp = flat
-        lent_moments = -cross(lent, p[row])
+        clamp_moments = -cross(clamp_pairs, p[row])
     pull = -np.vecmat(pulls, by_turn)
-    return Directions(along, by_turn, pull, stiff, by_clamp, lent_moments)
+    return Directions(along, by_turn, pull, stiff, by_clamp, clamp_moments)
 
 
 def _differentiate_twice(g: Floats) -> Floats:
@@ -210,5 +212,5 @@ def compute_clamp_directions(supports: Supports, clamps: Floats) -> Floats:
     supports : with those elements
     clamps : shape (clamps, 4), frames
     """
-    turned = multiply(clamps[supports.lent[:, 1]], supports.carried)
+    turned = multiply(clamps[supports.clamp_pairs[:, 1]], supports.rest_turns)
     return np.asarray(END_SHARE * to_matrices(turned)[:, :, 2])

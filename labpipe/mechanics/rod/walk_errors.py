@@ -128,7 +128,7 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
     balance : of the line
     step : number
     """
-    for k, thread in zip(schedule.rings, balance.threads, strict=True):
+    for k, thread in zip(schedule.rings, balance.ring_contacts, strict=True):
         if not 0.0 < thread.place < schedule.n:
             end = 0 if thread.place <= 0.0 else schedule.n
             ring = get_boundary_name(schedule.boundaries, schedule.boundaries[k])

@@ -316,8 +316,8 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
     tension = np.einsum("nk,nk->n", state.forces, axes)
     before, behind = np.insert(tension, 0, tension[0]), np.append(tension, tension[-1])
     moments = state.moments
-    both = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
-    torque = np.einsum("nsk,nsk->ns", moments, np.stack(both, axis=1))
+    side_axes = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
+    torque = np.einsum("nsk,nsk->ns", moments, np.stack(side_axes, axis=1))
     bending = np.sqrt(np.maximum(np.sum(moments**2, axis=2) - torque**2, 0.0))
     places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXES)}
     return {

@@ -74,8 +74,8 @@ def compare_shapes(
     parts = wire.parts
     largest_curvature, _ = parts.reach(parts.given)
     shapes = []
-    for wanted in deepest * np.arange(1, N_SHAPES + 1) / N_SHAPES:
-        reached = np.flatnonzero(rise >= wanted)
+    for goal in deepest * np.arange(1, N_SHAPES + 1) / N_SHAPES:
+        reached = np.flatnonzero(rise >= goal)
         if len(reached):
             frame = int(reached[0])
             model = _bend_model(wire, length, rig, float(rise[frame]), largest_curvature)
@@ -106,17 +106,19 @@ def _bend_model(
     )
     weight = wire.self_weight
     if rig is None:
-        bent = bend_to_deflection(law, held_level(law, length, weight).state, length, deflection)
-        return np.column_stack([bent.x, bent.y])
+        solution = bend_to_deflection(
+            law, held_level(law, length, weight).state, length, deflection
+        )
+        return np.column_stack([solution.x, solution.y])
     travel, level = deflection, straight(law, self_weight=weight)
     rest = bend_to_travel(law, level, length, rig, 0.0).state
     for _ in range(max_iterations):  # as the string leans, the tip moves less than the clamp
-        bent = bend_to_travel(law, rest, length, rig, travel)
-        missing = deflection - float(bent.y[-1])
+        solution = bend_to_travel(law, rest, length, rig, travel)
+        missing = deflection - float(solution.y[-1])
         if abs(missing) < tip_tolerance:
             break
         travel += missing
-    return np.column_stack([bent.x, bent.y])
+    return np.column_stack([solution.x, solution.y])
 
 
 DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
@@ -354,9 +356,11 @@ def _compare_group(
     else:
         errors = _compute_errors(curves, prediction)
         values = calibration.solutions[0].values
-        bent = calibrated_curve(wire, values, first.length, first.rig, deepest)
+        solution = calibrated_curve(wire, values, first.length, first.rig, deepest)
         doubtful_deflection = float(
-            np.interp(wire.linear_range, bent.clamp_curvature, bent.deflection, right=np.inf)
+            np.interp(
+                wire.linear_range, solution.clamp_curvature, solution.deflection, right=np.inf
+            )
         )
     return ValidationGroup(
         wire=first.wire,

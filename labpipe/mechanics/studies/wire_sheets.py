@@ -422,8 +422,8 @@ def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
     if not sheets:
         raise ReadError.about("mechanics.studies.no_sheets", path)
     visible = [name for name, is_shown in sheets.items() if is_shown]
-    usual = [name for name in sheets if name.casefold() == "wires"]
-    name = [*usual, *visible, *sheets][0]
+    named_wires = [name for name in sheets if name.casefold() == "wires"]
+    name = [*named_wires, *visible, *sheets][0]
     where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
     return workbook_cells(path, name, where), where
 
@@ -453,11 +453,11 @@ def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
 
 def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
     """Find names that are repeated or that differ only in case or in the encoding of accents."""
-    seen: dict[str, Cell] = {}
+    first_cells: dict[str, Cell] = {}
     for cell in names:
         # some systems ignore case and the encoding of accents, Abaqus ignores case
         bare = unicodedata.normalize("NFC", unicodedata.normalize("NFC", cell.text).casefold())
-        first = seen.setdefault(bare, cell)
+        first = first_cells.setdefault(bare, cell)
         if first is not cell and cell.text:
             fault = Fault.of(
                 "mechanics.studies.similar_names",
