@@ -35,6 +35,8 @@ class WireSpec:
     poisson, insulation_poisson : of the strands, and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : its exponent
+    isotropic_share : share of the strands' hardening that is isotropic, from 0 to 1; None if it is
+        not known
     stress_table : strains and stresses (Pa) that replace the Ramberg-Osgood curve
     insulation_table : strains and stresses (Pa) that replace the modulus of the insulation
     insulation_strain : strain at the rim of the wire up to which the insulation is linear
@@ -65,6 +67,7 @@ class WireSpec:
     insulation_poisson: float = 0.4
     copper_k: float = 530.0e6
     copper_n: float = 0.44
+    isotropic_share: float | None = None
     stress_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     insulation_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     insulation_strain: float = 0.03

@@ -20,6 +20,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     build_results,
     check_elements,
     check_jumps,
+    check_share,
     check_unloading,
     collect_fields,
     compute_curvature,
@@ -41,6 +42,7 @@ from labpipe.mechanics.studies.harness_study import (
     format_vtk,
 )
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
 from labpipe.records.result import Status
 from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
 
@@ -153,22 +155,42 @@ def test_what_was_lost_in_a_jump_is_doubtful() -> None:
     assert doubtful_of(path, prepared, check_jumps(path, prepared)) == MEMORY | shape
 
 
-def test_how_a_wire_unloads_is_an_assumption() -> None:
+def test_masings_rule_is_an_assumption() -> None:
     """The last shape of a released line depends on it; the bench carries the weight in any case.
 
     So do forces of one that is held and was unbent: in the example of slack the wire is bent
     elsewhere and more sharply on the way.
     """
-    _, _, prepared, path = followed(pushed())
+    _, _, prepared, path = followed(pushed(), isotropic_share=0.0)
     doubt = check_unloading(path, prepared)
     assert doubt is not None
     assert doubt.reason.code == "unloading_assumed"
     assert doubtful_of(path, prepared, doubt) == MEMORY | SHAPE | {"springback.gripper"}
-    _, _, prepared, path = followed(SLACK)
+    _, _, prepared, path = followed(SLACK, isotropic_share=0.0)
     held = {f"{what}.{side}" for what in ("force", "moment") for side in ("left", "right")}
     assert doubtful_of(path, prepared, check_unloading(path, prepared)) == MEMORY | held
     first = replace(path, states=path.states[:1] + 40 * path.states[1:2])
     assert doubtful_of(path, prepared, check_unloading(first, prepared)) == MEMORY, "not unbent yet"
+
+
+def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
+    """With more isotropic hardening the line springs back less; the energy balance holds."""
+    radii = []
+    for share in (0.0, 0.35, 1.0):
+        _, _, prepared, path = followed(pushed(), isotropic_share=share)
+        radii.append(by_name(path, prepared)["smallest_bend_radius"].value)
+        assert (check_unloading(path, prepared) is None) == (share > 0.0)
+        before = slice(0, path.snapped[0] if path.snapped else None)
+        left = (path.work - path.stored - path.lost)[before]
+        assert np.abs(left).max() <= 0.02 * path.work.max()
+    assert radii == sorted(radii, reverse=True)
+
+
+@pytest.mark.parametrize(("upper", "wide"), [(1.9, False), (2.1, True)])
+def test_a_wide_interval_over_the_share_is_doubtful(upper: float, *, wide: bool) -> None:
+    intervals = {"kept_curvature": Interval(1.0, upper), "lowest_point": Interval(-1.0, 1.0)}
+    doubts = list(check_share(intervals, ("kept_curvature", "lowest_point")))
+    assert [doubt.names for doubt in doubts] == [("kept_curvature",)] * wide
 
 
 def test_what_a_gripper_leaves() -> None:

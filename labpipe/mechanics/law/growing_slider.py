@@ -71,6 +71,15 @@ class GrowingSlider(ArrayRecord):
         grows = self.limits[0] > 0.0 and bool(np.all(np.diff(self.limits) >= 0.0))
         require("limits", self.limits.tolist(), "positive and not decreasing", holds=grows)
 
+    def limit_after(self, slid: Floats) -> Floats:
+        """Return the limit after a curvature has slid, N m.
+
+        Parameters
+        ----------
+        slid : any shape, 1/m, not negative
+        """
+        return _interpolate(self.slid, self.limits, slid)[0]
+
     def first_loading(self, curvature: Floats) -> Floats:
         """Return the moment of first loading, N m.
 

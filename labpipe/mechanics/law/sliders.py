@@ -88,10 +88,31 @@ class SliderLaw(ArrayRecord):
         _require_range(self.first, self.last)
 
     @property
+    def history_size(self) -> int:
+        """Return the number of rests of a station, see `SliderResponse`."""
+        return len(self.stiffnesses) + 2 * len(self.growing)
+
+    @property
     def first_stiffness(self) -> float:
         """Return the bending stiffness before sliding, and after every reversal, N m^2."""
         growing = sum(slider.stiffness for slider in self.growing)
         return self.stiffness + float(np.sum(self.stiffnesses)) + growing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PresentSliders:
+    """All sliders of a law as they are now; the limits of growing ones stay as they are.
+
+    Parameters
+    ----------
+    stiffnesses : shape (sliders,), N m^2, the growing ones last
+    slip_curvatures : shape (..., sliders), 1/m
+    rests : shape (..., sliders, 2), 1/m
+    """
+
+    stiffnesses: Floats
+    slip_curvatures: Floats
+    rests: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +134,24 @@ class SliderResponse:
     rests: Floats
 
 
+def present_sliders(law: SliderLaw, rests: Floats) -> PresentSliders:
+    """Return the sliders of a law with their present limits.
+
+    Parameters
+    ----------
+    law : the law
+    rests : shape (..., n, 2), 1/m: the history, see `SliderResponse`
+    """
+    count = len(law.stiffnesses)
+    slips = [np.broadcast_to(law.slip_curvatures, (*rests.shape[:-2], count))]
+    places = [*range(count), *range(count, rests.shape[-2], 2)]
+    for number, slider in enumerate(law.growing):
+        limit = slider.limit_after(rests[..., count + 2 * number + 1, 0])
+        slips.append((limit / slider.stiffness)[..., None])
+    stiffnesses = np.append(law.stiffnesses, [slider.stiffness for slider in law.growing])
+    return PresentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., places, :])
+
+
 def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
     """Return the moment of first loading, N m.
 
@@ -130,8 +169,7 @@ def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
 
 def unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
     """Return the history of a wire that was never bent, 1/m: shape (n_stations, sliders[, 2])."""
-    count = len(law.stiffnesses) + 2 * len(law.growing)
-    return np.zeros((n_stations, count, *((2,) if is_vector else ())))
+    return np.zeros((n_stations, law.history_size, *((2,) if is_vector else ())))
 
 
 def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:

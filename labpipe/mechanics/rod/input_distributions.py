@@ -99,6 +99,24 @@ def build_stated_distribution(
     return InputDistribution((name,), (cause or name,), np.array([centre]), steps, amounts[:, None])
 
 
+def build_uniform_distribution(
+    name: str, low: float, high: float, *, cause: str, draws: int = DRAWS, seed: int = 0
+) -> InputDistribution:
+    """Build the distribution of an input that is equally likely anywhere in a range.
+
+    Parameters
+    ----------
+    name : of the input
+    low, high : ends of the range, in the unit of the input
+    cause : name of the cause
+    draws, seed : as for `build_stated_distribution`
+    """
+    random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
+    amounts = 2.0 * (random.permutation(draws) + 0.5) / draws - 1.0
+    centre, steps = np.array([0.5 * (low + high)]), np.array([[0.5 * (high - low)]])
+    return InputDistribution((name,), (cause,), centre, steps, amounts[:, None])
+
+
 def build_calibrated_distributions(
     solutions: Sequence[Solution],
     widening: float = 1.0,

@@ -28,11 +28,11 @@ from labpipe.mechanics.rod.rotations import (
 )
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import (
-    HELD,
+    HOLDERS,
     Clip,
     Grip,
     HarnessFile,
-    Held,
+    Holder,
     Load,
     Pin,
     Plane,
@@ -211,7 +211,7 @@ def _build_gravity(harness: HarnessFile) -> Floats:
     An inextensible line that starts taut cannot carry its whole weight at once.
     """
     full = np.array(harness.gravity)
-    if sum(isinstance(boundary, HELD) for boundary in harness.boundaries) < 2:
+    if sum(isinstance(boundary, HOLDERS) for boundary in harness.boundaries) < 2:
         return full
     share = _build_ramp(max(1, harness.steps // 5), harness.steps)
     return np.asarray(share[:, None] * full)
@@ -222,7 +222,7 @@ def _build_ramp(by: int, steps: int) -> Floats:
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _build_held(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
+def _build_held(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):

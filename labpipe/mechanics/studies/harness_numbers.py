@@ -15,7 +15,7 @@ from functools import reduce
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.law.sliders import SliderLaw, present_sliders
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
@@ -172,26 +172,29 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
 
     Notes
     -----
-    This is the curvature at zero moment, on the way to which sliders slide back. It solves
-    EI_0 kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), by
+    This is the curvature at zero moment, on the way to which sliders slide back. It solves EI_0
+    kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), by
     Weiszfeld's iteration: each iteration takes the w_j of the one before, and descends on a convex
-    energy. The first one assumes that no slider slides. Without sliders the curvature is 0.
+    energy. The first one assumes that no slider slides. Without sliders the curvature is 0. The
+    limit of a growing slider remains, as it does not slide on release.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
-    if not len(law.stiffnesses):
+    sliders = present_sliders(law, rests)
+    stiffnesses, slips = sliders.stiffnesses, sliders.slip_curvatures
+    if not len(stiffnesses):
         return curvature
-    weights = np.broadcast_to(law.stiffnesses, rests.shape[:-1])
+    weights = np.broadcast_to(stiffnesses, slips.shape)
     for _ in range(max_iterations):
         total = law.stiffness + weights.sum(axis=-1)
         previous, curvature = (
             curvature,
-            np.einsum("...j,...jx->...x", weights, rests) / total[..., None],
+            np.einsum("...j,...jx->...x", weights, sliders.rests) / total[..., None],
         )
         if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
             break
-        strains = np.linalg.norm(curvature[..., None, :] - rests, axis=-1)
-        weights = law.stiffnesses * law.slip_curvatures / np.maximum(strains, law.slip_curvatures)
+        strains = np.linalg.norm(curvature[..., None, :] - sliders.rests, axis=-1)
+        weights = stiffnesses * slips / np.maximum(strains, slips)
     return curvature
 
 
@@ -226,12 +229,13 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     The bound assumes that no slider slides on unloading: it is the largest sum of K_j a_j of all
     steps over the first stiffness.
     """
-    if not len(law.stiffnesses):
+    if not law.history_size:
         return np.zeros(len(path.last.positions))
-    moments = [
-        np.linalg.norm(np.einsum("j,nsjx->nsx", law.stiffnesses, state.rests), axis=2).max(axis=1)
-        for state in path.states
-    ]
+    moments = []
+    for state in path.states:
+        sliders = present_sliders(law, state.rests)
+        vectors = np.einsum("j,nsjx->nsx", sliders.stiffnesses, sliders.rests)
+        moments.append(np.linalg.norm(vectors, axis=2).max(axis=1))
     return np.asarray(np.max(moments, axis=0) / law.first_stiffness)
 
 
@@ -469,7 +473,7 @@ def check_elements(path: RodPath, line: Line) -> Doubt | None:
 
 
 def check_unloading(path: RodPath, prepared: PreparedLine) -> Doubt | None:
-    """Doubt numbers that depend on how the law unloads.
+    """Doubt numbers that depend on unloading if the law unloads by Masing's rule.
 
     Parameters
     ----------
@@ -478,12 +482,14 @@ def check_unloading(path: RodPath, prepared: PreparedLine) -> Doubt | None:
 
     Notes
     -----
-    The law of a wire is that of first loading. On unloading it follows Masing's rule, by which
-    copper springs back two to four times as far as standards of annealed wire allow. The numbers
-    are residual curvature, lost energy, the shape of a released line, and forces and moments of a
-    line that was unbent and has several supports, so that they depend on its law.
+    By Masing's rule copper springs back two to four times as far as standards of annealed wire
+    allow. A law with growing sliders does not follow this rule. The numbers are residual curvature,
+    lost energy, the shape of a released line, and forces and moments of a line that was unbent and
+    has several supports, so that they depend on its law.
     """
     law = prepared.line.section.law
+    if law.growing:
+        return None
     bound = bound_residual_curvature(path, law)
     node = int(np.argmax(bound))
     residual = float(compute_residual_curvature(path.last, law)[node])
@@ -495,15 +501,43 @@ def check_unloading(path: RodPath, prepared: PreparedLine) -> Doubt | None:
         by_rule=residual,
         without_sliding=bound[node],
     )
+    return Doubt(reason, list_unloading_numbers(path, prepared))
+
+
+def list_unloading_numbers(path: RodPath, prepared: PreparedLine) -> tuple[str, ...]:
+    """Return the names of numbers that depend on unloading; see `check_unloading`.
+
+    Parameters
+    ----------
+    path : of the line
+    prepared : line and boundaries
+    """
     names = [ENERGY_LOST, RESIDUAL, *_list_released_numbers(prepared)]
     supports = [
         boundary
         for boundary in prepared.boundaries
         if isinstance(boundary, HOLDS) and not _is_released(boundary)
     ]
-    if len(supports) > 1 and measure_unbending(path) > 0.1:  # of the find_sharpest_bend bend
+    if len(supports) > 1 and measure_unbending(path) > 0.1:  # of the largest curvature
         names += [FORCE, MOMENT]
-    return Doubt(reason, tuple(names))
+    return tuple(names)
+
+
+def check_share(intervals: Mapping[str, Interval], names: Sequence[str]) -> Iterator[Doubt]:
+    """Doubt numbers with wide intervals if the hardening of the copper is unknown.
+
+    Parameters
+    ----------
+    intervals : of numbers, by name
+    names : of numbers that depend on unloading, or the beginnings of their names
+    """
+    max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
+    positive = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
+    for name, interval in intervals.items():
+        if name.startswith(positive) and interval.upper > max_ratio * interval.lower:
+            low, high = interval.lower, interval.upper
+            reason = Reason.of("mechanics.studies.share_unknown", low=low, high=high)
+            yield Doubt(reason, (name,))
 
 
 def _list_released_numbers(prepared: PreparedLine) -> tuple[str, ...]:
@@ -597,9 +631,11 @@ def _yield_numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
                 f"from its place in step {boundary.release - 1}, the last one before the release"
             )
             yield number(f"{SPRINGBACK}{boundary.name}", "m", remark)
-    residual = compute_residual_curvature(path.last, line.section.law)
+    law = line.section.law
+    residual = compute_residual_curvature(path.last, law)
     node = int(np.argmax(residual))
-    remark = f"{place(node)}; if released, by Masing's rule" if residual[node] else ""
+    rule = "" if law.growing else ", by Masing's rule"
+    remark = f"{place(node)}; if released{rule}" if residual[node] else ""
     yield number(RESIDUAL, "1/m", remark)
     yield number(ENERGY_LOST, "J", "in bending, since the start")
 

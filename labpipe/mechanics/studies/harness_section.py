@@ -19,6 +19,7 @@ from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     build_calibrated_distributions,
     build_stated_distribution,
+    build_uniform_distribution,
     join_distributions,
 )
 from labpipe.mechanics.rod.line import Section
@@ -26,9 +27,11 @@ from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_cali
 from labpipe.mechanics.studies.harness_line import FREE_CURVATURES
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.law_family import (
+    ISOTROPIC_SHARE,
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
+    UNKNOWN_SHARE,
     LawFamily,
     family_of,
     with_values,
@@ -45,6 +48,10 @@ DEFAULT_SHEET = "wires.xlsx"
 _INSULATION_LIMIT = "the straight line of its insulation"
 
 
+SectionAt = Callable[[Mapping[str, float]], Section]
+"""Section as a function of named inputs."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
     """Material of a line.
@@ -56,6 +63,7 @@ class Material:
         function for each solution of a calibration, the best first
     limit : 1/m, largest curvature for which the law is supported
     limit_source : what sets this limit
+    has_unknown_share : whether the isotropic share of the strands is unknown and varied in a range
     stretch_limit : largest strain along the line for which its axial stiffness is supported
     files : from which it was read
     notes : quality notes of the law
@@ -64,13 +72,14 @@ class Material:
     """
 
     name: str
-    sections: tuple[Callable[[Mapping[str, float]], Section], ...]
+    sections: tuple[SectionAt, ...]
     limit: float
     limit_source: str
     files: tuple[InputFile, ...] = ()
     notes: tuple[QualityNote, ...] = ()
     distributions: tuple[InputDistribution, ...] = ()
     stretch_limit: float = np.inf
+    has_unknown_share: bool = False
 
     @property
     def diameter(self) -> float:
@@ -78,9 +87,31 @@ class Material:
         return self.sections[0](self.best).diameter
 
     @property
+    def knows_only_share(self) -> bool:
+        """Return whether no input but the isotropic share has a distribution."""
+        names = {name for distribution in self.distributions for name in distribution.names}
+        return names == {ISOTROPIC_SHARE}
+
+    @property
     def best(self) -> Mapping[str, float]:
         """Return the best inputs."""
         return self.distributions[0].inputs() if self.distributions else {}
+
+
+def fix_inputs(material: Material) -> Material:
+    """Return a material at its best inputs, without distributions.
+
+    Parameters
+    ----------
+    material : of a line
+    """
+    best = material.best
+
+    def fix(section: SectionAt) -> SectionAt:
+        return lambda _: section(best)
+
+    sections = tuple(map(fix, material.sections))
+    return replace(material, sections=sections, distributions=())
 
 
 def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
@@ -191,13 +222,27 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         *(limits[source], source),
         files=tuple(files),
         notes=table.notes,
-        distributions=()
-        if calibrated is None
-        else build_calibrated_distributions(
-            calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
-        ),
+        distributions=_build_distributions(spec, calibrated),
+        has_unknown_share=spec.isotropic_share is None,
         stretch_limit=1e-3,  # copper yields beyond it
     )
+
+
+def _build_distributions(
+    spec: WireSpec, calibrated: CalibratedFile | None
+) -> tuple[InputDistribution, ...]:
+    """Return the distributions of a calibration, joined with that of an unknown isotropic share."""
+    distributions: tuple[InputDistribution, ...] = ()
+    if calibrated is not None:
+        distributions = build_calibrated_distributions(
+            calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
+        )
+    if spec.isotropic_share is not None:
+        return distributions
+    share = build_uniform_distribution(
+        ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause="hardening of the copper"
+    )
+    return tuple(join_distributions([other, share]) for other in distributions) or (share,)
 
 
 def _build_solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:

@@ -35,6 +35,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     build_results,
     check_elements,
     check_jumps,
+    check_share,
     check_unloading,
     collect_fields,
     compute_numbers,
@@ -44,8 +45,9 @@ from labpipe.mechanics.studies.harness_numbers import (
     find_reasons,
     find_sharpest_bend,
     list_numbers,
+    list_unloading_numbers,
 )
-from labpipe.mechanics.studies.harness_section import Material
+from labpipe.mechanics.studies.harness_section import Material, fix_inputs
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
@@ -167,7 +169,14 @@ def solve_harness(
         line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
         coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
         half = prepare_line(coarse, section(material.best), material.best)
+        names = list_unloading_numbers(path, prepared)
         doubts = _collect_doubts(path, prepared, half, intervals)
+        if material.has_unknown_share:
+            doubts += check_share(intervals, names)
+        if material.knows_only_share:
+            intervals = {
+                name: interval for name, interval in intervals.items() if name.startswith(names)
+            }
         results = build_results(compute_numbers(path, prepared), reasons, intervals, doubts)
     limit = find_bend_limit(harness, material)
     return FollowedHarness(
@@ -222,7 +231,10 @@ def solve_sweep_length(
     if length != stated.harness.line.length:
         line = stated.harness.line.model_copy(update={"length": length})
         harness = stated.harness.model_copy(update={"line": line, "show": ()})
-        other = solve_harness(harness, stated.file, stated.material, stated.folder, on_step)
+        material = stated.material
+        if material.knows_only_share:  # shapes of a sweep hardly depend on it
+            material = fix_inputs(material)
+        other = solve_harness(harness, stated.file, material, stated.folder, on_step)
     if other.status is Status.FAILED:
         return other
     listed = [

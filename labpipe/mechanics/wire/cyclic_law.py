@@ -14,6 +14,7 @@ from labpipe.mechanics.law.plays import PlayLaw, first_curvature
 from labpipe.mechanics.wire.bending_law import play_law, sum_strand_moments
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.friction import Contacts
+from labpipe.records.arrays import Floats
 
 LOOP_RANGE = 8.0
 """Curvature that strands slide in loops, as a multiple of the range of the law."""
@@ -55,11 +56,25 @@ def cyclic_law(
     )
     if isotropic_share == 0.0:
         return plays
-    moment = np.append(plays.half_widths, plays.largest_moment)
-    curvature = first_curvature(plays, moment)
+    curvature = first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
+    return mix_hardening(plays, *continue_strands(section, curvature), isotropic_share)
+
+
+def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
+    """Compute the moments of the strands about their own axes, for loops beyond a range, too.
+
+    Parameters
+    ----------
+    section : with the materials of its strands
+    curvature : shape (n,), 1/m, positive, increasing: of the range
+
+    Returns
+    -------
+    Curvatures, of which the first are those given and the others reach eight times the range, or as
+    far as the materials are known; and moments, N m.
+    """
     known = min(2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers)
-    last = max(curvature[-1], min(LOOP_RANGE * curvature[-1], (1.0 - 1e-9) * known))
-    further = np.geomspace(curvature[-1], last, 41)[1:] if last > curvature[-1] else np.zeros(0)
-    bent = np.append(curvature, further)
-    _, strands, _ = sum_strand_moments(section, bent)
-    return mix_hardening(plays, bent, strands, isotropic_share)
+    last = min(LOOP_RANGE * curvature[-1], (1.0 - 1e-9) * known)
+    if last > curvature[-1]:
+        curvature = np.append(curvature, np.geomspace(curvature[-1], last, 41)[1:])
+    return curvature, sum_strand_moments(section, curvature)[1]
