@@ -19,7 +19,7 @@ from labpipe.mechanics.studies.calibration_study import (
 from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.validation import (
-    build_wire,
+    build_sheet_wire,
     choose_wire,
     compare_tests,
     drop_copies,
@@ -358,13 +358,13 @@ def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
     assert choose_wire(a2, wire_plan(), None) == "A2"
     assert choose_wire(both, wire_plan("A1"), None) == "A1"
     require_wires(a2, {"A2": spec}, SHEET_PATH)
-    assert len(build_wire(spec, SHEET_PATH).section.layers) == 2
+    assert len(build_sheet_wire(spec, SHEET_PATH).section.layers) == 2
     thin = replace(spec, wire_diameter=0.5 * spec.wire_diameter)
     calls: list[Callable[[], object]] = [
         lambda: choose_wire(both, wire_plan(), None),
         lambda: choose_wire(a2, wire_plan("A3"), None),
         lambda: require_wires(both, {"A2": spec}, SHEET_PATH),
-        lambda: build_wire(thin, SHEET_PATH),
+        lambda: build_sheet_wire(thin, SHEET_PATH),
     ]
     messages = []
     for call in calls:

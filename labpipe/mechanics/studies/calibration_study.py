@@ -21,7 +21,7 @@ from labpipe.mechanics.studies.first_loadings import (
     set_self_weight,
 )
 from labpipe.mechanics.studies.validation import (
-    build_wire,
+    build_sheet_wire,
     choose_wire,
     compare_shapes,
     compare_tests,
@@ -137,7 +137,7 @@ def calibrate_tests(
     require_wires(loadings, specs, wires)
     tested = {loading.curve.wire for loading in loadings}
     wires_needed = sorted(tested | {curve.wire for curve in curves})
-    built = {wire: build_wire(specs[wire], wires) for wire in wires_needed}
+    built = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
     unweighted = [loading for loading in loadings if loading.curve.wire == name]
     weight = note_sheet_weight(unweighted, built[name].self_weight)
     loadings = [
@@ -166,7 +166,7 @@ def calibrate_tests(
         stress_tables=sheet.curves[name],
     )
     if figures:
-        wire = build_wire(apply_calibration(specs[name], calibration), wires)
+        wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
         done = replace(done, shapes=_compare_shapes(calibrating[0], wire))
     calibrated = [apply_calibration(specs[test], calibration) for test in sorted(tested)]
     return replace(done, files=_write(done, calibrated, say, figures=figures, png=png))

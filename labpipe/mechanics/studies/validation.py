@@ -229,7 +229,7 @@ def require_wires(
         )
 
 
-def build_wire(spec: WireSpec, wires: Path) -> Wire:
+def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
     """Build a wire of the sheet.
 
     Parameters
