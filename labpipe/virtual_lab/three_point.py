@@ -37,7 +37,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from labpipe.mechanics.law.plays import MomentLaw, respond, unbent_plays
+from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import NONE
@@ -364,7 +364,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     half = HalfBundle(test, test.bundle.law(), arc_length)
-    rest = half.release(unbent_plays(half.law, test.n_stations))
+    rest = half.release(make_unbent_plays(half.law, test.n_stations))
     loading = [rest, *_solve_branch(half, rest, test.stroke, is_unloading=False)]
     unloading = [loading[-1], *_solve_branch(half, loading[-1], 0.0, is_unloading=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))

@@ -17,13 +17,13 @@ from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.bundle_friction import fit_friction
-from labpipe.mechanics.wire.bundle_model import bundle_model, share_of_bounds
+from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
 from labpipe.mechanics.wire.bundle_packing import (
     WANTED_FRACTION,
-    bore_for,
     choose_bore,
-    fits,
-    packing_fraction,
+    compute_bore,
+    compute_packing_fraction,
+    fits_bore,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.messages import format_sentence
@@ -72,7 +72,7 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
     Notes
     -----
     The share is 0 where all wires and all strands slip, and 1 where nothing slips; see
-    `share_of_bounds`.
+    `compute_bounds_share`.
     """
     with_bundles = [group for group in groups if _list_bundles(group)]
     bundles = dict.fromkeys(chain.from_iterable(map(_list_bundles, with_bundles)))
@@ -116,7 +116,7 @@ def _model_bounds(
     if reasons:
         return reasons
     try:
-        return bundle_model(bundle, tables)
+        return compute_bundle_model(bundle, tables)
     except ValueError as error:
         return (Reason.of("mechanics.studies.no_model", error=error),)
 
@@ -157,7 +157,7 @@ def _add_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
         return place
     if not model.high > model.low:
         return replace(place, reasons=(Reason.of("mechanics.studies.one_bound"),))
-    share = partial(share_of_bounds, low=model.low, high=model.high)
+    share = partial(compute_bounds_share, low=model.low, high=model.high)
     interval = place.interval
     if interval is not None:
         interval = Interval(share(interval.lower), share(interval.upper), interval.level)
@@ -259,7 +259,9 @@ def model_bundle(
     tables = _read_tables(bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
     try:
-        model = _choose_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
+        model = _choose_conduit(
+            compute_bundle_model(replace(bundle, conduit_bore=None), tables), offered
+        )
     except ValueError as error:
         raise ProcessingError.about(
             "mechanics.studies.wires_do_not_fit", target, error=error
@@ -267,10 +269,12 @@ def model_bundle(
     folder = Path("processed/bundles") / _UNSAFE_CHARACTERS.sub("-", name) if out is None else out
     diameters = model.layout.diameter
     conduits = [
-        Conduit(bore, packing_fraction(diameters, bore), fits(model.smallest_bore, bore))
+        Conduit(
+            bore, compute_packing_fraction(diameters, bore), fits_bore(model.smallest_bore, bore)
+        )
         for bore in offered
     ]
-    modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
+    modelled = ModelledBundle(name, model, tuple(conduits), compute_bore(diameters), folder)
     if test is not None:
         laws = [tables[wire.type] for wire in bundle.wires]
         try:
@@ -331,7 +335,7 @@ def _choose_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel
     diameters = model.layout.diameter
     bore = choose_bore(diameters, offered, smallest=model.smallest_bore)
     bundle = replace(model.bundle, conduit_bore=bore)
-    return replace(model, bundle=bundle, packing_fraction=packing_fraction(diameters, bore))
+    return replace(model, bundle=bundle, packing_fraction=compute_packing_fraction(diameters, bore))
 
 
 def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBundle:
