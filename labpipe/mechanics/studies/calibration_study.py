@@ -33,8 +33,8 @@ from labpipe.mechanics.studies.validation import (
 )
 from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wires
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
-from labpipe.mechanics.wire.calibration.prediction import tested_curvature
-from labpipe.mechanics.wire.law_family import with_values
+from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
+from labpipe.mechanics.wire.law_family import apply_values
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
@@ -150,7 +150,7 @@ def calibrate_tests(
     tables = [curve.table for curve in sheet.curves[name].values()]
     calibration = _calibration(built[name], calibrating, settings, tables)
     measured = [loading.curve for loading in calibrating]
-    reach = tested_curvature(built[name], calibration.solutions[0].values, measured)
+    reach = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
     notes = (weight, *insulation_notes(calibration, built, specs, loadings))
     groups = compare(calibration, built, loadings)
     notes = (*notes, *misfit_notes(groups))
@@ -186,7 +186,7 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
     -------
     The wire; its radial force belongs to its friction coefficients.
     """
-    return with_values(
+    return apply_values(
         spec, {parameter.name: parameter.value for parameter in calibration.parameters}
     )
 
