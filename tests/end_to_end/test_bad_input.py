@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.tensile import twist_tube
+from labpipe.virtual_lab.tensile import build_twist_tube
 from tests.approved import Approve
 from tests.builders.bad_input import refused, told
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
@@ -42,7 +42,7 @@ def pulled(tmp_path_factory: pytest.TempPathFactory) -> TensileLab:
     """A twist tube with earlier results; not to be changed."""
     from labpipe.process.run import process_test
 
-    lab = make_tensile(tmp_path_factory.mktemp("done"), twist_tube("1b"))
+    lab = make_tensile(tmp_path_factory.mktemp("done"), build_twist_tube("1b"))
     process_test(lab.sheet, figures=False)
     assert len(state(lab.home / "processed")) == 2
     return lab
