@@ -173,46 +173,25 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
     }
 
 
-<<<<<<< HEAD
-def _gaps(track: Floats) -> dict[str, Any]:
-    max_ranges = 100  # the count in the output is of all gaps
-    missing = find_blank_frames(track)
-=======
 def _describe_gaps(track: Floats) -> dict[str, Any]:
     max_ranges = 100  # listed; the count includes all gaps
-    missing = blank(track)
->>>>>>> main
+    missing = find_blank_frames(track)
     gaps = find_runs(missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
-    return {
-        "count": len(gaps),
-        "longest": find_longest_stretch(missing),
-        "ranges": ranges,
-    }
+    return {"count": len(gaps), "longest": find_longest_stretch(missing), "ranges": ranges}
 
 
-<<<<<<< HEAD
-def _frozen(track: Floats) -> dict[str, int]:
-    still = find_unchanged_steps(track)
-    return {"steps": int(still.sum()), "longest": find_longest_stretch(still)}
-=======
 def _count_unchanged(track: Floats) -> dict[str, int]:
-    is_unchanged = unchanged(track)
-    return {"steps": int(is_unchanged.sum()), "longest": longest(is_unchanged)}
->>>>>>> main
+    is_unchanged = find_unchanged_steps(track)
+    return {"steps": int(is_unchanged.sum()), "longest": find_longest_stretch(is_unchanged)}
 
 
 def _describe_body(body: RigidBody) -> dict[str, Any]:
     frozen = _count_unchanged(body.position)
     return {
         "name": body.name,
-<<<<<<< HEAD
         "missing": int(find_blank_frames(body.position).sum()),
-        "gaps": _gaps(body.position),
-=======
-        "missing": int(blank(body.position).sum()),
         "gaps": _describe_gaps(body.position),
->>>>>>> main
         "frozen_steps": frozen["steps"],
         "longest_frozen_run": frozen["longest"],
         "has_rotation": bool(np.isfinite(body.rotation).any()),
