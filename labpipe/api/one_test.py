@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from labpipe.api.data_frames import (
-    PARTS,
     Recordings,
     Units,
     make_budget_frame,
     make_curve_frame,
-    make_dataset,
     make_quality_frame,
     make_results_frame,
     make_shape_frame,
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
     import datetime
 
     import pandas as pd
-    from xarray import Dataset
 
     from labpipe.records.result import Instrument, Result, Specimen
     from labpipe.report.figures import Figure
@@ -223,28 +220,6 @@ class Test:
         if name not in FIGURES:
             raise self._unknown("figure", name, list(FIGURES))
         return draw_figure(self._full, name)
-
-    def dataset(self, part: str) -> Dataset:
-        """Return a part of the test as an xarray Dataset with axes and units, in SI.
-
-        Parameters
-        ----------
-        part : ``curve``, ``aligned``, ``shape``, ``bending``, ``law`` or the role of a recording
-
-        Raises
-        ------
-        UsageError
-            If xarray is not installed, or there is no such part.
-        ProcessingError
-            If the test does not have it.
-        """
-        parts = [*PARTS, *self._full.recordings]
-        if part not in parts:
-            raise self._unknown("part", part, parts)
-        dataset = make_dataset(self._full, part)
-        if dataset is None:
-            raise self._missing(part)
-        return dataset
 
     def __repr__(self) -> str:
         return f"<labpipe test {self.name} ({self.protocol}): {self._status_counts}>"
