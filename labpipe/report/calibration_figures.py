@@ -487,32 +487,31 @@ def _plot_group(group: ValidationGroup, axes: Axes) -> None:
     if group.prediction is not None:
         _draw_prediction(group.prediction, group.is_sure, axes)
     axes.text(
-        0.03, 0.98, describe_agreement(group), transform=axes.transAxes, va="top", zorder=6,
+        0.03, 0.98, _wrap(describe_agreement(group)), transform=axes.transAxes, va="top", zorder=6,
         linespacing=1.25,
     )  # fmt: skip
     _set_force_axes(axes, lowest=_lowest(group), headroom=_HEADROOM)
 
 
-def describe_agreement(group: ValidationGroup) -> str:
-    """Describe in a few lines how well the model agrees with a group.
+def describe_agreement(group: ValidationGroup) -> list[str]:
+    """Describe in a few texts how well the model agrees with a group.
 
     Parameters
     ----------
-    group : without a prediction, the lines give the reason
+    group : without a prediction, the texts give the reason
     """
     lines = [write_count(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
         lines[0] += ", no band of the mean"
     errors = group.errors
     if errors is None:
-        why = f"No prediction. {join_sentences([group.reason])}".strip()
-        return "\n".join([*lines, *textwrap.wrap(why, 48)])
+        return [*lines, f"No prediction. {join_sentences([group.reason])}".strip()]
     rmse = SMALL_FORCE.factor * errors.rmse
     share = write_percent(errors.rmse_share)
     lines.append(f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {share} of the largest force")
     if math.isfinite(errors.inside):
         lines.append(f"{write_percent(errors.inside)} of the points inside the band")
-    return "\n".join(lines)
+    return lines
 
 
 def _draw_measured(band: Band, axes: Axes) -> None:
@@ -676,7 +675,7 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
     ]
     extra_rows = max(0, _key_rows(panel) - _FREE_KEY_ROWS)
     _set_force_axes(axes, headroom=_HEADROOM + 0.06 * extra_rows)
-    labels = list(map(describe_match, panel.comparisons))
+    labels = [_wrap(describe_match(comparison)) for comparison in panel.comparisons]
     # `axes.legend` would take the labels of the other lines out of the key of the page
     key = Legend(axes, lines, labels, loc="upper left", handlelength=2.2, borderaxespad=0.4)
     axes.add_artist(key)
@@ -684,7 +683,8 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
 
 def _key_rows(panel: ExternalPanel) -> int:
     """Count the lines of text in the key of a panel."""
-    return sum(1 + describe_match(comparison).count("\n") for comparison in panel.comparisons)
+    labels = (_wrap(describe_match(comparison)) for comparison in panel.comparisons)
+    return sum(1 + label.count("\n") for label in labels)
 
 
 def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
@@ -702,16 +702,21 @@ def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axe
     return line
 
 
-def describe_match(comparison: ExternalCurveComparison) -> str:
+def _wrap(texts: Sequence[str]) -> str:
+    max_length = 48
+    return "\n".join(line for text in texts for line in textwrap.wrap(text, max_length))
+
+
+def describe_match(comparison: ExternalCurveComparison) -> list[str]:
     """Name an external curve and write its RMSE against the tests and the model.
 
     Parameters
     ----------
     comparison : with tests and model
     """
-    lines, tests = textwrap.wrap(comparison.curve.name, 44), comparison.tests
-    lines.append("no tests to compare" if tests is None else _describe_rmse("tests", tests))
-    return "\n".join([*lines, _describe_rmse("model", comparison.model)])
+    tests = comparison.tests
+    by_tests = "no tests to compare" if tests is None else _describe_rmse("tests", tests)
+    return [comparison.curve.name, by_tests, _describe_rmse("model", comparison.model)]
 
 
 def _describe_rmse(other: str, match: CurveMatch) -> str:
