@@ -29,7 +29,6 @@ from labpipe.report.wording import (
     round_to_place,
     typeset_unit,
     write_footnote,
-    write_group_title,
     write_label,
     write_number,
     write_title,
@@ -118,14 +117,13 @@ def write_half_width(interval: Interval | None, scale: Scale) -> str:
     return f"\u00b1 {text} {typeset_unit(scale.unit)}".strip()
 
 
-def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
+def plot_bars(bars: Sequence[Bar], axes: Axes) -> None:
     """Draw bars of shares, the first on top.
 
     Parameters
     ----------
     bars : a bar without shares leaves its row empty
     axes : to draw on; causes that all tests of a rig share are hatched
-    of : name of the quantity of which the shares are
     """
     min_labelled_share = 0.10  # smallest share of a bar that has room for its number
     bar_height = 0.74  # share of the row
@@ -153,7 +151,7 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes.set_ylim(len(bars) - 0.5, -0.5)
     axes.set_xlim(0.0, 100.0)
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel(f"Share of the {of} (%)")
+    axes.set_xlabel("Share of the variance (%)")
 
 
 def _write_share(axes: Axes, middle: float, height: float, share: float, cause: str) -> None:
@@ -242,22 +240,3 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
             shares = budget.of_mean if of_means else budget.of_tests
             bars.append(Bar(_bar_name(number.name), shares, write_half_width(interval, scale)))
     return bars[:MAX_BARS]
-
-
-def draw_group_budgets(group: Group) -> Figure:
-    """Draw the budgets of the intervals of a group's tests and of its means.
-
-    Parameters
-    ----------
-    group : with a bar by `make_group_bars`
-    """
-    drawn = {"One test: median shares": (make_group_bars(group, of_means=False), "variance")}
-    means = make_group_bars(group, of_means=True)
-    if any(bar.shares for bar in means):
-        drawn["Mean of the group"] = (means, "squared half width")
-    page = make_page(height_mm=len(drawn) * (_FRAME_MM - 4.0 + _ROW_MM * len(means)))
-    panels = page.subplots(len(drawn), squeeze=False).ravel()
-    for axes, (heading, (bars, of)) in zip(panels, drawn.items(), strict=True):
-        plot_bars(bars, axes, of=of)
-        axes.set_title(heading, loc="left")
-    return _with_side_margins(add_title(page, write_group_title(group)))

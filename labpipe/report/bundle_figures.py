@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from functools import partial
 from math import isnan, nan
 from typing import TYPE_CHECKING
 
@@ -16,13 +14,9 @@ from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
-    GREY,
-    FigureToSave,
     add_title,
-    label_log_axis,
     make_page,
     read_look,
-    split_pages,
 )
 from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import Cell, Table
@@ -96,92 +90,6 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
         Cell(high, "" if smallest == largest else f"{smallest} to {largest}"),
         Cell(share if isnan(place.share) else f"{share} %", join_sentences(place.reasons)),
     )
-
-
-MAX_ROWS = 36
-"""Rows in one figure."""
-
-
-def list_place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
-    """List the figures of measured bending stiffnesses between their bounds.
-
-    Parameters
-    ----------
-    campaign : with its places between the bounds
-
-    Yields
-    ------
-    Figures of up to `MAX_ROWS` rows; none without places.
-    """
-    scales = choose_place_units(campaign)
-    parts, caption = (
-        split_pages(campaign.places, MAX_ROWS),
-        format_sentence("report.bundle_caption"),
-    )
-    for at, part in enumerate(parts, start=1):
-        name = "between-slipping-and-sticking" + (f"-{at}" if len(parts) > 1 else "")
-        scale = scales[part[0].group]
-        groups = ", ".join(dict.fromkeys(place.group for place in part))
-        alt = f"Bending stiffness between all slipping and nothing slipping: {groups}."
-        yield FigureToSave(name, partial(draw_places, part, scale), caption, alt)
-
-
-def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
-    """Draw measured bending stiffnesses, each on the bar between its bounds, on a logarithmic axis.
-
-    Parameters
-    ----------
-    places : rows from the top
-    scale : display unit of bending stiffness
-    """
-    row_mm, rest_mm, width_mm = 4.2, 16.0, 150.0
-    page = make_page(height_mm=rest_mm + row_mm * len(places), width_mm=width_mm)
-    axes = page.subplots()
-    axes.set_xscale("log")
-    axes.set_xlim(*_ends(places, scale.factor))
-    for row, place in enumerate(places):
-        _plot_bounds_of_row(place, row, scale.factor, axes)
-        _plot_value(place, row, scale.factor, axes)
-    names = [place.test or f"mean of {place.group}" for place in places]
-    axes.set_yticks(range(len(places)), names)
-    axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.set_xlabel(scale.label("Bending stiffness"))
-    label_log_axis(axes.xaxis)
-    return add_title(page, "Between slipping and sticking  \u00b7  bundle model")
-
-
-def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
-    """Return the ends of the axis, from all positive bounds, values and upper interval ends."""
-    every = [ei for place in places for ei in (place.low, place.high, place.value or 0.0)]
-    every += [place.interval.upper for place in places if place.interval is not None]
-    values = [factor * ei for ei in every if ei > 0.0] or [1.0, 10.0]  # not NaN either
-    return 0.7 * min(values), 1.4 * max(values)
-
-
-def _plot_bounds_of_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
-    if isnan(place.low):
-        return
-    ends = [factor * place.low, factor * place.high]
-    axes.plot(ends, [row, row], **read_look("bounds_of_bundle"))
-    axes.plot([factor * place.free], [row], **read_look("slipping_wires"))
-
-
-def _plot_value(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
-    """Draw the measured stiffness with its interval, and write why it has no bounds."""
-    max_reason_length = 88
-    look = read_look("bundle_sample" if place.test else "bundle_mean")
-    if place.value is not None and place.value > 0.0:
-        if place.interval is not None:
-            left = axes.get_xlim()[0]
-            ends = [max(factor * place.interval.lower, left), factor * place.interval.upper]
-            axes.plot(ends, [row, row], color=look["color"], linewidth=1.0, zorder=2)
-        axes.plot([factor * place.value], [row], **look)
-    why = join_sentences(place.reasons)
-    if why:
-        text = why if len(why) <= max_reason_length else f"{why[:max_reason_length]}\u2026"
-        axes.text(0.99, row, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
-                  size=6, color=GREY)  # fmt: skip
 
 
 FIGURE, LOOP_FIGURE = "bundle", "bundle-loop"

@@ -21,7 +21,7 @@ from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
-from labpipe.report.bundle_figures import has_bundles, list_place_figures, make_place_table
+from labpipe.report.bundle_figures import has_bundles, make_place_table
 from labpipe.report.comparisons import (
     Pair,
     describe_context,
@@ -700,7 +700,7 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
 
 
 def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path]:
-    """Write the figures of each group, of comparisons and of bundles, each at least as SVG."""
+    """Write the figures of each group, and of comparisons, each at least as SVG."""
     if not extras.formats:
         return []
     names = make_stems(group.name for group in campaign.groups)
@@ -710,7 +710,6 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
         for drawing in list_group_figures(group)
     ]
     wanted += list_family_figures(campaign)
-    wanted += list_place_figures(campaign)
     return save_pages(
         wanted,
         folder,

@@ -231,4 +231,4 @@ def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
     ]
     curves = [external_comparison("n" * 40), external_comparison(), untested(), unmodelled()]
     compared = format_calibration(replace(done, comparisons=tuple(curves))).splitlines()
-    approved([*lines, *compared[-len(curves) * 2 - 4 :]])
+    approved([*lines, *compared[-9:]])
