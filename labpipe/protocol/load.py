@@ -1,4 +1,4 @@
-"""From YAML to a protocol or a test sheet and back; all faults are in one error."""
+"""Loading of YAML files: protocols, test sheets, plans and harnesses; one error has all faults."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 
 
 def list_protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
-    """List the folders that hold protocols, in the order in which they are searched.
+    """List the existing folders of protocols in the order of the search.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def list_protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
 
     Returns
     -------
-    The lab's folder, and that of labpipe, as far as they exist.
+    The lab's folder, then the shipped one.
     """
     lab_folder = Path("protocols") if protocols is None else protocols
     folders = (find_shipped_folder("protocols"), lab_folder)
@@ -60,7 +60,7 @@ def list_protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
 
 
 def find_shipped_folder(name: str) -> Path:
-    """Find a folder of files that come with labpipe.
+    """Find a folder of files that are shipped with labpipe.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def find_shipped_folder(name: str) -> Path:
 
     Returns
     -------
-    The folder: inside the package where that was installed, else beside it in the checkout.
+    The folder: in the installed package, or beside the package in a checkout.
     """
     package = Path(__file__).resolve().parents[1]
     installed = package / "shipped" / name
@@ -76,18 +76,18 @@ def find_shipped_folder(name: str) -> Path:
 
 
 def list_protocols(protocols: Path | None = None) -> dict[str, Path]:
-    """List the protocols that can be named, with their files.
+    """List the files of all protocols by name; a lab's protocol replaces a shipped one.
 
     Parameters
     ----------
     protocols : as for `list_protocol_folders`
     """
-    list_protocols: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for folder in list_protocol_folders(protocols):
         for path in sorted(folder.iterdir()):
             if path.suffix in _SUFFIXES:
-                list_protocols.setdefault(path.stem, path)
-    return list_protocols
+                files.setdefault(path.stem, path)
+    return files
 
 
 def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -> Path | Fault:
@@ -95,13 +95,13 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
 
     Parameters
     ----------
-    wanted : its name, or a path: beside the test sheet, or else from the working folder
+    wanted : its name, or its path: in the folder of the test sheet, or else in the working folder
     beside : folder of the test sheet
     protocols : as for `list_protocol_folders`
 
     Returns
     -------
-    The file, or what is wrong with the key ``protocol`` of the sheet.
+    The file, or the fault of the key ``protocol`` of the sheet.
     """
     if wanted.endswith(_SUFFIXES) or "/" in wanted or "\\" in wanted:
         places = [beside / wanted, Path(wanted)]
@@ -117,7 +117,7 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
 
 
 def path_exists(path: Path) -> bool:
-    """Check whether there is a file or a folder of a name, which the system may refuse."""
+    """Return whether a file or folder exists; False for names that the system refuses."""
     try:
         return path.exists()
     except OSError:  # a name that is too long
@@ -128,7 +128,7 @@ _B = TypeVar("_B", bound=Block)
 
 
 def load_protocol(path: Path) -> Protocol:
-    """Read a protocol.
+    """Load a protocol.
 
     Parameters
     ----------
@@ -136,39 +136,39 @@ def load_protocol(path: Path) -> Protocol:
 
     Returns
     -------
-    The protocol, defaults filled in.
+    The protocol with defaults.
 
     Raises
     ------
     ProtocolError
-        If anything is wrong with it; the message has one line per fault.
+        If the file cannot be read or is invalid; the message has one line per fault.
     """
     return parse_protocol(read_text(path), str(path))
 
 
 def parse_protocol(text: str, name: str) -> Protocol:
-    """Read a protocol from text, such as the one that a result file holds.
+    """Parse a protocol from text, such as that in a result file.
 
     Parameters
     ----------
     text : YAML
-    name : where it comes from, as in messages
+    name : of the file, for messages
 
     Returns
     -------
-    The protocol, defaults filled in.
+    The protocol with defaults.
 
     Raises
     ------
     ProtocolError
-        If anything is wrong with it; the message has one line per fault.
+        If it is invalid; the message has one line per fault.
     """
-    return _sound_protocol(text) or validate_document(Protocol, parse_yaml(text, name))
+    return _parse_valid_protocol(text) or validate_document(Protocol, parse_yaml(text, name))
 
 
 @lru_cache(maxsize=64)
-def _sound_protocol(text: str) -> Protocol | None:
-    """Read a protocol once for all results that hold it; None if anything is wrong with it."""
+def _parse_valid_protocol(text: str) -> Protocol | None:
+    """Parse a protocol, cached for all its tests and results; None if it is invalid."""
     try:
         return validate_document(Protocol, parse_yaml(text, ""))
     except ProtocolError:
@@ -176,7 +176,7 @@ def _sound_protocol(text: str) -> Protocol | None:
 
 
 def load_test_sheet(path: Path) -> TestSheet:
-    """Read a test sheet; whether its exports are links out of its folder, `resolve` looks.
+    """Load a test sheet. `resolve` checks whether its exports are links out of its folder.
 
     Parameters
     ----------
@@ -189,13 +189,13 @@ def load_test_sheet(path: Path) -> TestSheet:
     Raises
     ------
     ProtocolError
-        If anything is wrong with it; the message has one line per fault.
+        If it is invalid; the message has one line per fault.
     """
     return validate_document(TestSheet, parse_yaml(read_text(path), str(path)))
 
 
 def load_calibration_plan(path: Path) -> CalibrationPlan:
-    """Read what is asked of a calibration.
+    """Load the plan of a calibration.
 
     Parameters
     ----------
@@ -203,20 +203,20 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
 
     Returns
     -------
-    The plan, defaults filled in.
+    The plan with defaults.
 
     Raises
     ------
     ProtocolError
-        If anything is wrong with it; the message has one line per fault.
+        If it is invalid; the message has one line per fault.
     """
-    from labpipe.protocol.plans import CalibrationPlan  # tests do without it
+    from labpipe.protocol.plans import CalibrationPlan  # imported on use: most commands need none
 
     return validate_document(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
 def load_campaign_plan(path: Path) -> CampaignPlan:
-    """Read how exports become the tests of a campaign.
+    """Load the plan of a campaign.
 
     Parameters
     ----------
@@ -224,20 +224,20 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
 
     Returns
     -------
-    The plan, defaults filled in.
+    The plan with defaults.
 
     Raises
     ------
     ProtocolError
-        If anything is wrong with it; the message has one line per fault.
+        If it is invalid; the message has one line per fault.
     """
-    from labpipe.protocol.plans import CampaignPlan  # tests do without it
+    from labpipe.protocol.plans import CampaignPlan  # imported on use: most commands need none
 
     return validate_document(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
 
 def load_harness(path: Path) -> HarnessFile:
-    """Read a harness: one line between its boundaries.
+    """Load a harness.
 
     Parameters
     ----------
@@ -245,13 +245,13 @@ def load_harness(path: Path) -> HarnessFile:
 
     Returns
     -------
-    The harness, defaults filled in; its line is long enough for its boundaries.
+    The harness with defaults; its line is long enough for its boundaries.
 
     Raises
     ------
     ProtocolError
-        If anything is wrong with it, or a file that it names is not there; the message has one line
-        per fault.
+        If it is invalid, or a file that it names does not exist; the message has one line per
+        fault.
     """
     from labpipe.protocol.harness_file import (
         HarnessFile,
@@ -274,27 +274,27 @@ def resolve(
     *,
     follow_links: bool = False,
 ) -> Protocol:
-    """Find the protocol of a test and put the test's own values into it.
+    """Find the protocol of a test and apply the test sheet to it.
 
     Parameters
     ----------
     sheet : the test sheet
-    sheet_path : the file that it was loaded from
+    sheet_path : its file
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
-    follow_links : whether exports may be links out of the folder of the test, whatever the
-        protocol says
+    follow_links : whether exports may be links out of the folder of the test, even if the protocol
+        does not allow them
 
     Returns
     -------
-    The protocol, with defaults, overrides and the specimen's dimensions filled in, and without what
-    an optional export would have made that the test lacks.
+    The protocol with defaults, the overrides and the dimensions of the specimen, and without steps
+    and results that need an absent optional export.
 
     Raises
     ------
     ProtocolError
-        If there is no such protocol, it is wrong, an override does not fit it, the roles of the
-        files are not those of its sources, or an export is a link that may not be followed; the
-        message has one line per fault.
+        If the protocol does not exist or is invalid, an override does not fit it, the roles of the
+        files are not those of its sources, or an export is a link that is not allowed; the message
+        has one line per fault.
     """
     sheet_document = parse_yaml(read_text(sheet_path), str(sheet_path))
     protocol_file = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
@@ -305,17 +305,19 @@ def resolve(
     apply_overrides(merged, sheet_document)
     followed = follow_links or allows_links(plain)
     sheet_faults = [
-        *_role_faults(sheet, merged.block),
+        *_find_role_faults(sheet, merged.block),
         *find_link_faults(sheet, sheet_path.parent, followed=followed),
-        *_implausible_sizes(sheet, sheet_document, merged.block),
+        *_find_implausible_sizes(sheet, sheet_document, merged.block),
     ]
     placed = [*merged.faults, *map(sheet_document.place, sheet_faults)]
     protocol = Protocol.read(merged.data)
     if isinstance(protocol, list):
-        is_sound = isinstance(Protocol.read(plain.data), Protocol)
+        is_valid_alone = isinstance(Protocol.read(plain.data), Protocol)
         for fault in protocol:
-            by_sheet = is_sound and merged.find_location(fault.path)[0].file != str(sheet_path)
-            remark = f"(With what {sheet_path} changes.)" if by_sheet else ""
+            by_sheet = is_valid_alone and merged.find_location(fault.path)[0].file != str(
+                sheet_path
+            )
+            remark = f"(With the overrides of {sheet_path}.)" if by_sheet else ""
             placed.append(merged.place(fault, remark))
         raise build_error(placed)
     steps = tuple(
@@ -331,16 +333,16 @@ def resolve(
 
 
 def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
-    """Find exports that a test sheet names and that are not there.
+    """Find exports that a test sheet names and that do not exist.
 
     Parameters
     ----------
     sheet : the test sheet
-    sheet_path : the file that it was loaded from
+    sheet_path : its file
 
     Returns
     -------
-    The error, with a line per export; None if all are there.
+    The error with a line per export; None if all exist.
     """
     folder = sheet_path.parent
     missing = [
@@ -362,7 +364,7 @@ def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | 
 
 
 def dump_protocol(protocol: Protocol) -> str:
-    """Write a protocol as YAML with units, defaults filled in.
+    """Format a protocol as YAML with units and defaults.
 
     Parameters
     ----------
@@ -377,17 +379,17 @@ def dump_protocol(protocol: Protocol) -> str:
 
 
 def validate_document(model: type[_B], document: Document) -> _B:
-    """Validate a document.
+    """Validate a parsed YAML file.
 
     Parameters
     ----------
-    model : the block that it should be
+    model : expected block
     document : as parsed
 
     Raises
     ------
     ProtocolError
-        If anything is wrong with it; the message has one line per fault.
+        If it is invalid; the message has one line per fault.
     """
     block = model.read(document.data)
     faults = block if isinstance(block, list) else []
@@ -396,8 +398,10 @@ def validate_document(model: type[_B], document: Document) -> _B:
     return cast("_B", block)
 
 
-def _implausible_sizes(sheet: TestSheet, document: Document, protocol: Values) -> Iterator[Fault]:
-    """Find sizes of the specimen that are outside the ranges of protocol and overrides."""
+def _find_implausible_sizes(
+    sheet: TestSheet, document: Document, protocol: Values
+) -> Iterator[Fault]:
+    """Find dimensions of the specimen outside the plausible ranges of the protocol."""
     specimen = dict(get_block(document.data, "specimen"))
     if bundle := get_block(specimen, "bundle"):
         specimen["bundle"] = {**bundle, "wires": parse_wires(bundle.get("wires"))}
@@ -409,8 +413,8 @@ def _implausible_sizes(sheet: TestSheet, document: Document, protocol: Values) -
     )
 
 
-def _role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:
-    """Find roles that only one of test sheet and protocol has."""
+def _find_role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:
+    """Find roles without a source in the protocol, and required sources without a file."""
     sources = get_block(protocol, "sources")
     for role in sheet.files:
         if sources and role not in sources:

@@ -16,14 +16,14 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.reference import json_schema
+from labpipe.protocol.reference import format_json_schema
 from labpipe.protocol.schema import Protocol
 from labpipe.readers.channels import find_channel
 
 SHIPPED = sorted((Path(__file__).parents[2] / "protocols").glob("*.yaml"))
 
 
-SCHEMA = jsonschema.Draft202012Validator(json.loads(json_schema(Protocol)))
+SCHEMA = jsonschema.Draft202012Validator(json.loads(format_json_schema(Protocol)))
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

@@ -125,5 +125,5 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
         "\nsteps: 40\n"
     )
     assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
-    with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm between them at step 30"):
+    with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm at step 30"):
         load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))

@@ -227,12 +227,12 @@ CONDUIT_FAULTS = {
     "neither frame nor speed": (
         "force: a.mat",
         r"crosshead_speed: 0\.5 mm/s, ",
-        "expected a file in the role 'frame', or 'rig.crosshead_speed' to make 'displacement' from",
+        "the role 'frame', or 'rig.crosshead_speed', for the channel 'displacement'",
     ),
     "neither frame nor a step that makes it": (
         "force: a.mat",
         r".*travel-from-speed.*\n",
-        "expected a file in the role 'frame', which gives 'displacement', found none.",
+        "expected a file in the role 'frame' for the channel 'displacement', found none.",
     ),
     "not optional": ("frame: a.txt", "$^", "expected a file in the role 'force', found none."),
 }
@@ -256,7 +256,7 @@ specimen: {type: A, spool: s, sample: 1}
 PROTOCOL = "version: 1\nname: own\nsources: {force: {reader: dspace-mat, channel: x, unit: N}}\n"
 FOLLOWED_BY_TEST = "overrides: {follow_links: {value: true, because: x}}\n"
 OUTSIDE = "line 4, column 16 (files.force): expected a file inside the folder of the test, found"
-LOOP = "expected a file, found 'force.mat', a link that leads back to itself. Make the link again."
+LOOP = "expected a file, found 'force.mat', a link to itself."
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from labpipe.errors import Fault
 from labpipe.protocol.wire_rows import (
     COLUMNS,
-    NEEDED,
+    REQUIRED_CELLS,
     StressPoint,
     WireRow,
     build_wire_spec,
@@ -53,7 +53,7 @@ def test_every_number_of_a_spec_has_a_column() -> None:
 
 def test_numbers_keep_their_unit_until_they_become_si() -> None:
     read = row(lay_angles_deg="12; -15", layer_counts="1;3;3", conductor_modulus_gpa="110")
-    assert (read.wire_diameter_mm, read.counts) == (1.6, (1, 3, 3))
+    assert (read.wire_diameter_mm, read.strands_per_layer) == (1.6, (1, 3, 3))
     spec = build_wire_spec(read, (), "row 2", None)
     assert (spec.wire_diameter, spec.conductor_modulus) == (0.0016, 110e9)
     assert spec.lay_angles == pytest.approx((0.20943951, -0.26179939), abs=1e-8)
@@ -73,7 +73,7 @@ def test_every_column_with_its_range_and_default_is_documented(repository: Path)
         )
         assert f"| {name.replace('_', ' ')} | {low:.10g} to {high:.10g} |" in page
         assert math.isfinite(high * column.factor)
-        if isinstance(default, float) and name not in NEEDED:
+        if isinstance(default, float) and name not in REQUIRED_CELLS:
             assert float(documented[name]) == pytest.approx(default / column.factor)
             assert low <= default / column.factor <= high
 

@@ -27,11 +27,11 @@ from labpipe.mechanics.rod.rotations import (
     unit,
 )
 from labpipe.protocol.harness_file import (
-    HELD,
+    HOLDERS,
     Clip,
     Grip,
     HarnessFile,
-    Held,
+    Holder,
     Load,
     Pin,
     Plane,
@@ -208,7 +208,7 @@ def _gravity_path(harness: HarnessFile) -> Floats:
     Weight cannot give an inextensible taut line its tension at once.
     """
     full = np.array(harness.gravity)
-    if sum(isinstance(boundary, HELD) for boundary in harness.boundaries) < 2:
+    if sum(isinstance(boundary, HOLDERS) for boundary in harness.boundaries) < 2:
         return full
     share = _ramp(max(1, harness.steps // 5), harness.steps)
     return np.asarray(share[:, None] * full)
@@ -219,7 +219,7 @@ def _ramp(by: int, steps: int) -> Floats:
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
+def _held_boundary(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
