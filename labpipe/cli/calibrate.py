@@ -21,6 +21,7 @@ from labpipe.records.wire_calibration import (
     CurveMatch,
     ExternalCurveComparison,
     Identifiability,
+    IsotropicShare,
 )
 from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.report.wording import make_number_writer
@@ -75,6 +76,8 @@ def calibration_table(done: Calibrated) -> str:
     ]
     parameters = calibration.parameters
     lines += [_parameter(parameter) for parameter in parameters]
+    if calibration.share is not None:
+        lines.append(_share(calibration.share))
     explanations = [parameter.explanation for parameter in parameters if parameter.explanation]
     conflicts = [parameter.conflict.message for parameter in parameters if parameter.conflict]
     lines += [f"  {message}" for message in (*explanations, *conflicts)]
@@ -89,6 +92,19 @@ def calibration_table(done: Calibrated) -> str:
     ]
     lines.append(f"results: {from_here(done.folder)}")
     return "\n".join(lines)
+
+
+def _share(share: IsotropicShare) -> str:
+    """Return the line of the isotropic share, or why it is not calibrated."""
+    low, high = share.interval.lower, share.interval.upper
+    if not share.is_creep:
+        tests = f"{share.n_tests} test{'s' * (share.n_tests != 1)} with cycles"
+        return f"  isotropic share {share.value:.2f}, {low:.2f} to {high:.2f}, from {tests}"
+    ends = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.by_number.values()]
+    return (
+        f"  isotropic share: not calibrated, {ends[0]} by the residual deflection "
+        f"but {ends[1]} by the peaks of two cycles: the insulation creeps"
+    )
 
 
 def _parameter(parameter: CalibratedParameter) -> str:

@@ -438,6 +438,7 @@ class Calibration(ArrayRecord):
     sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
     method : description for the report
     notes : quality notes
+    share : isotropic share of the hardening; None where no test has cycles
     """
 
     wire: str
@@ -456,6 +457,7 @@ class Calibration(ArrayRecord):
     rmse_share: float
     method: str
     notes: tuple[QualityNote, ...] = field(default=())
+    share: IsotropicShare | None = None
 
     def parameter(self, name: str) -> CalibratedParameter:
         """Return the parameter of a name."""
