@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 import pytest
 
-from labpipe.cli import main, parser_of_commands
+from labpipe.cli import build_parser, main
 from labpipe.errors import CODES
 from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.load import (
@@ -132,7 +132,7 @@ def test_what_is_to_be_typed_can_be(capsys: pytest.CaptureFixture[str]) -> None:
     lines = [words for text in texts_to_type(capsys) for words in typed_lines(text)]
     assert len(lines) > 60
     for words in lines:
-        parser_of_commands().parse_args(words)
+        build_parser().parse_args(words)
 
 
 NAMED_FILES = r"(?<![\w/.-])(?:examples|protocols|labpipe|tests|docs|benchmarks)/[\w/.-]+\.\w+"

@@ -31,8 +31,7 @@ from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, se
 from labpipe.report.wording import (
     Scale,
     find_display,
-    find_display_unit,
-    typeset_unit,
+    find_unit,
     write_number,
     write_with_interval,
 )
@@ -40,10 +39,6 @@ from labpipe.report.wording import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-UNIT = "N*m^2"
-"""SI unit of bending stiffness."""
 
 
 def has_bundles(campaign: Campaign) -> bool:
@@ -68,11 +63,8 @@ def make_place_table(campaign: Campaign) -> Table | None:
         return None
     scales = choose_place_units(campaign)
     rows = tuple(_row(place, scales[place.group]) for place in campaign.places)
-    unit = typeset_unit(next(iter(scales.values())).unit)
-    heads = (
-        "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Wires slip ({unit})",
-        f"Nothing slips ({unit})", "Share of the way",
-    )  # fmt: skip
+    stiffnesses = ("Bending stiffness", "All slips", "Wires slip", "Nothing slips")
+    heads = ("Test", *map(next(iter(scales.values())).label, stiffnesses), "Share of the way")
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
     return Table("Between slipping and sticking", heads, rows, notes)
 
@@ -80,11 +72,11 @@ def make_place_table(campaign: Campaign) -> Table | None:
 def choose_place_units(campaign: Campaign) -> dict[str, Scale]:
     """Choose the unit of bending stiffness by group: that of its protocol, SI if they differ."""
     scales = {
-        group.name: find_display_unit("", UNIT, find_display(group)) for group in campaign.groups
+        group.name: find_unit(find_display(group), "bending_stiffness") for group in campaign.groups
     }
     first = next(iter(scales.values()))
     is_one = all(scale.unit == first.unit for scale in scales.values())
-    return scales if is_one else dict.fromkeys(scales, find_display_unit("", UNIT, {}))
+    return scales if is_one else dict.fromkeys(scales, find_unit({}, "bending_stiffness"))
 
 
 def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
@@ -154,7 +146,7 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_yticks(range(len(places)), names)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.set_xlabel(f"Bending stiffness ({typeset_unit(scale.unit)})")
+    axes.set_xlabel(scale.label("Bending stiffness"))
     label_log_axis(axes.xaxis)
     return add_title(page, "Between slipping and sticking  \u00b7  bundle model")
 
@@ -255,29 +247,29 @@ def _draw_axes(model: BundleModel, axes: Axes) -> None:
         angle = math.pi / 2.0
         stiffest["label"], flexible["label"] = "y and x: equal in all directions", ""
     for direction, look in ((angle, stiffest), (angle + math.pi / 2.0, flexible)):
-        across, up = reach * math.cos(direction), reach * math.sin(direction)
-        axes.plot([x - across, x + across], [y - up, y + up], **look)
+        dx, dy = reach * math.cos(direction), reach * math.sin(direction)
+        axes.plot([x - dx, x + dx], [y - dy, y + dy], **look)
     axes.plot([x], [y], "k+", markersize=7.0, zorder=5)
 
 
 def _plot_bounds(model: BundleModel, axes: Axes) -> None:
     """Draw the moments of wires that slip and of wires that stick, on logarithmic axes."""
     use = model.curvature > 0.0
-    across = CURVATURE.factor * model.curvature[use]
+    x = CURVATURE.factor * model.curvature[use]
     slip, stick = (
         MOMENT.factor * moment[use] for moment in (model.moment_slip, model.moment_stick)
     )
-    axes.fill_between(across, slip, stick, color="#dedede", linewidth=0)
+    axes.fill_between(x, slip, stick, color="#dedede", linewidth=0)
     for moment, look, is_doubtful in (
         (stick, "wires_stick", model.is_doubtful_stick[use]),
         (slip, "wires_slip", model.is_doubtful[use]),
     ):
         for part, opacity in split_doubtful(~is_doubtful):
-            axes.plot(across[part], moment[part], **read_look(look, alpha=opacity))
+            axes.plot(x[part], moment[part], **read_look(look, alpha=opacity))
     for limit in (model.low, model.high):
         moment = MOMENT.factor * limit * model.curvature[use]
-        axes.plot(across, moment, **read_look("bundle_without_yielding"))
-    set_log_axes(axes, across)
+        axes.plot(x, moment, **read_look("bundle_without_yielding"))
+    set_log_axes(axes, x)
     axes.set_ylabel(MOMENT.label("Bending moment"))
 
 

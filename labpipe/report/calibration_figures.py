@@ -75,8 +75,8 @@ def draw_bent_shapes(name: str, shapes: Sequence[BentShape]) -> Figure:
     if not shapes:
         return make_empty_page(title, "There is no shape to draw.")
     low, high = _bounds(shapes)
-    across, up = (high - low).tolist()
-    share = min(max(up / across, min_aspect), max_aspect)
+    width, height = (high - low).tolist()
+    share = min(max(height / width, min_aspect), max_aspect)
     page = make_page(height_mm=frame_mm + (WIDTH - frame_mm) * share)
     _plot_shapes(shapes, page.subplots())
     return add_title(
@@ -221,9 +221,9 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
             looks[curve.length],
         )
         _plot_thinned(axes, curve.deflection, residual, look, alpha=0.2, linewidth=0.4)
-        across = DEFLECTION.factor * average_blocks(curve.deflection, MIN_RESIDUAL_BLOCKS)
+        x = DEFLECTION.factor * average_blocks(curve.deflection, MIN_RESIDUAL_BLOCKS)
         means = average_blocks(residual, MIN_RESIDUAL_BLOCKS)
-        axes.plot(across, means, linewidth=0.9, zorder=3, **look._asdict())
+        axes.plot(x, means, linewidth=0.9, zorder=3, **look._asdict())
     axes.set_xlim(left=0.0)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(SMALL_FORCE.label("Measured \u2212 model"))
@@ -240,8 +240,8 @@ def _choose_length_looks(calibration: Calibration) -> dict[float, Look]:
 
 
 def _plot_force(axes: Axes, deflection: Floats, force: Floats, look: str, **settings: Any) -> None:
-    across, up = DEFLECTION.factor * deflection, FORCE.factor * force
-    axes.plot(across, up, **read_look(look, **settings))
+    x, y = DEFLECTION.factor * deflection, FORCE.factor * force
+    axes.plot(x, y, **read_look(look, **settings))
 
 
 def _fill_force(
@@ -381,8 +381,8 @@ def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, f
     values: Floats = np.geomspace(*ends, 200)
     error = np.log(parameter.conflict.factor) / normal_quantile
     away = np.log(values / parameter.conflict.centre) / error
-    across = DISPLAYS[parameter.name].scale.factor * values
-    axes.plot(across, away**2, **read_look("prior"))
+    x = DISPLAYS[parameter.name].scale.factor * values
+    axes.plot(x, away**2, **read_look("prior"))
 
 
 def _set_ticks(axes: Axes) -> None:

@@ -22,7 +22,7 @@ from labpipe.records.curve import (
     Interval,
     MeasuredLaw,
 )
-from labpipe.records.result import Result, TestResult
+from labpipe.records.result import TestResult
 from labpipe.report.budget_figures import draw_budget
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
@@ -33,8 +33,8 @@ from labpipe.report.figure_page import (
     finish_layout,
     fix_fonts,
     list_style_colours,
-    make_empty_page,
     make_page,
+    make_reason_page,
     read_look,
     sample_colour_map,
     save_pages,
@@ -44,12 +44,11 @@ from labpipe.report.figure_page import (
 from labpipe.report.marker_figures import draw_marker_quality, draw_wire_shapes
 from labpipe.report.plot_records import find_extremes
 from labpipe.report.wording import (
-    Scale,
-    choose_unit,
     explain_missing,
     find_last_place,
+    find_unit,
+    find_units,
     round_to_place,
-    typeset_unit,
     write_count,
     write_footnote,
     write_label,
@@ -189,25 +188,25 @@ def _plot(
 ) -> None:
     """Draw a thinned line of force against displacement, in SI, in the display units."""
     rows = find_extremes(y, bins=bins)
-    across, up = _scales(result)
-    axes.plot(x[rows] * across.factor, y[rows] * up.factor, **look)
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
+    axes.plot(x[rows] * x_unit.factor, y[rows] * y_unit.factor, **look)
 
 
 def _label_axes(result: TestResult, axes: Axes) -> None:
-    across, up = _scales(result)
-    axes.set(xlabel=across.label("Displacement"), ylabel=up.label("Force"))
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
+    axes.set(xlabel=x_unit.label("Displacement"), ylabel=y_unit.label("Force"))
     axes.locator_params(axis="x", nbins=7)
 
 
 def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:
     """Mark the highest force of each cycle with an open triangle."""
-    across, up = _scales(result)
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
     colours = choose_cycle_colours(int(curve.cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
         inside = np.flatnonzero((curve.cycle == number) & ~np.isnan(curve.force))
         if len(inside):
             top = inside[np.argmax(curve.force[inside])]
-            x, y = curve.displacement[top] * across.factor, curve.force[top] * up.factor
+            x, y = curve.displacement[top] * x_unit.factor, curve.force[top] * y_unit.factor
             axes.plot(x, y, **read_look("peak", color=colour))
     if curve.branches:
         colour = GREY if len(colours) > 1 else colours[0]
@@ -239,10 +238,7 @@ def draw_stiffness_lines(result: TestResult) -> Figure:
     branches = _branches(result)
     first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
     if result.curve is None or first is None:
-        reason = explain_missing(result, "loading branch")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "loading branch"))
     page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     axes = page.subplots()
     _plot_loading(result, result.curve, slice(first.start, first.stop), axes)
@@ -264,7 +260,7 @@ def _plot_loading(result: TestResult, curve: Curve, part: slice, axes: Axes) -> 
 
 def _plot_lines(result: TestResult, axes: Axes) -> None:
     """Draw each fitted line over its window: a broad pale line, or a dotted one for a segment."""
-    across, up = _scales(result)
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
     names = list(dict.fromkeys(line.result for line in result.lines))
     windows = [name for name in names if not name.startswith("segment")]
     colours = list_style_colours()[1:]  # the first is that of the curve
@@ -276,53 +272,42 @@ def _plot_lines(result: TestResult, axes: Axes) -> None:
             colour = colours[windows.index(line.result) % len(colours)]
             look = read_look("fit_window", color=colour)
         label = _describe_slope(result, line)
-        axes.plot(x * across.factor, y * up.factor, label=label, **look)
+        axes.plot(x * x_unit.factor, y * y_unit.factor, label=label, **look)
 
 
 def _describe_slope(result: TestResult, line: FittedLine) -> str:
     """Write the name and the slope of a line, with the interval of the result, if any."""
-    stiffness = choose_unit(result, "stiffness", "N/m")
-    fitted = _find_result(result, line.result)
+    stiffness = find_unit(result.display, "stiffness")
+    fitted = next((number for number in result.results if number.name == line.result), None)
     slope, ends = line.slope, None
     if fitted is not None and fitted.unit == "N/m" and fitted.value is not None:
         slope, ends = fitted.value, fitted.interval
     number = write_number(slope, ends, stiffness.factor).text
-    return f"{write_label(line.result)}: {number} {typeset_unit(stiffness.unit)}"
+    return f"{write_label(line.result)}: {number} {stiffness.unit}"
 
 
 def _mark_points(result: TestResult, axes: Axes) -> None:
     """Mark break point, kink, onset of a plateau, slips and failure."""
-    across, up = _scales(result)
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
     values = {number.name: number.value for number in result.results}
     for name in ("break_point", "kink_displacement", "plateau_displacement"):
         position = values.get(name)
         if position is not None:
-            axes.axvline(position * across.factor, **read_look(name))
+            axes.axvline(position * x_unit.factor, **read_look(name))
     for slip in result.slips:
         look = read_look("slip_position", label=f"slip, {result.slips[0].decision}")
-        axes.axvline(slip.position * across.factor, **look)
+        axes.axvline(slip.position * x_unit.factor, **look)
     displacement, force = values.get("failure_displacement"), values.get("failure_force")
     if displacement is not None and force is not None:
-        x, y = displacement * across.factor, force * up.factor
+        x, y = displacement * x_unit.factor, force * y_unit.factor
         axes.plot(x, y, **read_look("failure_point"))
-
-
-def _find_result(result: TestResult, name: str) -> Result | None:
-    return next((number for number in result.results if number.name == name), None)
-
-
-def _scales(result: TestResult) -> tuple[Scale, Scale]:
-    return choose_unit(result, "displacement", "m"), choose_unit(result, "force", "N")
 
 
 def draw_moment_curvature(result: TestResult) -> Figure:
     """Draw (a) the moments of all branches with the law and (b) the stiffness of the law."""
     bending = result.bending
     if bending is None:
-        reason = explain_missing(result, "measured moment-curvature")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "measured moment-curvature"))
     page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     cloud, stiffness = page.subplots(1, 2)
     _plot_cloud(result, bending, cloud)
@@ -342,7 +327,7 @@ def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
     stripe shows the curvatures below their noise.
     """
     max_cloud_points = 2500
-    across, up = _bending_scale(result, "curvature"), _bending_scale(result, "moment")
+    x_unit, y_unit = find_units(result.display, "curvature", "moment")
     cloud, branches = bending.cloud, _branches(result)
     x, y = _points_from_rest(bending)
     stride, look = -(-x.size // max_cloud_points), read_look("cloud")
@@ -352,21 +337,24 @@ def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
         colour = colours[int(cloud.cycle[rows][0]) - 1]
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
         face = colour if is_loading else "none"
-        points = x[rows].ravel()[::stride] * across.factor, y[rows].ravel()[::stride] * up.factor
+        points = (
+            x[rows].ravel()[::stride] * x_unit.factor,
+            y[rows].ravel()[::stride] * y_unit.factor,
+        )
         axes.plot(*points, markersize=1.8, color=colour, markerfacecolor=face, alpha=0.6, **look)
     for number, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_COLOURS else (), 1):
         add_key(axes, f"cycle {number}", markersize=3, color=colour, **look)
     for label, face in (("loading", GREY), ("unloading", "none")):
         add_key(axes, label, markersize=3, color=GREY, markerfacecolor=face, **look)
     if bending.law is not None:
-        law, floor = bending.law, bending.law.floor * across.factor
-        ends = law.moment_lower * up.factor, law.moment_upper * up.factor
-        curvature = law.curvature * across.factor
-        axes.plot(curvature, law.moment * up.factor, **read_look("law"))
+        law, floor = bending.law, bending.law.floor * x_unit.factor
+        ends = law.moment_lower * y_unit.factor, law.moment_upper * y_unit.factor
+        curvature = law.curvature * x_unit.factor
+        axes.plot(curvature, law.moment * y_unit.factor, **read_look("law"))
         look = read_look("band_of_law", label="95 % of the law", zorder=3)
         axes.fill_between(curvature, *ends, **look)
         axes.axvspan(-floor, floor, **read_look("below_noise", label="below noise"))
-    axes.set(xlabel=across.label("Curvature"), ylabel=up.label("Bending moment"))
+    axes.set(xlabel=x_unit.label("Curvature"), ylabel=y_unit.label("Bending moment"))
 
 
 def _points_from_rest(bending: Bending) -> tuple[Floats, Floats]:
@@ -388,10 +376,10 @@ def _plot_stiffness(result: TestResult, law: MeasuredLaw, axes: Axes) -> None:
     min_curvature_share = 1e-3  # start of the axis, of the largest curvature
     from matplotlib.ticker import LogFormatter
 
-    across, up = _bending_scale(result, "curvature"), _bending_scale(result, "bending_stiffness")
-    x = law.curvature[1:] * across.factor
+    x_unit, y_unit = find_units(result.display, "curvature", "bending_stiffness")
+    x = law.curvature[1:] * x_unit.factor
     lower, middle, upper = (
-        getattr(law, f"secant{end}")[1:] * up.factor for end in ("_lower", "", "_upper")
+        getattr(law, f"secant{end}")[1:] * y_unit.factor for end in ("_lower", "", "_upper")
     )
     axes.fill_between(x, lower, upper, **read_look("band_of_law"))
     axes.plot(x, middle, color="black")
@@ -399,25 +387,17 @@ def _plot_stiffness(result: TestResult, law: MeasuredLaw, axes: Axes) -> None:
     at = at[np.isfinite(law.tangent[at])]
     tangent = law.tangent[at]
     ends = np.stack([tangent - law.tangent_lower[at], law.tangent_upper[at] - tangent])
-    axes.errorbar(
-        law.curvature[at] * across.factor, tangent * up.factor, yerr=ends.clip(0.0) * up.factor,
-        **read_look("measured_tangent"),
-    )  # fmt: skip
-    start = max(0.5 * law.floor, min_curvature_share * law.curvature[-1]) * across.factor
-    axes.axvspan(start, max(law.floor * across.factor, start), **read_look("below_noise"))
+    curvature, errors = law.curvature[at] * x_unit.factor, ends.clip(0.0) * y_unit.factor
+    look = read_look("measured_tangent")
+    axes.errorbar(curvature, tangent * y_unit.factor, yerr=errors, **look)
+    start = max(0.5 * law.floor, min_curvature_share * law.curvature[-1]) * x_unit.factor
+    axes.axvspan(start, max(law.floor * x_unit.factor, start), **read_look("below_noise"))
     axes.set_xscale("log")
     axes.set_xlim(start, float(x[-1]))
     axes.set_ylim(bottom=0.0)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
-    axes.set(xlabel=across.label("Curvature"), ylabel=up.label("Bending stiffness"))
-
-
-def _bending_scale(result: TestResult, quantity: str) -> Scale:
-    """Return the display unit of curvature, moment or stiffness, typeset."""
-    si_units = {"curvature": "1/m", "moment": "N*m", "bending_stiffness": "N*m^2"}
-    unit = choose_unit(result, quantity, si_units[quantity])
-    return Scale(unit.factor, typeset_unit(unit.unit))
+    axes.set(xlabel=x_unit.label("Curvature"), ylabel=y_unit.label("Bending stiffness"))
 
 
 def draw_timeline(result: TestResult) -> Figure:
@@ -429,8 +409,8 @@ def draw_timeline(result: TestResult) -> Figure:
     _plot_force(result, panels[0])
     _plot_motion(result, panels[1])
     if fit is not None:
-        _plot_residuals(fit, choose_unit(result, "time", "s").factor, panels[2])
-    panels[-1].set_xlabel(choose_unit(result, "time", "s").label("Time"))
+        _plot_residuals(fit, find_unit(result.display, "time").factor, panels[2])
+    panels[-1].set_xlabel(find_unit(result.display, "time").label("Time"))
     for axes in panels:
         axes.locator_params(axis="y", nbins=5)
     page.align_ylabels(list(panels))
@@ -439,20 +419,20 @@ def draw_timeline(result: TestResult) -> Figure:
 
 def _plot_force(result: TestResult, axes: Axes) -> None:
     """Draw the force of the curve against time; the force as recorded is grey if it differs."""
-    up = choose_unit(result, "force", "N")
+    y_unit = find_unit(result.display, "force")
     aligned, curve = result.aligned, result.curve
     is_untouched = is_as_recorded(result, "force")
     if aligned is not None and "force" in aligned.series and not is_untouched:
-        force = up.factor * aligned.series["force"].values
+        force = y_unit.factor * aligned.series["force"].values
         _plot_over_time(result, axes, aligned.time, force, **read_look("force_as_recorded"))
     if curve is not None:
         label = "force as recorded" if is_untouched else "force as processed"
         look = read_look("force", label=label)
-        _plot_over_time(result, axes, curve.time, up.factor * curve.force, **look)
+        _plot_over_time(result, axes, curve.time, y_unit.factor * curve.force, **look)
     if not axes.lines:
         write_reason(axes, explain_missing(result, "force"))
         return
-    axes.set_ylabel(up.label("Force"))
+    axes.set_ylabel(y_unit.label("Force"))
 
 
 def _plot_motion(result: TestResult, axes: Axes) -> None:
@@ -469,14 +449,14 @@ def _plot_motion(result: TestResult, axes: Axes) -> None:
         write_reason(axes, explain_missing(result, "motion"))
         return
     word, time, values = motions[0]
-    up, along = choose_unit(result, "displacement", "m"), choose_unit(result, "time", "s")
-    _plot_over_time(result, axes, time, values * up.factor, color="C0")
+    y_unit, along = find_units(result.display, "displacement", "time")
+    _plot_over_time(result, axes, time, values * y_unit.factor, color="C0")
     ends = [end for branch in _branches(result) for end in (branch.start_time, branch.stop_time)]
     if ends:
         turns = np.unique(np.array(ends, dtype=np.float64))
-        heights = np.interp(turns, time, values, left=np.nan, right=np.nan) * up.factor
+        heights = np.interp(turns, time, values, left=np.nan, right=np.nan) * y_unit.factor
         axes.plot(turns * along.factor, heights, **read_look("turning_point"))
-    axes.set_ylabel(up.label(word))
+    axes.set_ylabel(y_unit.label(word))
 
 
 def _plot_residuals(fit: ClockFit, along: float, axes: Axes) -> None:
@@ -515,7 +495,7 @@ def _plot_over_time(
     result: TestResult, axes: Axes, time: Floats, values: Floats, **look: Any
 ) -> None:
     rows = find_extremes(values, bins=900)
-    axes.plot(time[rows] * choose_unit(result, "time", "s").factor, values[rows], **look)
+    axes.plot(time[rows] * find_unit(result.display, "time").factor, values[rows], **look)
     axes.margins(x=0.01)
 
 

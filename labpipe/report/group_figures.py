@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.group import Band, Campaign, Group
 from labpipe.report.budget_figures import draw_group_budgets, make_group_bars
 from labpipe.report.comparisons import (
@@ -47,7 +48,7 @@ from labpipe.report.wording import (
     describe_counts,
     find_display,
     find_display_unit,
-    find_group_unit,
+    find_units,
     shorten,
     write_count,
     write_group_title,
@@ -142,10 +143,7 @@ def list_group_figures(group: Group) -> Iterator[FigureToSave]:
         )
     if make_group_bars(group, of_means=False):
         alt = f"Shares of the causes of the intervals of {group.name}, {describe_counts(group)}."
-        caption = (
-            "Contributions to the intervals; numbers per cycle: first cycle only. More samples"
-            " reduce the scatter, but not the hatched causes."
-        )
+        caption = format_sentence("report.budget_caption")
         yield FigureToSave("budgets", partial(draw_group_budgets, group), caption, alt)
 
 
@@ -198,9 +196,9 @@ def _curve_plot(
 ) -> Plot | None:
     """Return the plot of the mean first loading of each group with its band."""
     first = family.groups[0]
-    across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
+    x_unit, y_unit = find_units(find_display(first), "displacement", "force")
     if is_scaled:
-        up = Scale(1.0, "")
+        y_unit = Scale(1.0, "")
     lines, keys, bands = [], [], []
     for at, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
         band = group.band_scaled if is_scaled else group.band
@@ -209,16 +207,16 @@ def _curve_plot(
         look, stem = f"c{at % N_COLOURS}", stems[group.name]
         bands.append(band)
         lines += [
-            *make_band_lines(band, across.factor, up.factor, look, stem),
-            *make_mean_lines(band, across.factor, up.factor, look, stem),
+            *make_band_lines(band, x_unit.factor, y_unit.factor, look, stem),
+            *make_mean_lines(band, x_unit.factor, y_unit.factor, look, stem),
         ]
         keys.append(Key(f"mean {look}", f"{label} (n = {group.band.n})", "group", stem))
     if not lines:
         return None
     kinds = {line.look.partition(" ")[0] for line in lines}
     keys += [Key(kind, label) for kind, label in _SIGNS.items() if kind in kinds]
-    x = make_axis("Displacement", across.unit, [line.x for line in lines])
-    y = _force_axis("Force / peak force" if is_scaled else "Force", bands, up)
+    x = make_axis("Displacement", x_unit.unit, [line.x for line in lines])
+    y = _force_axis("Force / peak force" if is_scaled else "Force", bands, y_unit)
     title = f"Mean force against displacement of {write_count(len(family.groups), 'group')}."
     heading = "Force / peak force" if is_scaled else "First loading"
     return Plot("means", "", title, "", x, y, lines, keys, (392, 200), heading)

@@ -127,8 +127,8 @@ def draw_harness(drawn: DrawnHarness) -> Figure:
     page = make_page(height_mm=118.0, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(2, 2, width_ratios=(1.35, 1.0)).ravel()
     lines: list[LineCollection] = []
-    for panel, (view, across, up) in zip(panels, _VIEWS, strict=False):
-        lines.append(plot_view(drawn, across, up, panel))
+    for panel, (view, x_index, y_index) in zip(panels, _VIEWS, strict=False):
+        lines.append(plot_view(drawn, x_index, y_index, panel))
         panel.set_title(f"From the {view}", loc="left")
     bar = page.colorbar(lines[0], ax=list(panels[1:2]), label=LENGTH.label("Bend radius"))
     label_log_axis(bar.ax.yaxis)
@@ -137,13 +137,13 @@ def draw_harness(drawn: DrawnHarness) -> Figure:
     return add_title(page, f"{drawn.name}  ·  shape", drawn.note)
 
 
-def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineCollection:
+def plot_view(drawn: DrawnHarness, x_index: int, y_index: int, axes: Axes) -> LineCollection:
     """Draw the line of a harness, its planes and its boundaries from one side.
 
     Parameters
     ----------
     drawn : the harness
-    across, up : numbers of the coordinates to the right and upwards
+    x_index, y_index : numbers of the coordinates drawn to the right and upwards
     axes : to draw on
 
     Returns
@@ -153,7 +153,7 @@ def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineColl
     import matplotlib as mpl
     from matplotlib.collections import LineCollection, PolyCollection
 
-    last, pair = drawn.shapes[-1], [across, up]
+    last, pair = drawn.shapes[-1], [x_index, y_index]
     for plane in drawn.planes:
         _plot_plane(drawn, plane, pair, axes)
     steps = f"step {', '.join(str(shape.step) for shape in drawn.shapes[:-1])}"
@@ -219,10 +219,11 @@ def _plot_plane(
     drawn: DrawnHarness, plane: tuple[Floats, Floats], pair: list[int], axes: Axes
 ) -> None:
     point, normal = plane
-    across, up = normal[pair]
-    if np.hypot(across, up) < 0.5:  # seen from above, the plane is no line
+    normal_x, normal_y = normal[pair]
+    size = np.hypot(normal_x, normal_y)
+    if size < 0.5:  # seen from above, the plane is no line
         return
-    reach = 10.0 * _extent(drawn) / np.hypot(across, up) * np.array([-up, across])
+    reach = 10.0 * _extent(drawn) / size * np.array([-normal_y, normal_x])
     ends = np.array([point[pair] - reach, point[pair] + reach])
     _draw_line(axes, ends, color=GREY, linewidth=1.2, zorder=0)
 
@@ -328,10 +329,11 @@ def draw_sweep(sweep: DrawnSweep) -> Figure:
     """
     page = make_page(height_mm=76.0, width_mm=DOUBLE_COLUMN)
     shapes, radii = page.subplots(1, 2, width_ratios=(1.2, 1.0))
-    every = np.vstack(sweep.shapes)
+    positions = np.vstack(sweep.shapes)
     side, _, top = _VIEWS
-    view, across, up = top if np.ptp(every[:, 1]) > np.ptp(every[:, 2]) else side  # the wider one
-    _plot_lengths(sweep, [across, up], shapes)
+    is_wide = np.ptp(positions[:, 1]) > np.ptp(positions[:, 2])
+    view, x_index, y_index = top if is_wide else side
+    _plot_lengths(sweep, [x_index, y_index], shapes)
     _plot_sweep(sweep, radii)
     shapes.set_title(f"From the {view}, by length", loc="left")
     radii.set_title("Smallest bend radius", loc="left")

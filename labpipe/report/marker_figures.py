@@ -20,14 +20,19 @@ from labpipe.report.figure_page import (
     GREY,
     add_key,
     add_title,
-    make_empty_page,
     make_page,
+    make_reason_page,
     read_look,
     sample_colour_map,
     write_reason,
 )
 from labpipe.report.plot_records import find_extremes, thin_flags
-from labpipe.report.wording import choose_unit, explain_missing, write_footnote, write_title
+from labpipe.report.wording import (
+    explain_missing,
+    find_unit,
+    write_footnote,
+    write_title,
+)
 from labpipe.results.beam import BendingStiffness
 
 if TYPE_CHECKING:
@@ -65,13 +70,11 @@ def draw_wire_shapes(result: TestResult) -> Figure:
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
-        reason = explain_missing(result, "shape")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "shape"))
     steps, rig = choose_frames(result, shape), read_rig(result)
     planes = [1] if _find_first_loading(result) is not None else [1, 2]
-    heights = [panel_width_mm * _aspect_ratio(shape, steps, plane, rig) for plane in planes]
+    length, *sides = (np.ptp(_limits(shape, steps, axis, rig)) for axis in (0, *planes))
+    heights = [panel_width_mm * float(side / length) for side in sides]
     height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
     page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
@@ -102,7 +105,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     deflection, name = _find_tip_deflection(result, shape)
     if np.isnan(deflection).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), name)
-    factor = choose_unit(result, "displacement", "m").factor
+    factor = find_unit(result.display, "displacement").factor
     locator = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
     levels = np.asarray(locator.tick_values(0.0, factor * float(np.nanmax(deflection)))) / factor
     # the first frame at a level: later ones may belong to another motion
@@ -126,7 +129,8 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
     """
     loading = _find_first_loading(result)
     if loading is None or result.curve is None:
-        tip = shape.positions[:, _last_tracked(shape)]
+        tracked_points = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
+        tip = shape.positions[:, tracked_points[-1] if len(tracked_points) else -1]
         tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
         start = tip[tracked[0]] if len(tracked) else np.full(3, np.nan)
         distance: Floats = np.linalg.norm(tip - start, axis=1)
@@ -140,12 +144,6 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
 def _is_clamped(shape: Shape) -> bool:
     """Return whether the first point of a shape is constructed, as that of a clamped specimen."""
     return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-
-
-def _last_tracked(shape: Shape) -> int:
-    """Return the tracked point nearest to the free end."""
-    tracked = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
-    return int(tracked[-1]) if len(tracked) else len(shape.names) - 1
 
 
 def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
@@ -164,12 +162,6 @@ def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, flo
     middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
     half = max(half, min_aspect * shape.length / 2) + margin * shape.length
     return float(middle - half), float(middle + half)
-
-
-def _aspect_ratio(shape: Shape, steps: Steps, plane: int, rig: Rig) -> float:
-    """Return the height of a panel over its width, at equal axis scale."""
-    (left, right), (low, high) = (_limits(shape, steps, axis, rig) for axis in (0, plane))
-    return (high - low) / (right - left)
 
 
 def _support_centres(rig: Rig) -> list[tuple[float, float]]:
@@ -208,9 +200,9 @@ def _describe_offset(result: TestResult, shape: Shape, rig: Rig) -> str:
     has_curve = bool(shape.coefficients.shape[2])
     if not _is_clamped(shape) or abs(rig.centre_offset) < min_offset or not has_curve:
         return ""
-    across = choose_unit(result, "displacement", "m")
-    offset = abs(rig.centre_offset) * across.factor
-    return format_sentence("report.markers_beside_axis", offset=offset, unit=across.unit)
+    x_unit = find_unit(result.display, "displacement")
+    offset = abs(rig.centre_offset) * x_unit.factor
+    return format_sentence("report.markers_beside_axis", offset=offset, unit=x_unit.unit)
 
 
 def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
@@ -226,16 +218,16 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     if shape is None:
         return
     steps, rig = choose_frames(result, shape), read_rig(result)
-    unit = choose_unit(result, "displacement", "m")
+    unit = find_unit(result.display, "displacement")
     colours = sample_colour_map(len(steps.frames))
     for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
-        x, up = _fitted_curve(shape, int(frame))[[0, plane]] * unit.factor
-        axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
+        x, y = _fitted_curve(shape, int(frame))[[0, plane]] * unit.factor
+        axes.plot(x, y, color=colour, linewidth=0.9, zorder=1)
         for flag in _LOOKS:
             rows = shape.flags[frame] == flag
             if rows.any():
-                x, up = shape.positions[frame][rows][:, [0, plane]].T * unit.factor
-                axes.plot(x, up, color=colour, **_marker_style(flag, colour))
+                x, y = shape.positions[frame][rows][:, [0, plane]].T * unit.factor
+                axes.plot(x, y, color=colour, **_marker_style(flag, colour))
         level = f"{steps.levels[at] * unit.factor:g} {unit.unit}"
         label = level if at else f"{steps.name} {level}"
         add_key(axes, label, color=colour, linewidth=1.6)
@@ -272,6 +264,11 @@ FLAG_COLOURS = {
     PointFlag.FILLED: "#e69f00",
     PointFlag.MISSING: "#1a1a1a",
 }
+_FLAGS_BY_RANK = (
+    PointFlag.CONSTRUCTED, PointFlag.MEASURED, PointFlag.RELABELLED, PointFlag.FILLED,
+    PointFlag.MISSING,
+)  # fmt: skip
+"""Flags of points, the worst last."""
 _PIXEL_BINS = 900
 """Bins in time, about one per pixel."""
 
@@ -285,7 +282,7 @@ def draw_marker_quality(result: TestResult) -> Figure:
     flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, lower_mm])
     plot_flags(result, flags)
     plot_tracking(result, lower)
-    lower.set_xlabel(choose_unit(result, "time", "s").label("Time"))
+    lower.set_xlabel(find_unit(result.display, "time").label("Time"))
     return add_title(page, write_title(result), write_footnote(result))
 
 
@@ -309,9 +306,9 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
 
     mine = _are_markers(shape)
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
-    flags = thin_flags(shape.flags[:, mine], _rank(), bins=_PIXEL_BINS)
+    flags = thin_flags(shape.flags[:, mine], _FLAGS_BY_RANK, bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
-    edges *= choose_unit(result, "time", "s").factor
+    edges *= find_unit(result.display, "time").factor
     for flag, colour in FLAG_COLOURS.items():
         if (flags == flag).any():
             bars = list(_bar_corners(flags == flag, edges))
@@ -337,7 +334,7 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
     if tracks is None or not len(tracks.time):
         write_reason(axes, explain_missing(result, "take"))
         return
-    time = tracks.time * choose_unit(result, "time", "s").factor
+    time = tracks.time * find_unit(result.display, "time").factor
     bodies = [body for body in tracks.bodies if np.isfinite(body.error).any()]
     if bodies:
         _plot_errors(result, axes, time, bodies)
@@ -352,32 +349,18 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
 
 
 def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[RigidBody]) -> None:
-    up = choose_unit(result, "displacement", "m")
+    y_unit = find_unit(result.display, "displacement")
     for body in bodies:
-        error = body.error * up.factor
+        error = body.error * y_unit.factor
         rows = find_extremes(error, bins=_PIXEL_BINS)
         axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
-    axes.set_ylabel(up.label("Body error"))
+    axes.set_ylabel(y_unit.label("Body error"))
     axes.set_ylim(bottom=0.0)
 
 
 def _are_markers(shape: Shape) -> NDArray[np.bool_]:
     constructed: NDArray[np.bool_] = (shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
     return ~constructed
-
-
-def _rank() -> NDArray[np.uint8]:
-    """Return the rank of each flag, the worst highest."""
-    order = [
-        PointFlag.CONSTRUCTED,
-        PointFlag.MEASURED,
-        PointFlag.RELABELLED,
-        PointFlag.FILLED,
-        PointFlag.MISSING,
-    ]
-    rank = np.empty(len(order), dtype=np.uint8)
-    rank[order] = np.arange(len(order))
-    return rank
 
 
 def _bar_corners(inside: NDArray[np.bool_], edges: Floats) -> Floats:

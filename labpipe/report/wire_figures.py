@@ -96,17 +96,17 @@ def is_curved(table: WireTable) -> Flags:
     return np.asarray(table.curvature > 0.0)
 
 
-def set_log_axes(axes: Axes, across: Floats) -> None:
+def set_log_axes(axes: Axes, x: Floats) -> None:
     """Make both axes logarithmic, with plain numbers, and label the horizontal one.
 
     Parameters
     ----------
     axes : with everything drawn
-    across : shape (n,), 1/m, rising curvatures; the first and the last end the horizontal axis
+    x : shape (n,), 1/m, rising curvatures; the first and the last end the horizontal axis
     """
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlim(across[0], across[-1])
+    axes.set_xlim(x[0], x[-1])
     axes.set_xlabel(CURVATURE.label("Curvature"))
     for axis in (axes.xaxis, axes.yaxis):
         label_log_axis(axis)
@@ -215,8 +215,8 @@ def make_strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Pa
     if layout.kind != "compressed":
         radii = LENGTH.factor * layout.diameter / 2.0
         return [
-            Circle((across, up), radius, **look)
-            for across, up, radius, look in zip(x, y, radii, looks, strict=True)
+            Circle(centre, radius, **look)
+            for centre, radius, look in zip(zip(x, y, strict=True), radii, looks, strict=True)
         ]
     outer = _compute_ring_radii(layout)
     angle = np.degrees(np.arctan2(y, x))
@@ -306,19 +306,19 @@ def draw_stiffness(table: WireTable) -> Figure:
     page = make_page(height_mm=76.0)
     axes = page.subplots()
     use = is_curved(table)
-    across, unit = table.curvature[use], choose_stiffness_unit([table])
-    up = unit.factor
+    x, unit = table.curvature[use], choose_stiffness_unit([table])
+    factor = unit.factor
     lowest, highest = (
-        up * moment[use] / across for moment in (table.lowest_moment, table.highest_moment)
+        factor * moment[use] / x for moment in (table.lowest_moment, table.highest_moment)
     )
-    elastic = (table.moment - table.plastic)[use] / across
-    axes.plot(across, up * table.secant_stiffness[use], **read_look("secant"))
-    axes.plot(across, up * table.tangent_stiffness[use], **read_look("tangent"))
-    axes.plot(across, up * elastic, **read_look("secant_without_yielding"))
-    axes.fill_between(across, lowest, highest, **read_look("secant_of_orientations"))
+    elastic = (table.moment - table.plastic)[use] / x
+    axes.plot(x, factor * table.secant_stiffness[use], **read_look("secant"))
+    axes.plot(x, factor * table.tangent_stiffness[use], **read_look("tangent"))
+    axes.plot(x, factor * elastic, **read_look("secant_without_yielding"))
+    axes.fill_between(x, lowest, highest, **read_look("secant_of_orientations"))
     axes.set_yscale("log")
     _mark_limits(table, axes, unit)
-    set_log_axes(axes, across)
+    set_log_axes(axes, x)
     axes.set_ylabel(unit.label("Bending stiffness"))
     onsets = table.slip_onsets
     onsets = onsets[(onsets > 0.0) & (onsets <= table.curvature[-1])]
@@ -378,13 +378,13 @@ def draw_moment(table: WireTable) -> Figure:
     right.set_title("shares of the moment", loc="left")
     _plot_moment(table, left)
     use = is_curved(table)
-    across = table.curvature[use]
+    x = table.curvature[use]
     shares = {
         name: 100.0 * part[use] / table.moment[use] for name, part in _split_moment(table).items()
     }
-    _stack(right, across, shares)
+    _stack(right, x, shares)
     right.set_xscale("log")
-    right.set_xlim(across[0], across[-1])
+    right.set_xlim(x[0], x[-1])
     label_log_axis(right.xaxis)
     right.set_ylim(0.0, 100.0)
     right.set(xlabel=CURVATURE.label("Curvature"), ylabel="Share of the moment (%)")
@@ -395,13 +395,13 @@ def draw_moment(table: WireTable) -> Figure:
 def _plot_moment(table: WireTable, axes: Axes) -> None:
     """Draw the stacked parts of the moment, the moment, and the moment without yielding."""
     max_elastic_moments = 2.0  # top of the panel, in largest moments
-    across, up = table.curvature, MOMENT.factor
-    _stack(axes, across, {name: up * part for name, part in _split_moment(table).items()})
-    elastic = up * (table.moment - table.plastic)
-    axes.plot(across, up * table.moment, **read_look("total_moment"))
-    axes.plot(across, elastic, **read_look("without_yielding"))
-    top = 1.04 * min(float(elastic.max()), max_elastic_moments * up * float(table.moment.max()))
-    axes.set(xlim=(0.0, across[-1]), ylim=(0.0, top))
+    x, factor = table.curvature, MOMENT.factor
+    _stack(axes, x, {name: factor * part for name, part in _split_moment(table).items()})
+    elastic = factor * (table.moment - table.plastic)
+    axes.plot(x, factor * table.moment, **read_look("total_moment"))
+    axes.plot(x, elastic, **read_look("without_yielding"))
+    top = 1.04 * min(float(elastic.max()), max_elastic_moments * factor * float(table.moment.max()))
+    axes.set(xlim=(0.0, x[-1]), ylim=(0.0, top))
     axes.set(xlabel=CURVATURE.label("Curvature"), ylabel=MOMENT.label("Bending moment"))
     _fade_beyond(axes, table.doubtful_curvature, table.curvature[-1])
 
@@ -416,10 +416,10 @@ def _split_moment(table: WireTable) -> dict[str, Floats]:
     }
 
 
-def _stack(axes: Axes, across: Floats, parts: Mapping[str, Floats]) -> None:
-    floor = np.zeros(len(across))
+def _stack(axes: Axes, x: Floats, parts: Mapping[str, Floats]) -> None:
+    floor = np.zeros(len(x))
     for name, part in parts.items():
-        axes.fill_between(across, floor, floor + part, **read_look(name))
+        axes.fill_between(x, floor, floor + part, **read_look(name))
         floor = floor + part
 
 
@@ -443,8 +443,8 @@ def draw_cantilever(table: WireTable) -> Figure:
         )
     page = make_page(height_mm=70.0)
     axes = page.subplots()
-    across, up = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
-    axes.plot(across, up, **read_look("cantilever"))
+    x, y = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
+    axes.plot(x, y, **read_look("cantilever"))
     ends = np.array([0.0, table.tip_deflection[-1]])
     for stiffness, name in (
         (table.stick_stiffness, "cantilever_all_stick"),
@@ -452,9 +452,9 @@ def draw_cantilever(table: WireTable) -> Figure:
     ):
         force = FORCE.factor * 3.0 * stiffness / table.spec.length**3 * ends
         axes.plot(LENGTH.factor * ends, force, **read_look(name))
-    axes.set(xlim=(0.0, across[-1]), ylim=(0.0, headroom * float(np.max(up))))
+    axes.set(xlim=(0.0, x[-1]), ylim=(0.0, headroom * float(np.max(y))))
     axes.set(xlabel=LENGTH.label("Tip deflection"), ylabel=FORCE.label("End load"))
-    _fade_beyond(axes, LENGTH.factor * table.doubtful_deflection, float(across[-1]))
+    _fade_beyond(axes, LENGTH.factor * table.doubtful_deflection, float(x[-1]))
     return add_title(page, write_wire_title(table), note)
 
 

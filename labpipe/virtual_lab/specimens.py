@@ -36,6 +36,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from labpipe.mechanics.law.mixed_law import MixedLaw
 from labpipe.mechanics.law.plays import LinearLaw, PlayLaw, corners_of, polygon_law, stick_slip_law
 from labpipe.mechanics.wire.bending_law import play_law
 from labpipe.mechanics.wire.cross_section import (
@@ -46,6 +47,7 @@ from labpipe.mechanics.wire.cross_section import (
     lay_up,
     strand_diameter,
 )
+from labpipe.mechanics.wire.cyclic_law import harden
 from labpipe.mechanics.wire.friction import Contacts, insulated
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.records.arrays import Flags, Floats, Ints
@@ -148,6 +150,7 @@ class StrandedWire:
     radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
     insulation_modulus : Pa
     copper_scale : factor on the strength of annealed copper
+    isotropic_share : of the hardening of the copper; 0 is Masing's rule
     factor : of this sample on all moments at given curvatures
     largest_curvature : 1/m, end of the law; it is extrapolated linearly
     n_plays : corners of the law, besides the onsets of slip
@@ -165,6 +168,7 @@ class StrandedWire:
     radial_force: float = 0.15
     insulation_modulus: float = 1e9
     copper_scale: float = 1.0
+    isotropic_share: float = 0.0
     factor: float = 1.0
     largest_curvature: float = 80.0
     n_plays: int = 60
@@ -191,7 +195,7 @@ class StrandedWire:
             radial_force=self.radial_force,
         )
 
-    def law(self) -> PlayLaw:
+    def law(self) -> PlayLaw | MixedLaw:
         """Return the law of moment against curvature, with hysteresis.
 
         Raises
@@ -205,6 +209,8 @@ class StrandedWire:
             largest_curvature=self.largest_curvature,
             n_plays=self.n_plays,
         )
+        if self.isotropic_share > 0.0:
+            return harden(law, self.section(), self.isotropic_share).scaled(self.factor)
         return scaled_law(law, self.factor)
 
     def scaled(self, factor: float) -> StrandedWire:

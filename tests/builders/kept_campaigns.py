@@ -11,9 +11,10 @@ from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import open_catalog
-from labpipe.campaign.executors import Outcome, Task
+from labpipe.campaign.executors import Outcome
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
+from labpipe.process.run import Task
 from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve
 
 SHEET = """\

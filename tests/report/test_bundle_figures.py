@@ -46,7 +46,7 @@ MIXED = bundle_model(
 ALIKE = bundle_model(bundle(("B1", 7)), example_wires())
 
 
-SCALE = Scale(1e6, "N*mm^2")
+SCALE = Scale(1e6, "N·mm²")
 GROUPS = tuple(grouped(three_of(bundle_of("7 B1"))))
 NAME = GROUPS[0].name
 ENDS, SHARE = Interval(0.0058, 0.0062), Interval(0.0290, 0.0316)
