@@ -195,8 +195,8 @@ class StrandedWire:
             radial_force=self.radial_force,
         )
 
-    def law(self) -> PlayLaw | MixedLaw:
-        """Return the law of moment against curvature, with hysteresis.
+    def first_loading(self) -> PlayLaw:
+        """Return the law by Masing's rule.
 
         Raises
         ------
@@ -209,9 +209,14 @@ class StrandedWire:
             largest_curvature=self.largest_curvature,
             n_plays=self.n_plays,
         )
-        if self.isotropic_share > 0.0:
-            return harden(law, self.section(), self.isotropic_share).scaled(self.factor)
         return scaled_law(law, self.factor)
+
+    def law(self) -> PlayLaw | MixedLaw:
+        """Return the law of moment against curvature, with hysteresis: see `first_loading`."""
+        law = self.first_loading()
+        if self.isotropic_share == 0.0:
+            return law
+        return harden(law, self.section(), self.isotropic_share, factor=self.factor)
 
     def scaled(self, factor: float) -> StrandedWire:
         """Return the wire with all moments at a given curvature multiplied by `factor`."""
@@ -451,7 +456,7 @@ def _axial_terms(layout: WirePlaces) -> tuple[Floats, Floats]:
 def _plain_law(bundle: BundleModel) -> PlayLaw:
     """Return the law of the first cycle: a polygon with the corners of all wires and sliders."""
     limits, stiffnesses = _sliders(bundle)
-    wires = [(number, _wire(name).law()) for name, number in bundle.wires]
+    wires = [(number, _wire(name).first_loading()) for name, number in bundle.wires]
     last = min(_wire(name).largest_curvature for name, _ in bundle.wires)
     knots = _merge_corners([*(corners_of(law)[1] for _, law in wires), limits], last)
     moment = bundle.conduit_stiffness * knots

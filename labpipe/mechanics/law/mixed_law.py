@@ -7,7 +7,7 @@ for every isotropic share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,29 +51,6 @@ class MixedLaw:
     def largest_moment(self) -> float:
         """Return the end of the law, N m."""
         return self.plays.largest_moment
-
-    def scaled(self, factor: float) -> MixedLaw:
-        """Return the law with all moments multiplied by a factor."""
-        plays, sliders = self.plays, self.sliders
-        return MixedLaw(
-            PlayLaw(
-                plays.stiffness * factor,
-                plays.half_widths * factor,
-                plays.compliances / factor,
-                plays.largest_moment * factor,
-            ),
-            replace(
-                sliders,
-                stiffness=sliders.stiffness * factor,
-                stiffnesses=sliders.stiffnesses * factor,
-                growing=tuple(
-                    replace(
-                        slider, stiffness=slider.stiffness * factor, limits=slider.limits * factor
-                    )
-                    for slider in sliders.growing
-                ),
-            ),
-        )
 
     def unbent(self, n_stations: int) -> Floats:
         """Return the history of a wire that was never bent: curvature, then rests, 1/m."""
