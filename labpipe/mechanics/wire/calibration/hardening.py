@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -23,7 +23,9 @@ from labpipe.mechanics.law.plays import MomentLaw
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     WireState,
+    bend_to_travel,
     deflect,
+    shape_of,
     straight,
 )
 from labpipe.records.arrays import Floats
@@ -76,7 +78,7 @@ def compute_cycles(
     rig: StringRig | None = None,
     self_weight: float = 0.0,
 ) -> dict[str, float]:
-    """Compute what two cycles to a deflection and back to zero force leave.
+    """Compute what two cycles to a deflection and back leave.
 
     Parameters
     ----------
@@ -91,52 +93,80 @@ def compute_cycles(
     ------
     ValueError
         If no equilibrium is found on the way.
+
+    Notes
+    -----
+    On a string the clamp moves by the same travel in every cycle, and back to where the test began:
+    the counterweight then bends the wire back. Without one, a cycle ends at zero force.
     """
-    steps = 9
-    state = straight(law, 40, self_weight=self_weight)
-    at_rest = 0.0
+    stations, steps = 40, 9
+    state = straight(law, stations, self_weight=self_weight)
     if self_weight > 0.0 or rig is not None:
         state = deflect(law, state, length, 0.0, rig)
-        at_rest = state.load
-    start, forces, residual, energy = 0.0, list[float](), 0.0, 0.0
-    for cycle in range(2):
-        places, loads = [start], [0.0]
+    at_rest = state.load
+    up = peak * np.linspace(0.0, 1.0, steps + 1)[1:] ** 2
+    loading = [(0.0, 0.0)]
+    for place in up:
+        state = deflect(law, state, length, float(place), rig)
+        loading.append((float(place), state.load - at_rest))
+    first = loading[-1][1]
+    if rig is None:
+        unloading, state = _unload_to_zero(law, state, length)
+        residual = unloading[-1][0]
+        for place in np.linspace(residual, peak, steps + 1)[1:]:
+            state = deflect(law, state, length, float(place))
+        second = state.load
+    else:
+        unloading, state, travel = _return(law, state, length, rig, at_rest)
+        places, forces = np.array(unloading).T
+        residual = float(np.interp(0.0, forces[::-1], places[::-1]))
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-            place = start + (peak - start) * float(share) ** 2
-            state = deflect(law, state, length, place, rig)
-            places.append(place)
-            loads.append(state.load - at_rest)
-        forces.append(loads[-1])
-        if cycle == 1:
-            break
-        gained = float(PchipInterpolator(places, loads).integrate(start, peak))
-        state, back = _unload(law, state, length, rig, at_rest)
-        returned = -float(PchipInterpolator(*back).integrate(back[0][0], back[0][-1]))
-        start = residual = float(back[0][0])
-        energy = gained + returned
-    return {RESIDUAL: residual, ENERGY: energy, RATIO: forces[1] / forces[0]}
+            state = bend_to_travel(law, state, length, rig, travel * float(share)).state
+        second = state.load - at_rest
+    energy = _work(loading) - _work(unloading[::-1])
+    return {RESIDUAL: residual, ENERGY: energy, RATIO: second / first}
 
 
-def _unload(
-    law: MomentLaw, state: WireState, length: float, rig: StringRig | None, at_rest: float
-) -> tuple[WireState, tuple[Floats, Floats]]:
-    """Unload to zero force; return the state, and deflections and forces in rising order."""
+def _work(path: Sequence[tuple[float, float]]) -> float:
+    """Integrate the force over rising deflections; those that do not rise are left out."""
+    places, forces = np.array(path).T
+    rises = np.diff(places, prepend=-np.inf) > 1e-9
+    places, forces = places[rises], forces[rises]
+    return float(PchipInterpolator(places, forces).integrate(places[0], places[-1]))
+
+
+def _unload_to_zero(
+    law: MomentLaw, state: WireState, length: float
+) -> tuple[list[tuple[float, float]], WireState]:
+    """Unload to zero force; return deflections and forces on the way, and the state."""
     tolerance, steps = 1e-5, 8  # of the largest force; steps of the deflection
-    top, largest = state.travel, state.load - at_rest
-    places, loads = [top], [largest]
-    step = -top / steps
-    while abs(loads[-1]) > tolerance * largest and len(places) < 4 * steps:
-        following = deflect(law, state, length, places[-1] + step, rig)
-        load = following.load - at_rest
-        if load >= -tolerance * largest:
+    top, largest = state.travel, state.load
+    path, step = [(top, largest)], -top / steps
+    while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * steps:
+        following = deflect(law, state, length, path[-1][0] + step)
+        if following.load >= -tolerance * largest:
             state = following
-            places.append(following.travel)
-            loads.append(load)
-            slope = (loads[-2] - loads[-1]) / (places[-2] - places[-1])
-            step = max(-top / steps, -loads[-1] / slope)
+            path.append((following.travel, following.load))
+            slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
+            step = max(-top / steps, -path[-1][1] / slope)
         else:  # too far: a line through both points
-            step *= loads[-1] / (loads[-1] - load)
-    return state, (np.array(places[::-1]), np.array(loads[::-1]))
+            step *= path[-1][1] / (path[-1][1] - following.load)
+    return path, state
+
+
+def _return(
+    law: MomentLaw, state: WireState, length: float, rig: StringRig, at_rest: float
+) -> tuple[list[tuple[float, float]], WireState, float]:
+    """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
+    steps = 12
+    tip = shape_of(law, state, length)
+    travel = rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1]))
+    path, state = [(state.travel, state.load - at_rest)], replace(state, travel=travel)
+    for share in np.linspace(1.0, 0.0, steps + 1)[1:]:
+        shape = bend_to_travel(law, state, length, rig, travel * float(share))
+        state = shape.state
+        path.append((float(shape.y[-1]), state.load - at_rest))
+    return path, state, travel
 
 
 def calibrate_share(
