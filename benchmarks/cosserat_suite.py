@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import linear_moment_law
+from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import frame_from_axes, matrices
@@ -49,7 +49,7 @@ def _section(rod: Any) -> Section:
     bending = rod.material.youngs_modulus * rod.second_moment_of_area
     torsion = rod.material.shear_modulus * 2.0 * rod.second_moment_of_area
     return Section(
-        linear_moment_law(bending, 1e6),
+        make_linear_law(bending, 1e6),
         torsion,
         axial_stiffness=rod.material.youngs_modulus * rod.area,
         mass_per_length=rod.material.density * rod.area,

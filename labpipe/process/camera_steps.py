@@ -334,7 +334,7 @@ def fit_three_point_shape(
             span=span,
             radius=settings.centre_offset,
             facing=step.facing,
-            bent_most=_is_bent_most(sections),
+            is_bent=_is_bent_most(sections),
         )
     except ValueError as error:
         return _without_span(prepared, Failure("too_few_markers", str(error)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.curve import Interval
-from labpipe.records.quality import QualityNote
+from labpipe.records.quality import QualityNote, Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -465,14 +465,5 @@ class Calibration(ArrayRecord):
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationFailure:
-    """Reason why there is no calibration.
-
-    Parameters
-    ----------
-    code : stable, snake case
-    message : one sentence with the numbers
-    """
-
-    code: str
-    message: str
+class CalibrationFailure(Reason):
+    """Why there is no calibration."""

@@ -29,9 +29,9 @@ from labpipe.mechanics.wire.cantilever import (
     WireState,
     bend_to_travel,
     bend_under_force,
-    straight,
+    make_straight,
 )
-from labpipe.mechanics.wire.newton import interpolation_matrix
+from labpipe.mechanics.wire.newton import make_interpolation_matrix
 from labpipe.records.arrays import Floats
 from labpipe.units import GRAVITY
 from labpipe.virtual_lab.specimens import TAPED_TYPES, BundleModel, StrandedWire, WireModel
@@ -422,7 +422,7 @@ class MechanicalPath:
         x, y, angle, each of shape (n, m), in the specimen frame.
         """
         nodes = self.segments[0].x.shape[1]
-        onto = interpolation_matrix(nodes, arc_lengths / self.test.length).T
+        onto = make_interpolation_matrix(nodes, arc_lengths / self.test.length).T
         columns = [np.hstack([s.x @ onto, s.y @ onto, s.angle @ onto]) for s in self.segments]
         x, y, angle = np.split(self._look_up(progress, columns), 3, axis=1)
         return x, y, angle
@@ -487,7 +487,7 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
 def _set_up(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     """Attach the string and find the shape at rest before the motion."""
     law, weight = test.wire.law(), test.gravity * test.counterweight
-    unbent = straight(law, test.n_stations, self_weight=test.self_weight)
+    unbent = make_straight(law, test.n_stations, self_weight=test.self_weight)
     level = StringRig(test.string_length, weight, test.length, test.string_length)
     if test.slack is None:
         return level, bend_to_travel(law, unbent, test.length, level, 0.0)

@@ -22,7 +22,7 @@ from typing import Generic, TypeAlias, TypeVar, overload
 import numpy as np
 import yaml
 
-from labpipe.mechanics.law.plays import MomentLaw, respond, unbent_plays
+from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
 from labpipe.records.harness_bundle import NONE
 from labpipe.records.recording import Recording
 from labpipe.store.replace import storing
@@ -506,7 +506,7 @@ def _bending_facts(observation: Observation | ConduitObservation) -> dict[str, o
 def _first_loading(law: MomentLaw) -> dict[str, object]:
     """Return the corners of the law of first loading from zero, N m and 1/m."""
     moment = np.concatenate([[0.0], law.half_widths])
-    curvature = respond(law, moment, unbent_plays(law, len(moment))).curvature
+    curvature = respond(law, moment, make_unbent_plays(law, len(moment))).curvature
     return {"moment": moment.tolist(), "curvature": curvature.tolist()}
 
 

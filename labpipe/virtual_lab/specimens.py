@@ -1,6 +1,6 @@
 """Specimens of the virtual rigs: wires by law or strands, bars, and bundles of wires.
 
-The law of a stranded wire is that of first loading of `wire.bending_law`, as plays (`play_law`
+The law of a stranded wire is that of first loading of `wire.bending_law`, as plays (`fit_play_law`
 there): after a reversal strands slip and copper yields in the other direction at twice the size
 (Masing). Calibrations use the same physics, but another solution: `cantilever_scenarios` bends the
 wire station by station with a history, calibrations use the first integral. Bundles of
@@ -37,18 +37,24 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe.mechanics.law.mixed_law import MixedLaw
-from labpipe.mechanics.law.plays import LinearLaw, PlayLaw, corners_of, polygon_law, stick_slip_law
-from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.law.plays import (
+    LinearLaw,
+    PlayLaw,
+    find_corners,
+    make_polygon_law,
+    make_stick_slip_law,
+)
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
-    compressed,
-    hexagonal,
+    compute_strand_diameter,
     lay_up,
-    strand_diameter,
+    place_hexagon,
+    place_sectors,
 )
 from labpipe.mechanics.wire.cyclic_law import harden
-from labpipe.mechanics.wire.friction import Contacts, insulated
+from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
@@ -92,7 +98,7 @@ class ElasticModel:
 
 @dataclass(frozen=True, slots=True)
 class WireModel:
-    """A wire defined by the parameters of its law (`law.plays.stick_slip_law`).
+    """A wire defined by the parameters of its law (`law.plays.make_stick_slip_law`).
 
     Parameters
     ----------
@@ -119,7 +125,7 @@ class WireModel:
         """Return the law."""
         numbers = asdict(self)
         del numbers["mass_per_length"]
-        return stick_slip_law(**numbers)
+        return make_stick_slip_law(**numbers)
 
     def scaled(self, factor: float) -> WireModel:
         """Return the wire with all moments at a given curvature multiplied by `factor`."""
@@ -184,11 +190,11 @@ class StrandedWire:
         copper = replace(ANNEALED_COPPER, strength=ANNEALED_COPPER.strength * self.copper_scale)
         layers = lay_up(self.n_strands, self.strand, self.lay_angles, copper)
         tube = Insulation(self.diameter / 2.0 - self.wall, self.wall, self.insulation_modulus)
-        return compressed(layers, tube) if self.is_compressed else hexagonal(layers, tube)
+        return place_sectors(layers, tube) if self.is_compressed else place_hexagon(layers, tube)
 
     def contacts(self) -> Contacts:
         """Return friction and pressure between the layers."""
-        return insulated(
+        return make_contacts(
             len(self.lay_angles),
             strand=self.friction_strand,
             insulation=self.friction_insulation,
@@ -203,7 +209,7 @@ class StrandedWire:
         ValueError
             As for `section`, and if the law softens or stiffens.
         """
-        law = play_law(
+        law = fit_play_law(
             self.section(),
             self.contacts(),
             largest_curvature=self.largest_curvature,
@@ -249,10 +255,22 @@ WIRES = {
         StrandedWire("A2", 7, 0.32e-3, _ONE_RING, 1.6e-3, 0.3e-3),
         StrandedWire("A3", 19, 0.24e-3, _TWO_RINGS, 1.8e-3, 0.3e-3),
         StrandedWire(
-            "B1", 7, strand_diameter(0.35e-6, 7), _ONE_RING, 1.1e-3, 0.2e-3, is_compressed=True
+            "B1",
+            7,
+            compute_strand_diameter(0.35e-6, 7),
+            _ONE_RING,
+            1.1e-3,
+            0.2e-3,
+            is_compressed=True,
         ),
         StrandedWire(
-            "B2", 7, strand_diameter(0.49e-6, 7), _ONE_RING, 1.25e-3, 0.2e-3, is_compressed=True
+            "B2",
+            7,
+            compute_strand_diameter(0.49e-6, 7),
+            _ONE_RING,
+            1.25e-3,
+            0.2e-3,
+            is_compressed=True,
         ),
     )
 }
@@ -458,12 +476,12 @@ def _plain_law(bundle: BundleModel) -> PlayLaw:
     limits, stiffnesses = _sliders(bundle)
     wires = [(number, _wire(name).first_loading()) for name, number in bundle.wires]
     last = min(_wire(name).largest_curvature for name, _ in bundle.wires)
-    knots = _merge_corners([*(corners_of(law)[1] for _, law in wires), limits], last)
+    knots = _merge_corners([*(find_corners(law)[1] for _, law in wires), limits], last)
     moment = bundle.conduit_stiffness * knots
     for number, law in wires:
         moment += number * _moment(law, knots)
     moment += np.minimum(knots[:, None], limits) @ stiffnesses
-    return polygon_law(knots, moment)
+    return make_polygon_law(knots, moment)
 
 
 def _sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
@@ -482,7 +500,7 @@ def _sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
 
 def _moment(law: PlayLaw, curvature: Floats) -> Floats:
     """Return the moment of first loading, N m, extrapolated linearly beyond the last corner."""
-    moment, bent, slopes = corners_of(law)
+    moment, bent, slopes = find_corners(law)
     beyond = np.maximum(curvature - bent[-1], 0.0) / slopes[-1]
     moments: Floats = np.interp(curvature, bent, moment) + beyond
     return moments

@@ -37,7 +37,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from labpipe.mechanics.law.plays import MomentLaw, respond, unbent_plays
+from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import NONE
 from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose
@@ -362,7 +362,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     half = HalfBundle(test, test.bundle.law(), arc_length)
-    rest = half.free(unbent_plays(half.law, test.n_stations))
+    rest = half.free(make_unbent_plays(half.law, test.n_stations))
     loading = [rest, *_branch(half, rest, test.stroke, turns=False)]
     unloading = [loading[-1], *_branch(half, loading[-1], 0.0, turns=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section, line_along
 from labpipe.mechanics.rod.path import RodPath, RodState
@@ -30,7 +30,7 @@ def linear_section(
     stiffness: float = STIFFNESS, *, torsion: float = 0.8e-3, mass: float = 0.0
 ) -> Section:
     """A section without sliders."""
-    return Section(linear_moment_law(stiffness, 1e6), torsion, mass_per_length=mass)
+    return Section(make_linear_law(stiffness, 1e6), torsion, mass_per_length=mass)
 
 
 def straight_line(

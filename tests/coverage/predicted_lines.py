@@ -22,16 +22,16 @@ from labpipe.mechanics.rod.response import Band
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.fit import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.prediction import tested_curvature
+from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.law_family import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
     LawFamily,
-    family_of,
+    make_law_family,
 )
-from labpipe.mechanics.wire.wire_table import build, mass_per_length
+from labpipe.mechanics.wire.wire_table import build_wire, mass_per_length
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.units import GRAVITY
@@ -86,7 +86,7 @@ def spec_of(name: str) -> WireSpec:
 def wire_of(name: str) -> Wire:
     """The same, to be calibrated."""
     spec = spec_of(name)
-    built = build(spec)
+    built = build_wire(spec)
     weight = GRAVITY * mass_per_length(spec, built.section)
     return Wire(built.section, built.contacts, self_weight=weight)
 
@@ -132,7 +132,7 @@ def known_of(seed: int) -> KnownFacts:
     if not isinstance(found, Calibration):
         message = f"{found.code}: {found.message}"
         raise RuntimeError(message)
-    return KnownFacts(found, tested_curvature(wire, found.solutions[0].values, curves[:1]))
+    return KnownFacts(found, find_tested_curvature(wire, found.solutions[0].values, curves[:1]))
 
 
 def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputDistribution, ...]:
@@ -173,7 +173,10 @@ def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | Non
         if solution.is_allowed
     ]
     return bands_of(
-        [partial(path_of, kind, drawn, family_of(spec_of(drawn.wire), own)) for own in values],
+        [
+            partial(path_of, kind, drawn, make_law_family(spec_of(drawn.wire), own))
+            for own in values
+        ],
         beliefs_of(kind, drawn, what.calibration),
         steps=(held_at(kind), -1),
         tested_curvature=what.tested_curvature,
@@ -222,7 +225,7 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
         failed : without a prediction
     """
     drawn, what = draw(kind, seed), known_of(seed)
-    truth = true_line(kind, drawn, family_of(spec_of(drawn.wire)).at({}).torsional_stiffness)
+    truth = true_line(kind, drawn, make_law_family(spec_of(drawn.wire)).at({}).torsional_stiffness)
     bands = predicted(kind, drawn, what)
     if bands is None:
         return {"about": {"wire": drawn.wire, "failed": "no_equilibrium"}}

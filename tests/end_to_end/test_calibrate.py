@@ -18,7 +18,7 @@ from labpipe.mechanics.studies.validation import STEPS, bent_shapes
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.wire_table import build, wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, wire_table
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
@@ -162,7 +162,7 @@ def test_tests_beyond_the_range_of_the_insulation_are_told(
 
 def test_the_model_is_bent_as_far_as_the_sample(campaign: Path, repository: Path) -> None:
     sheet = read_wire_sheet(repository / "examples" / "wires.xlsx")
-    made = build(next(spec for spec in sheet if spec.name == "A2"))
+    made = build_wire(next(spec for spec in sheet if spec.name == "A2"))
     wire = Wire(made.section, made.contacts)
     for rig in (StringRig(0.76, 0.0265, 0.085, 0.76), None):
         shapes = bent_shapes(campaign / "A2-085-1" / "result.h5", wire, 0.085, rig, 0.045)

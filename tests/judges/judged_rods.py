@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.assembly import Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane
 from labpipe.mechanics.rod.line import Line, Section, line_along
@@ -42,7 +42,7 @@ def section(
     bending: float = 1.0, torsion: float = 0.8, *, weight: float = 0.0, stretch: float = np.inf
 ) -> Section:
     """An elastic section; stiffnesses in N m^2 and N, weight in N/m."""
-    law = linear_moment_law(bending, FAR)
+    law = make_linear_law(bending, FAR)
     return Section(law, torsion, axial_stiffness=stretch, mass_per_length=weight / GRAVITY)
 
 

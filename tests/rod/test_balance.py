@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.sliders import linear_moment_law
+from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.banded import Band
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
@@ -151,7 +151,7 @@ def test_a_twisted_line_stores_half_the_torque_times_the_turn() -> None:
 
 
 def test_stretch_and_twist_share_energy() -> None:
-    section = Section(linear_moment_law(1e-3, 10.0), 8e-4, axial_stiffness=40.0, coupling=0.1)
+    section = Section(make_linear_law(1e-3, 10.0), 8e-4, axial_stiffness=40.0, coupling=0.1)
     line = straight_line(LENGTH, 8, section)
     path = walked(line, [clamp(line), Load(-1, ramp((0.4, 0.0, 0.0), 3))], 3)
     # the end is free to turn: it lengthens by EA less C^2 / GJ
@@ -162,7 +162,7 @@ def test_stretch_and_twist_share_energy() -> None:
 
 
 def test_held_ends_feel_stretch_and_twist_as_a_pair() -> None:
-    section = Section(linear_moment_law(1e-3, 10.0), 8e-4, axial_stiffness=40.0, coupling=0.1)
+    section = Section(make_linear_law(1e-3, 10.0), 8e-4, axial_stiffness=40.0, coupling=0.1)
     line = straight_line(LENGTH, 8, section)
     way = line.positions[-1] + ramp((0.01, 0.0, 0.0), 2)
     frames = multiply(line.frames[-1:], from_rotation_vectors(ramp((0.0, 0.0, 0.3), 2)))

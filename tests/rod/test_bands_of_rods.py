@@ -20,7 +20,7 @@ from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.mechanics.wire.calibration.variances import quantiles
+from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.mechanics.wire.law_family import LAW_FACTOR
 from labpipe.records.wire_calibration import Calibration
 from tests.builders.loading_tests import measured, wire_of
@@ -150,7 +150,7 @@ def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_m
         direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
         whole = np.array([[*weights, 0.0]])
-        want = np.ravel(quantiles(solution.mixture, whole, np.array([one_more])))
+        want = np.ravel(compute_quantiles(solution.mixture, whole, np.array([one_more])))
         assert ends == pytest.approx(want, rel=0.02)
 
 

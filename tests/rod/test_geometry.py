@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.assembly import Shape
 from labpipe.mechanics.rod.boundaries import (
     Boundary,
@@ -70,7 +70,7 @@ def test_a_line_knows_its_frames_at_the_nodes() -> None:
     np.testing.assert_allclose(part, line.lengths[0] / line.length * whole, atol=1e-14)
 
 
-LAW = linear_moment_law(1e-3, 10.0)
+LAW = make_linear_law(1e-3, 10.0)
 
 
 def line_of(**change: Floats) -> Line:

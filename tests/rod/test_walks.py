@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.sliders import linear_moment_law
+from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
 from labpipe.mechanics.rod.contacts import nearest_place, point_at, thread, touch_plane
@@ -238,7 +238,7 @@ def test_a_taut_line_may_lie_without_weight_or_stretch() -> None:
     load = Load(0, np.array([0.0, 0.0, -1.0]))
     walked(bare, [clamp(bare), clamp(bare, -1), load], 1)
     weight = 0.05 * 9.81
-    section = Section(linear_moment_law(1e-9, 1e6), 1e-9, axial_stiffness=1e3, mass_per_length=0.05)
+    section = Section(make_linear_law(1e-9, 1e6), 1e-9, axial_stiffness=1e3, mass_per_length=0.05)
     line = straight_line(LENGTH, 40, section)
     pins = [Held(node, line.positions[node]) for node in (0, -1)]
     hung = walked(line, [*pins, Gravity()], 1).last
@@ -380,7 +380,7 @@ def ended(line: Line, steps: int, *boundaries: Boundary) -> tuple[str, tuple[obj
 def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:
     """Bends beyond the law; clips too far apart, without slack, in a table; a line that is torn."""
     ends = []
-    line = straight_line(LENGTH, 10, Section(linear_moment_law(STIFFNESS, 2.0), 8e-4))
+    line = straight_line(LENGTH, 10, Section(make_linear_law(STIFFNESS, 2.0), 8e-4))
     bent = ended(line, 5, clamp(line), Load(-1, ramp((0.0, 0.02, 0.0), 5)))
     ends.append((bent, ("doubtful", 6, "beyond_law", 2, 0)))
     line = straight_line(LENGTH, 10, linear_section(mass=0.05))
@@ -397,7 +397,7 @@ def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:
     way = line.positions[-1] + ramp((0.0, 0.0, -0.01), 5)
     grip, table = Held(-1, way, line.frames[-1], name="grip"), Plane(np.zeros(3), name="table")
     ends.append((ended(line, 5, grip, table), ("failed", 4, "in_plane", 4, 10)))
-    section = Section(linear_moment_law(STIFFNESS, 1e3), 8e-4, axial_stiffness=1e3)
+    section = Section(make_linear_law(STIFFNESS, 1e3), 8e-4, axial_stiffness=1e3)
     line = straight_line(LENGTH, 5, section)
     pulled = Held(-1, line.positions[-1] + ramp((0.08, 0.0, 0.0), 8))
     # 4 % in step 2, 6 % in step 3

@@ -16,7 +16,7 @@ from labpipe.mechanics.studies.bundle_bounds import (
     model_bundle,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.bundle_model import bundle_model
+from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, join_reasons
@@ -35,7 +35,7 @@ SEVEN = bundle_of("7 B1", conduit="corrugated-tube", conduit_bore=0.0107)
 
 
 def test_samples_and_mean_between_the_bounds_of_the_model() -> None:
-    model = bundle_model(Bundle(SEVEN.wires), example_wires())
+    model = compute_bundle_model(Bundle(SEVEN.wires), example_wires())
     *samples, mean = find_places(grouped(three_of(SEVEN)), WIRES)
     assert [place.test for place in (*samples, mean)] == [*(f"{mean.group}-{n}" for n in "123"), ""]
     for place in (*samples, mean):
@@ -98,7 +98,7 @@ def test_words_to_numbers_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(tmp_path)
     modelled = model_bundle("4 B1 + 3 B2", wires=EXAMPLES, arrangement="asymmetric")
     stated = bundle(("B1", 4), ("B2", 3), arrangement="asymmetric")
-    plain = bundle_model(stated, example_wires())
+    plain = compute_bundle_model(stated, example_wires())
     assert (modelled.name, modelled.conduits) == ("4 B1 3 B2 asymmetric", ())
     assert modelled.model.high == plain.high
     assert modelled.wanted_bore == pytest.approx(1e-3 * np.sqrt((4 * 1.1**2 + 3 * 1.25**2) / 0.7))

@@ -9,13 +9,13 @@ import pytest
 from scipy.optimize import minimize
 
 from labpipe.errors import LabpipeError
-from labpipe.mechanics.decks.lookup import sliders_json
+from labpipe.mechanics.decks.lookup import write_sliders_json
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
-    linear_moment_law,
+    compute_slider_moment,
+    make_linear_law,
+    make_unbent_rests,
     slide_vector,
-    slider_moment,
-    unbent_rests,
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
@@ -45,7 +45,7 @@ from tests.builders.harness_files import (
     written,
 )
 
-SECTION = Section(linear_moment_law(1e-4, 100.0), 1e-4, mass_per_length=0.01, diameter=2e-3)
+SECTION = Section(make_linear_law(1e-4, 100.0), 1e-4, mass_per_length=0.01, diameter=2e-3)
 
 
 def harness(tmp_path: Path, text: str) -> HarnessFile:
@@ -178,7 +178,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     wire = material(tmp_path, "{wire: A2}")
     table = wire_table(next(spec for spec in read_wire_sheet(SHEET) if spec.name == "A2"))
     section = wire.sections[0]({})
-    moments = slider_moment(section.law, table.curvature[1:])
+    moments = compute_slider_moment(section.law, table.curvature[1:])
     assert moments == pytest.approx(table.moment[1:], rel=0.01)
     assert section.mass_per_length == pytest.approx(table.mass_per_length)
     assert section.torsional_stiffness == pytest.approx(table.torsional_stiffness)
@@ -194,7 +194,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
         "X,1.6,7,0.32,0.3,12\n"
     )
     assert material(tmp_path, "{wire: X}", wires=other).name == "X"
-    (tmp_path / "A2.sliders.json").write_text(sliders_json(table), encoding="utf-8")
+    (tmp_path / "A2.sliders.json").write_text(write_sliders_json(table), encoding="utf-8")
     deck = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
     of_deck = deck.sections[0]({})
     assert of_deck.law.stiffnesses == pytest.approx(section.law.stiffnesses, rel=1e-6)
@@ -247,7 +247,7 @@ SOME = SliderLaw(0.5, np.array([9.0, 3.0, 1.0]), np.array([0.5, 2.0, 5.0]), 0.0,
 
 def bent(law: SliderLaw, path: list[tuple[float, float]]) -> Floats:
     """Where the sliders of one station rest after some curvatures."""
-    rests = unbent_rests(law, 1, is_vector=True)
+    rests = make_unbent_rests(law, 1, is_vector=True)
     for curvature in path:
         rests = slide_vector(law, np.array([curvature]), rests).rests
     return rests

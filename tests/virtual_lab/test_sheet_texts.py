@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.wire_table import build
+from labpipe.mechanics.wire.wire_table import build_wire
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
 from labpipe.virtual_lab.observations import (
     PROTOCOL_VALUES,
@@ -73,7 +73,7 @@ def test_the_sheet_says_what_the_virtual_wires_are(tmp_path: Path) -> None:
     specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
     assert list(specs) == list(WIRES)
     for name, wire in WIRES.items():
-        section, virtual = build(specs[name]).section, wire.section()
+        section, virtual = build_wire(specs[name]).section, wire.section()
         assert section.kind == virtual.kind
         assert specs[name].wire_diameter == pytest.approx(wire.diameter, rel=1e-6)
         assert section.x == pytest.approx(virtual.x, abs=1e-9)

@@ -18,13 +18,13 @@ from labpipe.errors import ProcessingError, UsageError, format_error
 from labpipe.mechanics.studies.study_json import entries
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet, wire_error
 from labpipe.mechanics.wire.bundle_friction import fit_friction
-from labpipe.mechanics.wire.bundle_model import bundle_model, share_of_bounds
+from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
 from labpipe.mechanics.wire.bundle_packing import (
     WANTED_FRACTION,
-    bore_for,
     choose_bore,
-    fits,
-    packing_fraction,
+    compute_bore,
+    compute_packing_fraction,
+    fits_bore,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.process.output_paths import RESULT_FILE
@@ -71,7 +71,7 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
     Notes
     -----
     The share is 0 where every wire slips on its neighbours and its strands slip too, 1 where
-    nothing slips: see `share_of_bounds`.
+    nothing slips: see `compute_bounds_share`.
     """
     with_bundles = [group for group in groups if _bundles(group)]
     bundles = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
@@ -116,7 +116,7 @@ def _bounds(
     if reasons:
         return reasons
     try:
-        return bundle_model(bundle, tables)
+        return compute_bundle_model(bundle, tables)
     except ValueError as error:
         return (Reason("no_model", f"no bounds: {error}"),)
 
@@ -163,7 +163,7 @@ def _with_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
         return place
     if not model.high > model.low:
         return _with_reason(place, "one_bound", "no share: the two bounds are the same")
-    share = partial(share_of_bounds, low=model.low, high=model.high)
+    share = partial(compute_bounds_share, low=model.low, high=model.high)
     interval = place.interval
     if interval is not None:
         interval = Interval(share(interval.lower), share(interval.upper), interval.level)
@@ -267,7 +267,9 @@ def model_bundle(
     tables = _read_tables(bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
     try:
-        model = _in_best_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
+        model = _in_best_conduit(
+            compute_bundle_model(replace(bundle, conduit_bore=None), tables), offered
+        )
     except ValueError as error:
         message = format_error(
             what,
@@ -280,10 +282,12 @@ def model_bundle(
     folder = Path("processed/bundles") / _UNSAFE_CHARACTERS.sub("-", name) if out is None else out
     diameters = model.layout.diameter
     conduits = [
-        Conduit(bore, packing_fraction(diameters, bore), fits(model.smallest_bore, bore))
+        Conduit(
+            bore, compute_packing_fraction(diameters, bore), fits_bore(model.smallest_bore, bore)
+        )
         for bore in offered
     ]
-    modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
+    modelled = ModelledBundle(name, model, tuple(conduits), compute_bore(diameters), folder)
     if test is not None:
         laws = [tables[wire.type] for wire in bundle.wires]
         try:
@@ -348,7 +352,7 @@ def _in_best_conduit(model: BundleModel, offered: Sequence[float]) -> BundleMode
     diameters = model.layout.diameter
     bore = choose_bore(diameters, offered, smallest=model.smallest_bore)
     bundle = replace(model.bundle, conduit_bore=bore)
-    return replace(model, bundle=bundle, packing_fraction=packing_fraction(diameters, bore))
+    return replace(model, bundle=bundle, packing_fraction=compute_packing_fraction(diameters, bore))
 
 
 def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBundle:

@@ -35,10 +35,10 @@ from labpipe.mechanics.studies.validation import (
 from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wires
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
-from labpipe.mechanics.wire.calibration.prediction import tested_curvature
+from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
 from labpipe.mechanics.wire.cyclic_law import cyclic_law
-from labpipe.mechanics.wire.law_family import with_values
-from labpipe.mechanics.wire.wire_table import build, range_of, wire_table
+from labpipe.mechanics.wire.law_family import apply_values
+from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
@@ -156,7 +156,7 @@ def calibrate_tests(
     share = _calibrate_share(specs[name], calibration, calibrating)
     calibration = replace(calibration, share=share)
     measured = [loading.curve for loading in calibrating]
-    reach = tested_curvature(built[name], calibration.solutions[0].values, measured)
+    reach = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
     notes = (weight, *insulation_notes(calibration, built, specs, loadings))
     groups = compare(calibration, built, loadings)
     notes = (*notes, *misfit_notes(groups))
@@ -192,7 +192,7 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
     -------
     The wire; its radial force belongs to its friction coefficients.
     """
-    return with_values(
+    return apply_values(
         spec, {parameter.name: parameter.value for parameter in calibration.parameters}
     )
 
@@ -230,13 +230,13 @@ def _calibrate_share(
 
     def law_at(changes: Mapping[str, float], share: float) -> MomentLaw:
         logs = {name: best[name] + changes.get(name, 0.0) for name in names}
-        own = with_values(spec, {name: math.exp(value) for name, value in logs.items()})
-        built = build(own)
+        own = apply_values(spec, {name: math.exp(value) for name, value in logs.items()})
+        built = build_wire(own)
         return cyclic_law(
             built.section,
             built.contacts,
             isotropic_share=share,
-            largest_curvature=range_of(own)[0],
+            largest_curvature=find_range(own)[0],
             tension=own.tension,
             orientation=own.orientation,
         )

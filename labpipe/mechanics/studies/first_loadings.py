@@ -19,7 +19,7 @@ from labpipe.errors import LabpipeError
 from labpipe.mechanics.wire.calibration.hardening import ENERGY, RATIO, RESIDUAL, CycledTest
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.wire_table import straight_range
+from labpipe.mechanics.wire.wire_table import find_linear_range
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats, average_blocks
@@ -441,7 +441,7 @@ def insulation_note(spec: WireSpec, tested: float, *, of: str = "") -> QualityNo
     tested : 1/m, largest curvature of its tests
     of : the calibrated wire; empty for that wire itself
     """
-    limit = straight_range(spec)
+    limit = find_linear_range(spec)
     if tested <= limit:
         return None
     effect = "the parameters compensate for the softer insulation"

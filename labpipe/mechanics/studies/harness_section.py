@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ReadError, UsageError, sort_by_likeness
-from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     calibrated_distributions,
@@ -33,8 +33,8 @@ from labpipe.mechanics.wire.law_family import (
     TORSION_FACTOR,
     UNKNOWN_SHARE,
     LawFamily,
-    family_of,
-    with_values,
+    apply_values,
+    make_law_family,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.protocol.harness_file import HarnessFile, SectionBlock, find_named_file
@@ -205,7 +205,7 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
         files.append(input_file("calibration", path))
     specs = _solution_specs(spec, calibrated)
     try:
-        table, families = wire_table(specs[0]), [family_of(spec) for spec in specs]
+        table, families = wire_table(specs[0]), [make_law_family(spec) for spec in specs]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
         raise wire_error(sheet, spec, expected, error) from error
@@ -254,7 +254,7 @@ def _solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[W
     if calibrated is None:
         return [spec]
     return [
-        with_values(spec, calibrated.values(number))
+        apply_values(spec, calibrated.values(number))
         for number, solution in enumerate(calibrated.solutions)
         if solution.is_allowed
     ]
@@ -284,7 +284,7 @@ def _scaled_section(section: Section, inputs: Mapping[str, float]) -> Section:
 def _stiffness_material(block: SectionBlock) -> Material:
     stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
     section = Section(
-        linear_moment_law(stiffness, limit),
+        make_linear_law(stiffness, limit),
         block.torsional_stiffness or 0.0,
         block.axial_stiffness or np.inf,
         mass_per_length=block.mass_per_length or 0.0,

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from labpipe import __version__
-from labpipe.mechanics.decks.mujoco_line import line_deck
+from labpipe.mechanics.decks.mujoco_line import write_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
@@ -158,7 +158,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
         SHAPE_FILE: shape_csv(rod_path, prepared.line, solution.steps, shapes),
         FORCES_FILE: forces_csv(rod_path, prepared, forces),
         VTK_FILE: shape_vtk(rod_path, prepared.line, solution.steps, title),
-        DECK_FILE: line_deck(prepared.line, prepared.boundaries, title=title),
+        DECK_FILE: write_line_deck(prepared.line, prepared.boundaries, title=title),
         SUMMARY_FILE: json.dumps(as_json(solution), indent=1, ensure_ascii=False) + "\n",
     }
     if solution.sweep:

@@ -11,22 +11,22 @@ import numpy as np
 from labpipe.errors import UsageError, format_error, sort_by_likeness
 from labpipe.mechanics.studies.first_loadings import FirstLoading, insulation_note
 from labpipe.mechanics.studies.wire_sheets import wire_error
-from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, curve_errors
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, compute_curve_errors
 from labpipe.mechanics.wire.calibration.prediction import (
-    calibrated_curve,
+    compute_calibrated_curve,
+    find_tested_curvature,
     predict,
-    tested_curvature,
 )
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
     bend_to_travel,
-    held_level,
-    straight,
+    hold_level,
+    make_straight,
 )
-from labpipe.mechanics.wire.wire_table import build, mass_per_length, straight_range
+from labpipe.mechanics.wire.wire_table import build_wire, find_linear_range, mass_per_length
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag, Shape
@@ -98,7 +98,7 @@ def _model_shape(
     """Bend the model from rest to a deflection of its tip; return its axis."""
     tip_tolerance, max_iterations = 1e-6, 8
     share = min(deflection / length, 0.9)
-    law = play_law(
+    law = fit_play_law(
         wire.section,
         wire.contacts,
         largest_curvature=min(largest_curvature, 8.0 * share / (1.0 - share**2) / length),
@@ -106,9 +106,9 @@ def _model_shape(
     )
     weight = wire.self_weight
     if rig is None:
-        bent = bend_to_deflection(law, held_level(law, length, weight).state, length, deflection)
+        bent = bend_to_deflection(law, hold_level(law, length, weight).state, length, deflection)
         return np.column_stack([bent.x, bent.y])
-    travel, level = deflection, straight(law, self_weight=weight)
+    travel, level = deflection, make_straight(law, self_weight=weight)
     rest = bend_to_travel(law, level, length, rig, 0.0).state
     for _ in range(max_iterations):  # as the string leans, the tip moves less than the clamp
         bent = bend_to_travel(law, rest, length, rig, travel)
@@ -246,11 +246,11 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
         If its strands do not fit.
     """
     try:
-        wire = build(spec)
+        wire = build_wire(spec)
     except ValueError as error:
         raise wire_error(wires, spec, "a wire that can be built", error) from error
     weight = GRAVITY * mass_per_length(spec, wire.section)
-    linear_range = straight_range(spec)
+    linear_range = find_linear_range(spec)
     return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
 
 
@@ -310,7 +310,7 @@ def insulation_notes(
     for name in sorted({loading.curve.wire for loading in loadings}):
         curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
-            reach = tested_curvature(wires[name], values, curves)
+            reach = find_tested_curvature(wires[name], values, curves)
         except ValueError:
             continue
         of = "" if name == calibration.wire else calibration.wire
@@ -363,7 +363,7 @@ def _compare_group(
     else:
         errors = _errors(curves, prediction)
         values = calibration.solutions[0].values
-        bent = calibrated_curve(wire, values, first.length, first.rig, deepest)
+        bent = compute_calibrated_curve(wire, values, first.length, first.rig, deepest)
         doubtful_deflection = float(
             np.interp(wire.linear_range, bent.clamp_curvature, bent.deflection, right=np.inf)
         )
@@ -411,4 +411,6 @@ def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErr
         np.interp(deflection, prediction.deflection, values)
         for values in (prediction.force, prediction.lower, prediction.upper)
     )
-    return curve_errors(np.concatenate([curve.force for curve in curves]), model, lower, upper)
+    return compute_curve_errors(
+        np.concatenate([curve.force for curve in curves]), model, lower, upper
+    )

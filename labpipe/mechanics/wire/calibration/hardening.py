@@ -24,9 +24,9 @@ from labpipe.mechanics.wire.cantilever import (
     StringRig,
     WireState,
     bend_to_travel,
+    compute_shape,
     deflect,
-    shape_of,
-    straight,
+    make_straight,
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95, Interval
@@ -100,7 +100,7 @@ def compute_cycles(
     the counterweight then bends the wire back. Without one, a cycle ends at zero force.
     """
     stations, steps = 40, 9
-    state = straight(law, stations, self_weight=self_weight)
+    state = make_straight(law, stations, self_weight=self_weight)
     if self_weight > 0.0 or rig is not None:
         state = deflect(law, state, length, 0.0, rig)
     at_rest = state.load
@@ -159,7 +159,7 @@ def _return(
 ) -> tuple[list[tuple[float, float]], WireState, float]:
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
     steps = 12
-    tip = shape_of(law, state, length)
+    tip = compute_shape(law, state, length)
     travel = rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1]))
     path, state = [(state.travel, state.load - at_rest)], replace(state, travel=travel)
     for share in np.linspace(1.0, 0.0, steps + 1)[1:]:
