@@ -12,6 +12,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.mechanics.decks import write_decks
+from labpipe.mechanics.law.plays import MomentLaw
 from labpipe.mechanics.studies.calibration_file import build_calibration_json, build_comparison_json
 from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.mechanics.studies.first_loadings import (
@@ -33,9 +34,11 @@ from labpipe.mechanics.studies.validation import (
 )
 from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
+from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
+from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.mechanics.wire.law_family import apply_values
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
@@ -46,6 +49,7 @@ from labpipe.records.wire_calibration import (
     Calibration,
     CalibrationFailure,
     ExternalCurveComparison,
+    IsotropicShare,
     ParameterChoice,
 )
 from labpipe.report.calibration_figures import list_calibration_figures
