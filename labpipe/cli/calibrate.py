@@ -11,8 +11,10 @@ from labpipe.campaign.queries import escape_controls
 from labpipe.cli.terminal import shorten_path, show_reading
 from labpipe.mechanics.studies.calibration_study import Calibrated, as_json, calibrate_tests
 from labpipe.process.output_paths import find_results
+from labpipe.records.wire_calibration import IsotropicShare
 from labpipe.report.calibration_figures import describe_agreement, describe_match
 from labpipe.report.calibration_summary import describe_calibration, write_length, write_parameter
+from labpipe.report.wording import write_count
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,6 +56,8 @@ def format_calibration(done: Calibrated) -> str:
     for name, value, interval, unit, verdict in map(write_parameter, done.calibration.parameters):
         number = f"{value} {unit.removesuffix('1')}".strip()
         lines.append(f"  {name}: {number} (95 %: {interval}), {verdict}")
+    if done.calibration.share is not None:
+        lines.append(_format_share(done.calibration.share))
     lines += [f"  {sentence}" for sentence in describe_calibration(done.calibration)]
     for group in done.groups:
         use = "calibrated" if group.is_calibrated else "predicted"
@@ -63,3 +67,16 @@ def format_calibration(done: Calibrated) -> str:
         lines.append(f"  {'; '.join(describe_match(comparison))}")
         lines += [f"  {note.severity}: {note.where}: {note.message}" for note in comparison.notes]
     return "\n".join([*lines, f"results: {shorten_path(done.folder)}"])
+
+
+def _format_share(share: IsotropicShare) -> str:
+    """Write the line of the isotropic share, or why it is not calibrated."""
+    low, high = share.interval.lower, share.interval.upper
+    if not share.is_creep:
+        tests = write_count(share.n_tests, "test")
+        return f"  isotropic share {share.value:.2f}, {low:.2f} to {high:.2f}, from {tests}"
+    ends = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.by_number.values()]
+    return (
+        f"  isotropic share: not calibrated, {ends[0]} by the residual deflection "
+        f"but {ends[1]} by the peaks of two cycles: the insulation creeps"
+    )
