@@ -283,7 +283,7 @@ class Test:
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:
-    """Read an export and describe it: program, channels, rates, gaps, oddities.
+    """Read an export and describe it: program, channels, rates, gaps, findings.
 
     Parameters
     ----------
