@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 
 from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.records.curve import Interval
-from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
     draw_bundle,
     draw_loop,
     has_bundles,
-    make_place_table,
+    make_bounds_table,
 )
 from labpipe.report.figure_page import style
 from labpipe.report.harness_figures import (
@@ -45,7 +45,7 @@ ALIKE = compute_bundle_model(bundle(("B1", 7)), example_wires())
 GROUPS = tuple(grouped(three_of(bundle_of("7 B1"))))
 NAME = GROUPS[0].name
 ENDS, SHARE = Interval(0.0058, 0.0062), Interval(0.0290, 0.0316)
-ROW = BundlePlace(NAME, "t-1", 0.006, ENDS, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.0303, SHARE)
+ROW = BoundedStiffness(NAME, "t-1", 0.006, ENDS, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.0303, SHARE)
 
 
 DEFLECTION = np.array([0.0, 0.02, 0.01, 0.02, 0.01])
@@ -117,13 +117,13 @@ def test_table_of_places(approved: Approve) -> None:
         (Reason("not_in_sheet", "no bounds: the sheet has no B3"),),
     )
     bare = replace(ROW, test="", interval=None, principal=(0.15, 0.15), share_interval=None)
-    lacking = BundlePlace(NAME, "t-2", 0.006, None, reasons=absent)
+    lacking = BoundedStiffness(NAME, "t-2", 0.006, None, reasons=absent)
     failed = replace(bare, test="t-3", value=None, share=float("nan"), reasons=short)
     campaign = Campaign("Synthetic", GROUPS, wire_sheet="wires.xlsx")
-    table = make_place_table(replace(campaign, places=(ROW, bare, lacking, failed)))
+    table = make_bounds_table(replace(campaign, bounded_stiffnesses=(ROW, bare, lacking, failed)))
     assert table is not None
     approved(table_words(table))
-    assert make_place_table(campaign) is None
+    assert make_bounds_table(campaign) is None
     assert has_bundles(campaign)
     assert not has_bundles(build_campaign())
 
