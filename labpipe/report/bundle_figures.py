@@ -206,7 +206,8 @@ def _write_title(model: BundleModel) -> str:
     return f"{text}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
 
 
-def _describe_bounds(model: BundleModel) -> str:
+def describe_stiffness(model: BundleModel) -> str:
+    """Describe the bounds of the bending stiffness of a bundle in a sentence."""
     all_slip, wires_slip, nothing_slips, smallest, largest = (
         write_number(stiffness, None, STIFFNESS.factor, digits=4).value
         for stiffness in (model.low, model.free, model.high, *model.principal)
@@ -214,19 +215,24 @@ def _describe_bounds(model: BundleModel) -> str:
     directions = f"{smallest} to {largest} over all directions"
     if _is_isotropic(model):
         directions = "equal in all directions"
-    bounds = format_sentence(
+    return format_sentence(
         "report.bounds_of_bundle",
         all_slip=all_slip,
         wires_slip=wires_slip,
         nothing_slips=nothing_slips,
         directions=directions,
     )
+
+
+def _describe_bounds(model: BundleModel) -> str:
     limitations = [
         note.message.replace("N mm^2", "N\u00b7mm\u00b2")
         for note in model.notes
         if note.code in ("copper_yields", "insulation_doubtful")
     ]
-    return " ".join([bounds, *(f"{text[0].upper()}{text[1:]}." for text in limitations)])
+    return " ".join(
+        [describe_stiffness(model), *(f"{text[0].upper()}{text[1:]}." for text in limitations)]
+    )
 
 
 def _is_isotropic(model: BundleModel) -> bool:
@@ -255,10 +261,11 @@ def draw_loop(name: str, fit: FrictionFit) -> Figure:
         axes.axhline(0.0, color="#bbbbbb", linewidth=0.5, zorder=0)
         axes.set(xlabel=LENGTH.label("Deflection"), ylabel="Force at the tip (N)")
         axes.set_title(f"{heading}, error {_format_percent(error)} of the peak", loc="left")
-    return add_title(page, f"{name}  ·  friction between the wires", _describe_friction(fit))
+    return add_title(page, f"{name}  ·  friction between the wires", describe_friction(fit))
 
 
-def _describe_friction(fit: FrictionFit) -> str:
+def describe_friction(fit: FrictionFit) -> str:
+    """Describe the friction between the wires of a bundle, and the errors of its prediction."""
     slide_mm = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
     held_share = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
@@ -269,6 +276,8 @@ def _describe_friction(fit: FrictionFit) -> str:
         held=held_share,
         work=1e3 * fit.loss,
         predicted_work=1e3 * fit.predicted_loss,
+        error_fitted=_format_percent(fit.error_fitted),
+        error_left_out=_format_percent(fit.error_held_out),
     )
 
 

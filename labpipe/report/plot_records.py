@@ -257,12 +257,6 @@ def make_strip(
     return Strip(place(mean) if isfinite(mean) else None, bar, dots)
 
 
-def write_sparkline(x: Floats, y: Floats) -> str:
-    """Write a small curve without axes as a path of SVG that fills its frame."""
-    axes = make_axis("", "", [x], room=0.0), make_axis("", "", [y], room=0.05)
-    return Line("", x, y).write_path(*axes)
-
-
 _Segment: TypeAlias = tuple[float, int, int, int]
 """Negative distance of the furthest sample; first, furthest and last sample."""
 
