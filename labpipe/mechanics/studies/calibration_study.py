@@ -12,6 +12,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.mechanics.decks import write_decks
+from labpipe.mechanics.law.plays import MomentLaw
 from labpipe.mechanics.studies.calibration_file import build_calibration_json, build_comparison_json
 from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.mechanics.studies.first_loadings import (
@@ -33,9 +34,11 @@ from labpipe.mechanics.studies.validation import (
 )
 from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
+from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
+from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.mechanics.wire.law_family import apply_values
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
@@ -46,6 +49,7 @@ from labpipe.records.wire_calibration import (
     Calibration,
     CalibrationFailure,
     ExternalCurveComparison,
+    IsotropicShare,
     ParameterChoice,
 )
 from labpipe.report.calibration_figures import list_calibration_figures
@@ -147,6 +151,8 @@ def calibrate_tests(
     say("calibration")
     tables = [curve.table for curve in sheet.curves[name].values()]
     calibration = _calibrate(built[name], calibrating, settings, tables)
+    share = _calibrate_share(specs[name], calibration, calibrating)
+    calibration = replace(calibration, share=share)
     measured = [loading.curve for loading in calibrating]
     reach = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
     notes = (weight, *note_insulations(calibration, built, specs, loadings))
@@ -211,6 +217,37 @@ def _calibrate(
         raise ProcessingError(message)
     notes = (*outcome.notes, *(note for loading in loadings for note in loading.notes))
     return replace(outcome, notes=notes)
+
+
+def _calibrate_share(
+    spec: WireSpec, calibration: Calibration, loadings: Sequence[FirstLoading]
+) -> IsotropicShare | None:
+    """Calibrate the isotropic share with the law of the best solution."""
+    solution = calibration.solutions[0]
+    acting = np.flatnonzero(np.isfinite(solution.values))
+    names = [PARAMETERS[number] for number in acting]
+    best = dict(zip(names, np.log(solution.values[acting]), strict=True))
+
+    def law_at(changes: Mapping[str, float], share: float) -> MomentLaw:
+        logs = {name: best[name] + changes.get(name, 0.0) for name in names}
+        own = apply_values(spec, {name: math.exp(value) for name, value in logs.items()})
+        built = build_wire(own)
+        return cyclic_law(
+            built.section,
+            built.contacts,
+            isotropic_share=share,
+            largest_curvature=find_range(own)[0],
+            tension=own.tension,
+            orientation=own.orientation,
+        )
+
+    return calibrate_share(
+        [loading.cycles for loading in loadings if loading.cycles is not None],
+        law_at,
+        names,
+        solution.covariance[np.ix_(acting, acting)],
+        calibration.levels.scatter,
+    )
 
 
 def _compare_shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:

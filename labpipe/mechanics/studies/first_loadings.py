@@ -16,6 +16,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
+from labpipe.mechanics.wire.calibration.hardening import ENERGY, RATIO, RESIDUAL, CycledTest
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.wire_table import find_linear_range
@@ -27,7 +28,7 @@ from labpipe.records.causes import CENTRE, GRIP, PULL, SCALE_OF_DISPLACEMENT, SH
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote
-from labpipe.records.result import Status, TestResult
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.records.wire import WireSpec
 from labpipe.results.beam import compute_prop_force
 from labpipe.results.moment_curvature import collect_rest_evidence, list_rest_notes
@@ -159,12 +160,14 @@ class FirstLoading:
     gain : relative standard uncertainty of the load cell's gain
     notes : on doubtful results, and on points that were left out
     file : result.h5 of the test
+    cycles : what the cycles of the test left; None without a first peak
     """
 
     curve: MeasuredCurve
     gain: float
     notes: tuple[QualityNote, ...]
     file: Path = Path()
+    cycles: CycledTest | None = None
 
 
 class NotUsableError(LabpipeError):
@@ -282,7 +285,50 @@ def extract_first_loading(
     )
     channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
     gain = 0.0 if channel is None else channel.gain_uncertainty
-    return FirstLoading(measured, gain, notes)
+    return FirstLoading(measured, gain, notes, cycles=read_cycles(result, measured))
+
+
+def read_cycles(result: TestResult, curve: MeasuredCurve) -> CycledTest | None:
+    """Read what the cycles of a test left, from its results that are `ok`.
+
+    Parameters
+    ----------
+    result : of a cantilever test
+    curve : its first loading
+
+    Returns
+    -------
+    Residual deflection and energy of the first cycle; the second over the first peak force, if both
+    cycles reach the same deflection. None without a first peak.
+    """
+    max_growth = 0.01  # of the deflection from cycle to cycle: beyond, the peaks differ by it
+    numbers = {number.name: number for number in result.results if number.status is Status.OK}
+    peak = numbers.get("peak_displacement.1")
+    if peak is None or not peak.value:
+        return None
+    found: dict[str, tuple[float, float]] = {}
+    for name, key in ((RESIDUAL, "residual_displacement.1"), (ENERGY, "energy.1")):
+        number = numbers.get(key)
+        if number is not None and number.value is not None and number.interval is not None:
+            found[name] = number.value, number.interval.standard_error
+    pair = [numbers.get(f"peak_force.{cycle}") for cycle in (1, 2)]
+    second = numbers.get("peak_displacement.2")
+    is_same = second and abs((second.value or 0.0) / peak.value - 1.0) <= max_growth
+    if is_same and all(number is not None and number.value for number in pair):
+        values = [float(number.value or 0.0) for number in pair if number is not None]
+        errors = [own_error(number) / value for number, value in zip(pair, values, strict=True)]
+        ratio = values[1] / values[0]
+        found[RATIO] = ratio, abs(ratio) * hypot(*errors)
+    return CycledTest(result.test, curve.length, peak.value, found, curve.rig, curve.self_weight)
+
+
+def own_error(number: Result | None) -> float:
+    """Return the standard error of a number without the causes that all tests of a rig share."""
+    if number is None or number.interval is None:
+        return 0.0
+    if not number.budget:
+        return number.interval.standard_error
+    return hypot(*(part.change for part in number.budget if not part.is_common))
 
 
 def estimate_noise(values: Floats) -> float:

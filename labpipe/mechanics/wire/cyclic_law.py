@@ -54,10 +54,24 @@ def cyclic_law(
         tension=tension,
         orientation=orientation,
     )
-    if isotropic_share == 0.0:
-        return plays
+    return plays if isotropic_share == 0.0 else harden(plays, section, isotropic_share)
+
+
+def harden(
+    plays: PlayLaw, section: CrossSection, isotropic_share: float, *, factor: float = 1.0
+) -> MixedLaw:
+    """Give a law of first loading the hardening of its strands.
+
+    Parameters
+    ----------
+    plays : of the section
+    section : with the materials of its strands
+    isotropic_share : above 0 and at most 1
+    factor : on the moments of the strands, as of `plays`
+    """
     curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
-    return mix_hardening(plays, *continue_strands(section, curvature), isotropic_share)
+    bent, strands = continue_strands(section, curvature)
+    return mix_hardening(plays, bent, factor * strands, isotropic_share)
 
 
 def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
