@@ -14,6 +14,7 @@ from typing import IO, Any, Final
 
 from labpipe.campaign.catalog import Catalog
 from labpipe.errors import UsageError, sort_by_likeness
+from labpipe.statistics.lots import PEAK_OVER_LIMIT
 from labpipe.store.replace import replacing
 
 COLUMNS: Final = {
@@ -33,6 +34,8 @@ COLUMNS: Final = {
     "estimate": "results.estimate",
     "status": "results.status",
     "code": "coalesce(results.code, tests.code)",
+    "verdict": f"case when results.name = '{PEAK_OVER_LIMIT}' then"
+    " case when results.value >= 1 then 'pass' when results.value < 1 then 'fail' end end",
     "reason": "coalesce(results.reason, tests.reason)",
     "why": "tests.why",
     "protocol": "tests.protocol",
@@ -41,7 +44,7 @@ COLUMNS: Final = {
     "labpipe": "tests.labpipe",
     "run": "tests.run",
 }
-"""SQL expression of each column; dimensions and labels of the tests follow."""
+"""SQL expression of each column; dimensions, labels and observations of the tests follow."""
 _MAX_SHEET_ROWS: Final = 1_048_575
 """Rows of a worksheet below its heading."""
 _ALLOWED: Final = frozenset(
@@ -130,15 +133,15 @@ def _authorize_reads(action: int, *_: str | None) -> int:
 
 
 def _fields(connection: sqlite3.Connection) -> dict[str, str]:
-    """Return SQL expressions for the dimensions and labels of the tests by name."""
+    """Return SQL expressions for the dimensions, labels and observations of the tests."""
     max_fields = 200
     numbers = (
         "select distinct key from tests, json_each(tests.specimen)"
         " where json_each.type in ('real', 'integer', 'text') order by key"
     )
-    labels = "select distinct key from tests, json_each(tests.specimen, '$.labels') order by key"
+    words = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
     fields: dict[str, str] = {}
-    for sql, place in ((numbers, ""), (labels, "labels")):
+    for sql, place in ((numbers, ""), *((words.format(x), x) for x in ("labels", "observed"))):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
             if name in COLUMNS or name in fields or len(fields) >= max_fields or '"' in name:

@@ -51,7 +51,7 @@ from labpipe.process.output_paths import (
 )
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Groups
-from labpipe.records.group import Campaign, Group, Sample
+from labpipe.records.group import Campaign, Group, LotRule, Sample
 from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
 from labpipe.report.page_facts import compute_report_id, list_samples
 from labpipe.report.page_tables import name_page_file
@@ -60,6 +60,7 @@ from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, make_grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
+from labpipe.statistics.lots import judge_lot
 from labpipe.statistics.outliers import mark_outliers
 from labpipe.store.read import read_reported, read_result
 from labpipe.store.replace import locked, replacing_together
@@ -346,6 +347,7 @@ def _group(
         samples=tuple(by_source[sample.source] for sample in group.samples),
         numbers=(*first, *numbers.values()),
         notes=(*make_grouping_notes(not_said, renamed), *group.notes),
+        lot=judge_lot(group.samples, LotRule(settings.coverage, settings.confidence)),
     )
 
 

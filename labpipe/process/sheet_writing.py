@@ -30,8 +30,8 @@ BUNDLE_KEY_BY_COLUMN = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
 }
 """Columns of a harness bundle and their keys in its block."""
-LABELS = "labels."
-"""Prefix of columns that are labels of the specimen."""
+WORDS = ("labels", "observed")
+"""Blocks of the specimen whose words have columns such as ``labels.cured``."""
 COLUMNS = (
     *_NEEDED,
     *_OPTIONAL_TOP_LEVEL_COLUMNS,
@@ -130,8 +130,8 @@ def _inferred_data(test: InferredTest) -> dict[str, object]:
     files = {role: test.files.get(role) for role in ROLES if role in {*test.files, *test.open}}
     data = _sheet_data({**test.values, **open_values}, files)
     shared, own = test.blocks.get("specimen", {}), _block(data, "specimen")
-    labels = _block(shared, "labels") | _block(own, "labels")
-    data["specimen"] = {**shared, **own} | ({"labels": labels} if labels else {})
+    words = {name: _block(shared, name) | _block(own, name) for name in WORDS}
+    data["specimen"] = {**shared, **own} | {name: block for name, block in words.items() if block}
     overrides = test.blocks.get("overrides")
     return data | ({"overrides": overrides} if overrides else {})
 
@@ -258,8 +258,8 @@ def _column_of(fault: Fault) -> str:
         return next(column for column, filled in BUNDLE_KEY_BY_COLUMN.items() if filled == key)
     if fault.missing:
         return fault.missing
-    if path[:2] == ["specimen", "labels"]:
-        return f"{LABELS}{path[2]}"
+    if path[0] == "specimen" and path[1] in WORDS:
+        return f"{path[1]}.{path[2]}"
     return path[1] if path[0] in ("specimen", "files", "overrides") and len(path) > 1 else path[0]
 
 
@@ -271,11 +271,15 @@ def _sheet_data(
     def block(columns: Mapping[str, str]) -> dict[str, object]:
         return {key: values[column] for column, key in columns.items() if column in values}
 
-    labels = {key: key.removeprefix(LABELS) for key in values if key.startswith(LABELS)}
+    words = {
+        name: {key: key.partition(".")[2] for key in values if key.startswith(f"{name}.")}
+        for name in WORDS
+    }
     because = block({"because": "because"})
-    overridden = [key for key in values if "." in key and key not in labels]
+    overridden = [key for key in values if "." in key and key.partition(".")[0] not in WORDS]
     specimen = block({key: key for key in (*_NEEDED[2:], *DIMENSIONS)})
-    blocks = {"bundle": block(BUNDLE_KEY_BY_COLUMN), "labels": block(labels)}
+    blocks = {"bundle": block(BUNDLE_KEY_BY_COLUMN)}
+    blocks |= {name: block(columns) for name, columns in words.items()}
     data = block({key: key for key in _NEEDED[:2]})
     data["specimen"] = specimen | {key: inner for key, inner in blocks.items() if inner}
     data |= block({key: key for key in _OPTIONAL_TOP_LEVEL_COLUMNS})

@@ -44,7 +44,9 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
+from labpipe.protocol.limit_cards import read_limit_card
 from labpipe.protocol.values import (
+    OrShort,
     QuantityText,
     parse_span,
     parse_whole,
@@ -53,6 +55,7 @@ from labpipe.protocol.values import (
 )
 from labpipe.protocol.yaml_text import FaultsError, Values, faults_of, refused
 from labpipe.records.declarations import (
+    FromCard,
     Key,
     LargerThan,
     PatternText,
@@ -184,6 +187,8 @@ def _annotations_of(marker: object, markers: tuple[Any, ...]) -> list[Any]:
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
         case PatternText():
             return [BeforeValidator(partial(parse_word, marker))]
+        case FromCard():
+            return [OrShort(read_limit_card, {"type": "string"})]
         case LargerThan():
             quantity = next(other for other in markers if isinstance(other, Quantity))
             return [AfterValidator(partial(_larger, marker, QuantityText(quantity)))]

@@ -29,6 +29,7 @@ from labpipe.protocol.yaml_text import (
     block_in,
     error_of_faults,
     not_among,
+    one_of,
     parse_yaml,
     read_text,
 )
@@ -304,6 +305,7 @@ def resolve(
         *_role_faults(sheet, merged.block),
         *link_faults(sheet, sheet_path.parent, followed=followed),
         *_implausible_sizes(sheet, sheet_document, merged.block),
+        *_wrong_answers(sheet, block_in(merged.data, "questions")),
     ]
     placed = [*merged.faults, *map(sheet_document.place, sheet_faults)]
     protocol = Protocol.read(merged.data)
@@ -403,6 +405,22 @@ def _implausible_sizes(sheet: TestSheet, document: Document, protocol: Values) -
         others=sheet.specimen.dimensions,
         ranges=protocol.get("plausible") or {},
     )
+
+
+def _wrong_answers(sheet: TestSheet, questions: Values) -> Iterator[Fault]:
+    """Find observations that the protocol does not ask for, and answers that it does not know."""
+    for name, answer in sheet.specimen.observed.items():
+        path, answers = ("specimen", "observed", name), questions.get(name)
+        if name not in questions:
+            no_questions = "The protocol asks no questions; use specimen.labels."
+            yield replace(
+                not_among(
+                    path, name, questions, "a question of the protocol:", remedy=no_questions
+                ),
+                at="key",
+            )
+        elif isinstance(answers, list) and answer not in answers:
+            yield Fault.of("protocol.no_answer", path, answers=one_of("", answers), found=answer)
 
 
 def _role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:

@@ -272,6 +272,9 @@ class SheetSpecimen(Block):
     labels: Annotated[dict[Snake, Line], BeforeValidator(_nothing_is_empty)] = Field(
         {}, description="Any other words on the specimen, by name"
     )
+    observed: Annotated[dict[Snake, Line], BeforeValidator(_nothing_is_empty)] = Field(
+        {}, description="Answers to the questions of the protocol, by question"
+    )
 
     @property
     def dimensions(self) -> dict[str, float]:
@@ -284,7 +287,7 @@ class SheetSpecimen(Block):
         """Return the specimen in the words of the rest of labpipe; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
         named = (self.type, self.spool, self.sample)
-        return Specimen(*named, self.dimensions, bundle, self.labels)
+        return Specimen(*named, self.dimensions, bundle, self.labels, self.observed)
 
     @classmethod
     def between(cls, data: Values) -> Iterator[Fault]:

@@ -114,6 +114,11 @@ class Existing:
 
 
 @dataclass(frozen=True, slots=True)
+class FromCard:
+    """A block that YAML may also name: the content of a card that comes with labpipe."""
+
+
+@dataclass(frozen=True, slots=True)
 class TaggedChoice:
     """One of several kinds of settings, distinguished by a key.
 

@@ -14,6 +14,7 @@ from labpipe.records.group import MeanInterval
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.results import KINDS
+from labpipe.statistics.lots import FORCE_LIMIT
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
@@ -218,8 +219,8 @@ def replace_names(sentence: str) -> str:
 
 
 def is_main(name: str) -> bool:
-    """Return whether a number is of the specimen, not of a slip or of the clocks."""
-    return not name.startswith(("slip_", "clock_"))
+    """Return whether a number is of the specimen, not of a slip, of the clocks, or a limit."""
+    return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
 
 
 def is_first_cycle(name: str) -> bool:

@@ -551,7 +551,7 @@ def on_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
-def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
+def reach_beyond_top(seen: Floats, travel: Floats) -> float:
     """Return how far a curve may rise beyond its largest sample before the next one.
 
     At a turn of the motion, up to the crossing of the lines through two samples on each side, and
@@ -590,7 +590,7 @@ def _largest(
     if np.isnan(seen).all():
         raise UnavailableError.of("results.no_sample")
     travel = sense_of(trace, trace.displacement) * trace.displacement[stretch]
-    reach = _reach_beyond_top(seen, travel) / steps
+    reach = reach_beyond_top(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
         signed = sense * getattr(trace, quantity)[..., stretch]
