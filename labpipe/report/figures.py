@@ -57,6 +57,7 @@ from labpipe.report.wording import (
     write_number,
     write_title,
 )
+from labpipe.statistics.lots import FORCE_LIMIT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,12 +104,22 @@ def draw_force_displacement(result: TestResult) -> Figure:
         panels[0].set_title("As recorded", loc="left")
         panels[1].set_title("As processed", loc="left")
     plot_filtered(result, panels[-1])
+    _draw_limit(result, panels)
     if len(panels) > 1:
         panels[-1].set_ylabel("")
     count = max((branch.cycle for branch in _branches(result)), default=0)
     if count > _MAX_CYCLE_COLOURS:
         _draw_colour_bar(page, panels, count)
     return add_title(page, write_title(result), write_footnote(result))
+
+
+def _draw_limit(result: TestResult, panels: list[Axes]) -> None:
+    """Draw the smallest force allowed, if the protocol asks for one."""
+    limit = _value(result, FORCE_LIMIT)
+    look: dict[str, Any] = {"color": RED, "linewidth": 0.9, "linestyle": DASHED}
+    for axes in panels if limit is not None else ():
+        axes.axhline((limit or 0.0) * _scales(result)[1].factor, **look)
+        add_key(axes, "smallest force allowed", **look)
 
 
 def plot_raw(result: TestResult, axes: Axes) -> None:

@@ -80,6 +80,7 @@ _LOOKS: Mapping[str, dict[str, Any]] = {
         "zorder": 3,
     },
     "segment": {"linewidth": 0.8, "linestyle": DOTTED, "zorder": 4},
+    "limit": {"color": RED, "linewidth": 0.9, "linestyle": DASHED, "zorder": 3},
     "slip": {"color": RED, "marker": "v", **_DOT},
     "failure": {"color": RED, "marker": "x", **_DOT},
     "sample": {"marker": "o", "markersize": 3.0, **_DOT},

@@ -23,6 +23,7 @@ from labpipe.report.wording import (
     write_heading,
     write_with_interval,
 )
+from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
 
 
 def render_test(result: TestResult, *, report: str = "") -> str:
@@ -67,9 +68,13 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
         for name, size in specimen.dimensions.items()
     ]
     fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]
+    seen = [f"{name.replace('_', ' ')}: {word}" for name, word in specimen.observed.items()]
+    share = find_result(result.results, PEAK_OVER_LIMIT)
+    verdict = [] if share is None else [("Verdict", "; ".join([judge_sample(share).text, *seen]))]
     instruments = ", ".join(map(_instrument, result.instruments))
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
+        *verdict,
         ("Dimensions", ", ".join([*sizes, *fields]) or DASH),
         (
             "Tested",

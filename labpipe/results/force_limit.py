@@ -83,7 +83,7 @@ class ForceLimit(Kind):
         source = "stated by the protocol"
         if self.card is not None:
             source = f"column {self.column} of a card: {self.card.source}"
-        return source, f"largest force over its limit; limit {source}"
+        return source, "largest force over the smallest force allowed"
 
     def measure(self, test: ReducedTest) -> Computed:
         """Divide the largest force by the limit for the conductor of the test sheet."""

@@ -146,7 +146,9 @@ def _specimen(scenario: Scenario) -> dict[str, object]:
     }
     match scenario:
         case TensileScenario():
-            return entries | {"length": _millimetres(scenario.length)}
+            words = {"labels": dict(scenario.labels), "observed": dict(scenario.observed)}
+            entries["length"] = _millimetres(scenario.length)
+            return entries | {name: block for name, block in words.items() if block}
         case ConduitScenario():
             span = _millimetres(scenario.test.span)
             return entries | {"span": span, "bundle": _bundle_entries(scenario.bundle)}
