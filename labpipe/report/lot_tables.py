@@ -1,4 +1,4 @@
-"""Lots and their samples against the smallest force allowed: tables of the page and the workbook."""
+"""Tables of the page and the workbook on lots against the smallest force allowed."""
 
 from __future__ import annotations
 
@@ -103,8 +103,11 @@ def make_verdict_table(group: Group) -> Table | None:
         return None
     factor, unit = find_display_unit("", "N", find_display(group))
     names = dict.fromkeys(name for sample in group.samples for name in sample.specimen.observed)
-    heads = ("Test", "Verdict", "With its interval", write_heading(_PEAK, unit))
-    heads += (write_heading(FORCE_LIMIT, unit), *(name.capitalize() for name in names))
+    heads = (
+        *("Test", "Verdict", "With its interval"),
+        *(write_heading(name, unit) for name in (_PEAK, FORCE_LIMIT)),
+        *(name.replace("_", " ").capitalize() for name in names),
+    )
     rows = []
     for sample in group.samples:
         verdict = lot.verdicts.get(sample.test)
@@ -156,8 +159,10 @@ def make_verdict_cells(sample: Sample, lot: Lot | None) -> Record:
     lot : of the group, if its protocol asks for a limit
     """
     verdict = None if lot is None else lot.verdicts.get(sample.test)
-    answers = {name.replace("_", " "): word for name, word in sample.specimen.observed.items()}
+    answers: Record = {
+        name.replace("_", " "): word for name, word in sample.specimen.observed.items()
+    }
     if verdict is None:
         return answers
     verdicts = str(verdict.by_number), str(verdict.with_interval)
-    return answers | dict(zip(("verdict", "verdict with interval"), verdicts, strict=True))
+    return {"verdict": verdicts[0], "verdict with interval": verdicts[1], **answers}
