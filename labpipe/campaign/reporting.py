@@ -347,7 +347,10 @@ def _group(
         samples=tuple(by_source[sample.source] for sample in group.samples),
         numbers=(*first, *numbers.values()),
         notes=(*make_grouping_notes(not_said, renamed), *group.notes),
-        lot=judge_lot(group.samples, LotRule(settings.coverage, settings.confidence)),
+        lot=judge_lot(
+            [by_source[sample.source] for sample in group.samples],
+            LotRule(settings.coverage, settings.confidence),
+        ),
     )
 
 

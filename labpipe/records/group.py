@@ -480,7 +480,7 @@ class Lot:
 
     def describe_share(self, share: float) -> str:
         """Write a share of the limit in N, or as a share where the limits differ."""
-        return f"{share:.1%} of it" if self.limit is None else f"{share * self.limit:.4g} N"
+        return f"{share:.1%} of the limit" if self.limit is None else f"{share * self.limit:.4g} N"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from labpipe.report.wording import (
     write_number,
 )
 from labpipe.report.workbook_file import Record, make_number_cell
-from labpipe.statistics.lots import FORCE_LIMIT, find_result
+from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
 
 _NOT_STATED = "not stated"
 _PEAK = "peak_force.1"
@@ -55,7 +55,8 @@ def make_lot_table(campaign: Campaign, stems: Sequence[str]) -> Table | None:
     heads = ("Lot", "Answer", "Why", "Limit", "Bound", "Smallest", "Cpk", "n", "Separation")
     rows = tuple(_lot_row(group, lot, stem) for group, lot, stem in lots)
     rules = {
-        f"{lot.rule.coverage:.4%} of the lot with {lot.rule.confidence:.4%} confidence"
+        f"{write_percent(lot.rule.coverage)} of the lot with"
+        f" {write_percent(lot.rule.confidence)} confidence"
         for _, lot, _ in lots
     }
     note = (

@@ -182,14 +182,19 @@ def _answer(lot: Lot, shares: Mapping[str, Result], limits: Collection[float | N
     reason = Reason.of(
         f"statistics.{name}",
         tests=", ".join(below or unknown),
-        coverage=lot.rule.coverage,
-        confidence=lot.rule.confidence,
+        coverage=write_percent(lot.rule.coverage),
+        confidence=write_percent(lot.rule.confidence),
         bound=lot.describe_share(lot.bound),
         needed=lot.n_needed,
     )
     doubtful = [test for test in shares if not is_clear[test] and test not in unknown]
     caveat = Reason.of("statistics.lot_doubtful", tests=", ".join(doubtful))
     return replace(lot, answer=answer, reasons=(reason, caveat) if doubtful else (reason,))
+
+
+def write_percent(share: float) -> str:
+    """Write a share in percent, such as ``99.9 %``."""
+    return f"{100.0 * share:.6g} %"
 
 
 def _factor_above(lot: Lot) -> float:

@@ -413,7 +413,7 @@ class CrimpCampaign:
 
     lots: tuple[CrimpLot, ...] = (
         CrimpLot("AWG 20", 130.0, 4.0),
-        CrimpLot("AWG 22", 62.0, 2.5),
+        CrimpLot("AWG 22", 60.5, 2.5),
         CrimpLot("0.200 mm^2", 35.0, 2.0, ("slip", "conductor broken outside", "")),
     )
     samples: int = 7
