@@ -75,7 +75,7 @@ class ForceLimit(Kind):
         if (data.get("card") is None) == (data.get("at_least") is None):
             yield Fault.of("protocol.one_limit")
         elif data.get("card") is not None and not data.get("column"):
-            yield Fault.of("protocol.no_column", ("card",))
+            yield Fault.of("protocol.no_card_column", ("card",))
 
     def methods(self, test: ReducedTest) -> tuple[str, str]:
         """Name the source of the limit."""
